@@ -34,10 +34,12 @@ FLOORS = (
         "errors",
         "explain",
         "kernels",
+        "options",
         "output",
         "random",
         "settings",
         "store",
+        "tables",
         "trig",
         "types",
         "units",
@@ -48,22 +50,24 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("presets", "purpose", "quantiles", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {
     "accuracy": {"plots"},
     "bag": {"truth"},
-    "clouds": {"truth"},
+    "clouds": {"recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds"},
-    "images": {"palette", "truth"},
-    "score": {"clouds", "plots"},
-    "sheets": {"palette", "plots", "truth"},
+    "canvas": {"camera"},
+    "images": {"camera", "palette", "truth"},
+    "live": {"recorded"},
+    "score": {"clouds", "plots", "recorded"},
+    "sheets": {"camera", "palette", "plots", "truth"},
     "truth": {"bench"},
-    "viewer": {"clouds", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "canvas", "clouds", "palette", "plots", "sheets", "verify"},
 }
-"""Which extras each extra may import beside the core: colours and plots, ground truth, clouds, and the stand that the page shows."""
+"""Which extras each extra may import beside the core: trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
 FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
 

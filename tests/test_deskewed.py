@@ -11,7 +11,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors, write_deskewed
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.motion.pose_files import read_tum
+from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.packets import DISTANCE_LSB_M
 
 pytestmark = pytest.mark.usefixtures("kept_woods")

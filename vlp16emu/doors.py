@@ -1,71 +1,143 @@
-"""What the core loads by name and only when a scene or an option asks for it."""
+"""What is loaded by name and only when a scene, a command or an option asks for it, from this package and from others.
 
+Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds` and `.verbs`.
+Entry points are looked up only for a name that is not ours: reading the metadata of all installed packages takes 20 ms.
+"""
+
+import logging
+from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Annotated, Any, Union
+from typing import TYPE_CHECKING, Any
 
 from vlp16emu.errors import InputError
 
-DOORS = {
-    "audit": "vlp16emu.extras.accuracy.audit:Audit",
-    "bag": "vlp16emu.extras.bag:bag_of_run",
-    "beside": "vlp16emu.extras.bench.beside:Beside",
-    "far": "vlp16emu.foliage.far_caster:FarCaster",
-    "faults": "vlp16emu.extras.bench.wire:arriving",
-    "forest_site": "vlp16emu.forest.make:ForestSite",
-    "hall_site": "vlp16emu.world.hall:HallSite",
-    "live": "vlp16emu.extras.live.flight:flying",
-    "live_motion": "vlp16emu.extras.live.motion:live_motion",
-    "truth": "vlp16emu.extras.truth.truth:Truth",
-    "truth_of_records": "vlp16emu.extras.truth.behind:slots_of",
-    "web": "vlp16emu.extras.bench.control:web_interfaces",
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+_log = logging.getLogger(__name__)
+
+DOORS: dict[str, dict[str, str]] = {
+    "worlds": {
+        "forest": "vlp16emu.forest.stand.settings:Forest",
+        "hall": "vlp16emu.world.settings:Hall",
+        "plot": "vlp16emu.forest.stand.settings:Plot",
+    },
+    "motions": {
+        "live": "vlp16emu.motion.live_settings:Live",
+        "recorded": "vlp16emu.extras.recorded.settings:Recorded",
+        "static": "vlp16emu.motion.settings:Static",
+        "walk": "vlp16emu.motion.settings:Walk",
+    },
+    "sensors": {
+        "free": "vlp16emu.sensor.settings:FreeSensor",
+        "puck-hi-res": "vlp16emu.sensor.settings:Sensor",
+        "puck-lite": "vlp16emu.sensor.settings:Sensor",
+        "vlp-16": "vlp16emu.sensor.settings:Sensor",
+    },
+    "scenes": {},  # folders of scene files
+    "clouds": {},  # suffix -> writer; ours are in `extras/clouds`
+    "verbs": {  # in the order of the help
+        "record": "vlp16emu.cli.record:record",
+        "stream": "vlp16emu.cli.stream:stream",
+        "replay": "vlp16emu.cli.stream:replay",
+        "decode": "vlp16emu.cli.decode:decode",
+        "verify": "vlp16emu.cli.verify:verify",
+        "scenes": "vlp16emu.cli.scenes:scenes",
+        "schema": "vlp16emu.cli.scenes:schema",
+        "plan": "vlp16emu.cli.plan:plan",
+        "doctor": "vlp16emu.cli.doctor:doctor",
+        "cache": "vlp16emu.cli.cache:cache",
+        "outlets": "vlp16emu.extras.bench.outlets:Ways",
+        "truth": "vlp16emu.cli.truth:truth",
+        "points": "vlp16emu.cli.points:points",
+        "bag": "vlp16emu.cli.bag:bag",
+        "images": "vlp16emu.cli.images:images",
+        "picture": "vlp16emu.cli.picture:picture",
+        "view": "vlp16emu.cli.view:view",
+        "dataset": "vlp16emu.cli.dataset:dataset",
+        "score": "vlp16emu.cli.score:score",
+        "compare": "vlp16emu.cli.compare:compare",
+        "fit": "vlp16emu.cli.compare:fit",
+        "forest": "vlp16emu.cli.forest:forest",
+        "accuracy": "vlp16emu.cli.accuracy:accuracy",
+    },
+    "parts": {
+        "audit": "vlp16emu.extras.accuracy.audit:Audit",
+        "bag": "vlp16emu.extras.bag:bag_of_run",
+        "beside": "vlp16emu.extras.bench.beside:Beside",
+        "events": "vlp16emu.extras.bench.changes:with_events",
+        "events_of_scene": "vlp16emu.extras.bench.events:checked",
+        "events_schema": "vlp16emu.extras.bench.events:tables",
+        "far": "vlp16emu.foliage.far_caster:FarCaster",
+        "faults": "vlp16emu.extras.bench.faults:arriving",
+        "gps_in": "vlp16emu.extras.bench.gps_in:GpsReader",
+        "forest_site": "vlp16emu.forest.make:ForestSite",
+        "hall_site": "vlp16emu.world.hall:HallSite",
+        "live": "vlp16emu.extras.live.flight:flying",
+        "live_motion": "vlp16emu.extras.live.motion:live_motion",
+        "outlets": "vlp16emu.extras.bench.outlets:Ways",
+        "truth": "vlp16emu.extras.truth.truth:Truth",
+        "truth_of_records": "vlp16emu.extras.truth.behind:slots_of",
+        "web": "vlp16emu.extras.bench.control:web_interfaces",
+    },
 }
-"""What stands behind each name, as module:name."""
-
-SECTIONS = {
-    "world": (
-        "vlp16emu.forest.stand.settings:Forest",
-        "vlp16emu.forest.stand.settings:Plot",
-        "vlp16emu.world.settings:Hall",
-    )
-}
-"""Kinds of a table of a scene, each with a `kind` of its own."""
+"""What stands behind each name of a group, as module:name."""
 
 
-def sections(name: str) -> Any:
-    """Return the type of a table of a scene: one of the sections of `SECTIONS` that are installed."""
-    from pydantic import Field  # here: who opens another door needs none
-
-    found = [getattr(import_module(m), c) for m, _, c in (s.partition(":") for s in SECTIONS[name]) if _is_there(m)]
-    if len(found) == 1:
-        return found[0]
-    return Annotated[Union[tuple(found)], Field(discriminator="kind")]  # noqa: UP007  # as many as are installed
-
-
-def has_door(name: str) -> bool:
-    """Whether what stands behind a name of `DOORS` is installed."""
-    return _is_there(DOORS[name].partition(":")[0])
-
-
-def _is_there(module: str) -> bool:
-    try:
-        return find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
-
-
-def door(name: str) -> Any:
-    """Return what stands behind a name of `DOORS`.
+def door(name: str, group: str = "parts") -> Any:
+    """Return the object behind a name of a group.
 
     Raises
     ------
     InputError
-        If its part of the package is not installed
+        If its part of this package is not installed, or the package that adds it cannot be loaded
+    KeyError
+        If the group has no such name
     """
-    module, _, attribute = DOORS[name].partition(":")
+    if name not in DOORS[group]:
+        return _load(_added(group)[name])
+    module, _, attribute = DOORS[group][name].partition(":")
     try:
         return getattr(import_module(module), attribute)
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("vlp16emu"):
             raise
         raise InputError(name, f"no module {error.name}", "a complete installation") from None
+
+
+def has_door(name: str, group: str = "parts") -> bool:
+    """Whether a group has a name, and its module is installed."""
+    if name not in DOORS[group]:
+        return name in _added(group)
+    try:
+        return find_spec(DOORS[group][name].partition(":")[0]) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def added(group: str) -> Iterator[tuple[str, Any]]:
+    """Yield name and object of all that other packages add to a group, but for what cannot be loaded."""
+    for name, entry in _added(group).items():
+        try:
+            yield name, _load(entry)
+        except InputError as error:
+            _log.info("%s", error)  # whoever asks for it by name gets the line as an error
+
+
+@cache
+def _added(group: str) -> dict[str, "EntryPoint"]:
+    from importlib.metadata import entry_points  # here: see above
+
+    return {entry.name: entry for entry in entry_points(group=f"vlp16emu.{group}") if entry.name not in DOORS[group]}
+
+
+def _load(entry: "EntryPoint") -> Any:
+    try:
+        return entry.load()
+    except Exception as error:  # another package may raise anything
+        package = entry.dist.name if entry.dist else "a package"
+        found = f"{type(error).__name__}: {error}"
+        where = f"{package}: entry point {entry.name} of {entry.group}"
+        raise InputError(where, found, f"{entry.value}, which can be imported") from error

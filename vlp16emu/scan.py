@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
+    JUMP_NS,
     RETURN_MODE_BYTE,
     CaptureReader,
     PacketChunk,
@@ -19,10 +20,10 @@ from vlp16emu.packets import (
     Points,
     chosen_unit,
     frame_named,
+    packet_clock,
     scan_starts,
 )
 from vlp16emu.types import F4, F8, I8, U1, U2, U4, ReturnMode
-from vlp16emu.units import HOUR_NS
 
 LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
 """Gives the arrays of `Labels` of the n points of packets, or none."""
@@ -59,8 +60,7 @@ class Scan:
     start_ns: int
     """UTC of the revolution's first pulse, whether or not it has a return."""
     t_ns: I8
-    """(n,) UTC of the pulse. Of a capture: by the sensor's clock, in whole microseconds for each packet, in the hour that
-    is nearest to the capture's stamp; a sensor without GPS counts from its power-up."""
+    """(n,) UTC of the pulse. Of a capture: by the clock that is chosen for `decode`, in whole microseconds for each packet."""
     xyz_m: F4
     """(n, 3) in the sensor: x forward at azimuth 0, y left, z up."""
     distance_m: F4
@@ -110,7 +110,7 @@ class Chunk:
 
 
 def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = None) -> Iterator[Scan]:
-    """Cut points into whole revolutions; begun ones at both ends are left out.
+    """Cut points into whole revolutions; begun ones at both ends and beside a jump of the clock are left out.
 
     Parameters
     ----------
@@ -122,11 +122,12 @@ def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = Non
         if not len(chunk.t_ns):
             continue
         held = chunk if held is None else held.then(chunk)
-        starts = scan_starts(held.azimuth_deg).tolist()
+        starts = scan_starts(held.azimuth_deg, held.t_ns).tolist()
         for begin, end in pairwise(starts):
-            if begun or _begins_at_zero(held.azimuth_deg):
+            jumps = abs(int(held.t_ns[end] - held.t_ns[end - 1])) > JUMP_NS
+            if not jumps and (begun or _begins_at_zero(held.azimuth_deg[begin:])):
                 yield _scan(held.part(begin, end), pose_at)
-            begun = True
+            begun = not jumps
         held = held.part(starts[-1], len(held.t_ns))
     if held is not None and (begun or _begins_at_zero(held.azimuth_deg)) and _ends_at_zero(held.azimuth_deg):
         yield _scan(held, pose_at)
@@ -152,7 +153,11 @@ def _scan(chunk: Chunk, pose_at: Callable[[int], F8] | None) -> Scan:
 
 
 def decode(
-    capture: str | Path, unit: str | int | None = None, *, frame: str | PointFrame = PointFrame.SENSOR
+    capture: str | Path,
+    unit: str | int | None = None,
+    *,
+    frame: str | PointFrame = PointFrame.SENSOR,
+    clock: str | None = None,
 ) -> Iterator[Scan]:
     """Read the scans of a capture, by the formulas of the sensor's manual; recordings of real sensors are fine.
 
@@ -161,6 +166,7 @@ def decode(
     capture : a classic pcap file with the packets of a VLP-16, Puck LITE or Puck Hi-Res
     unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
     frame : of `xyz_m`: "sensor" (x forward, y left, z up) or "manual" (x right, y forward, z up)
+    clock : of `t_ns`: "sensor", "gps" or "host"; by default as `unit_clocks` chooses
 
     Returns
     -------
@@ -170,11 +176,12 @@ def decode(
     ------
     CaptureError : where the file cannot be read or is damaged, or has no data packets
     PacketError : where a packet is not a VLP-16's
-    InputError : where there is no such frame, or no such unit, or there are several and none is named
+    InputError : there is no such frame, clock or unit, or there are several units and none is named
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
-    return scans_in(CaptureReader(path, chosen, frame_named(frame)), lambda _: {})
+    reader = CaptureReader(path, chosen, frame_named(frame), clock=packet_clock(path, chosen, clock))
+    return scans_in(reader, lambda _: {})
 
 
 def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
@@ -184,20 +191,12 @@ def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
 
 def _chunks(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Chunk]:
     with reader:
-        zero_ns = None
         for chunk in reader.points():
-            if zero_ns is None:
-                zero_ns = clock_zero_ns(reader, chunk)
-            yield _chunk(chunk, zero_ns, labels_of(chunk))
+            yield _chunk(chunk, labels_of(chunk))
 
 
-def clock_zero_ns(reader: CaptureReader, first: PacketChunk) -> int:
-    """UTC from which a sensor's clock counts: the hour that brings its first packet nearest to the capture's stamp."""
-    return round((reader.first_stamp_ns - int(first.packet_ns[0])) / HOUR_NS) * HOUR_NS
-
-
-def _chunk(chunk: PacketChunk, zero_ns: int, labels: Mapping[str, NDArray[Any]]) -> Chunk:
-    """Sort the points of data packets by azimuth readings; `zero_ns` is the hour from which the clock counts, UTC."""
+def _chunk(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
+    """Sort the points of data packets by azimuth readings."""
     points, blocks = chunk.points, chunk.fields["blocks"]
     dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
     block = np.arange(BLOCKS_PER_PACKET)
@@ -207,7 +206,7 @@ def _chunk(chunk: PacketChunk, zero_ns: int, labels: Mapping[str, NDArray[Any]])
     since_ns = chunk.clock_ns - chunk.packet_ns[points.packet]
     kept = ~twins(points)
     arrays: dict[str, NDArray[Any]] = {
-        "t_ns": chunk.clock_ns + zero_ns,
+        "t_ns": chunk.t_ns,
         "xyz_m": points.xyz_m,
         "distance_m": points.distance_m,
         "azimuth_deg": points.azimuth_deg,
@@ -217,7 +216,7 @@ def _chunk(chunk: PacketChunk, zero_ns: int, labels: Mapping[str, NDArray[Any]])
         **labels,
     }
     return Chunk(
-        t_ns=(chunk.packet_ns[:, None] + block_ns + zero_ns)[is_reading],
+        t_ns=(chunk.utc_ns[:, None] + block_ns)[is_reading],
         azimuth_deg=blocks["azimuth_cdeg"][is_reading] / 100,
         reading=(first[points.packet] + since_ns // BLOCK_PERIOD_NS)[kept],
         arrays={name: array[kept] for name, array in arrays.items()},

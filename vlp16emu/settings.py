@@ -1,21 +1,30 @@
-"""What all sections of a scenario have in common."""
+"""What all sections of a scene have in common."""
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, get_args
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     SerializerFunctionWrapHandler,
+    ValidationError,
     ValidationInfo,
     model_serializer,
     model_validator,
 )
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticKnownError
+from pydantic_core.core_schema import tagged_union_schema, with_info_plain_validator_function
+
+from vlp16emu.doors import DOORS, added, door, has_door
 
 DEEPEST = 100
 """Tables and lists in one another; of a key, the names between its dots."""
@@ -69,6 +78,62 @@ class Preset(Section):
             return table
         preset = table.get("preset", cls.model_fields["preset"].default)
         return {**cls.presets.get(preset, {}), **table} if isinstance(preset, str) else table
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Annotation of a table that is one of several sections, each selected by a word: ours, a program's own, another package's.
+
+    Sections of other kinds than the one at hand are neither imported nor looked for.
+    """
+
+    base: type[Section]
+    """What all of them inherit from; a class that a program defines is known by the word of its tag."""
+    group: str
+    """Of `doors.DOORS`."""
+    tag: str = "kind"
+    """Key that selects the section."""
+    default: str | None = None
+    """What a table is that leaves it out."""
+
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        return with_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(self, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        choices = {word: section.__pydantic_core_schema__ for word, section in self.sections().items()}
+        return handler(tagged_union_schema(choices, discriminator=self.tag))
+
+    def sections(self) -> dict[Any, type[Section]]:
+        """All sections by the words that select them."""
+        own = {word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)}
+        return {**dict(added(self.group)), **dict(self._defined(self.base)), **own}
+
+    def _section(self, word: object) -> type[Section] | None:
+        defined = {} if word in DOORS[self.group] else dict(self._defined(self.base))
+        if isinstance(word, str) and word not in defined and has_door(word, self.group):
+            section: type[Section] = door(word, self.group)
+            return section
+        return defined.get(word)
+
+    def _defined(self, base: type[Section]) -> Iterator[tuple[object, type[Section]]]:
+        for section in base.__subclasses__():
+            if (field := section.model_fields.get(self.tag)) is not None:
+                yield from ((word, section) for word in get_args(field.annotation))
+            yield from self._defined(section)
+
+    def _validate(self, value: Any, info: ValidationInfo) -> Section:
+        if isinstance(value, self.base):
+            return value
+        if not isinstance(value, dict):
+            raise PydanticKnownError("dict_type")
+        table = value if self.default is None else {self.tag: self.default} | value
+        if (section := self._section(table.get(self.tag))) is None:
+            raise PydanticKnownError("union_tag_invalid", {"discriminator": self.tag, "tag": "", "expected_tags": ""})
+        try:
+            return section.model_validate(table, context=info.context)
+        except ValidationError as error:  # with the word in the path, as pydantic's own unions have it
+            findings: list[Any] = [{**e, "loc": (table[self.tag], *e["loc"])} for e in error.errors(include_url=False)]
+            raise ValidationError.from_exception_data(error.title, findings) from None
 
 
 def _beside_the_scene(file: str, info: ValidationInfo) -> str:

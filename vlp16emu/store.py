@@ -38,6 +38,7 @@ MAKERS = (
     "random.py",
     "raycast",
     "store.py",
+    "tables.py",
     "trig.py",
     "types.py",
     "world",

@@ -11,7 +11,7 @@ import pytest
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
-from vlp16emu.extras.bench.wire import arriving
+from vlp16emu.extras.bench.faults import arriving
 from vlp16emu.packets import position_due_ns
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.scenario import load

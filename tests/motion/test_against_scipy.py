@@ -8,10 +8,10 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from vlp16emu.motion import Recorded
+from vlp16emu.extras.recorded.files import RecordedPoses
+from vlp16emu.extras.recorded.motion import RecordedMotion
+from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.motion.harness import KNOTS_PER_S, Pack, response
-from vlp16emu.motion.pose_files import RecordedPoses
-from vlp16emu.motion.recorded import RecordedMotion
 
 SPAN_S = 0.15
 NODES_S = np.arange(round(1000 * SPAN_S) + 1) / 1000

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from vlp16emu.motion import Gait, Gps, Walk
+from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.gait import Trunk, step_rate_hz
 
 T = np.linspace(0.0, 60.0, 12_001)
@@ -77,3 +79,14 @@ def test_samples_do_not_depend_on_their_company(gait):
     alone = Trunk(gait(), 1.2, 7).at(T[9_999:10_000], np.ones(1))
     assert (among[9_999] == alone[0]).all()
     assert (Trunk(gait(), 1.2, 8).at(T, WALKS) != among).any()
+
+
+@pytest.mark.parametrize(("vertical_m", "warned"), [(0.3, False), (1.0, True)])
+def test_a_gait_that_leads_into_the_ground_is_named(tmp_path, caplog, vertical_m, warned):
+    """A person who carries the sensor lower than the steps are deep is warned of it; the walk has it under the ground."""
+    gait = Gait(preset="none", step_hz=1.8, vertical_m=vertical_m)
+    walk = Walk(kind="walk", way_points_m=[(0.0, 0.0), (20.0, 0.0)], sensor_height_m=0.4, gait=gait)
+    world = {"origin_m": (0.0, 0.0, 0.0), "gps": Gps(), "reach_m": 50.0, "start_ns": 0, "seed": 1}
+    motion, _ = make_carrier(walk, lambda x, _y: 0.0 * x, "", **world)
+    lowest_m = motion.poses_at(np.arange(3_000_000_000, 6_000_000_000, 5_000_000)).world_p_body_m[:, 2].min()
+    assert (lowest_m < 0) == warned == ("motion.gait: lowers the sensor by" in caplog.text)

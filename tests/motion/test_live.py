@@ -11,8 +11,8 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows, read_flown
 from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots, follow
 from vlp16emu.extras.live.motion import LiveMotion, PoseInput
+from vlp16emu.extras.recorded.files import read_trajectory_csv
 from vlp16emu.motion.live_settings import Live
-from vlp16emu.motion.pose_files import read_trajectory_csv
 
 START_NS = 1_779_267_600_000_000_000
 STEP_S = STEP_NS * 1e-9
@@ -191,7 +191,7 @@ def test_what_was_flown_is_read_back_bit_by_bit(tmp_path):
         ("0.005308416,", "0.005308417,", "line 3, column t_s: found 0.005308417; expected 0.005308416"),
         (",0 0 0\n", ",\n", "line 2, column cell: found ''; expected three whole numbers"),
         (",0 0 0\n", ",0 0\n", "found '0 0'"),
-        ("2.0,", "nan,", "column z_m: found nan; expected a finite number"),
+        ("2.0,", "nan,", "column z_m: found nan; expected a number"),
     ],
 )
 def test_a_table_that_is_not_whole_is_refused(tmp_path, old, new, message):

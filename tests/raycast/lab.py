@@ -14,7 +14,7 @@ from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin
 from vlp16emu.types import SURFACE, Firings, Hits, Mesh, PlantPart, Semantic, SensorModel, Window
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
@@ -54,7 +54,7 @@ def placed(count, *, at=UTM_M, scaled=True, seed=1):
 
 def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0):
     """Firings of a static sensor in the middle of it."""
-    rotor = Rotor((Spin(0, 0.0, 600),), 0.0, 0.0, 0.0, 1)
+    rotor = Rotor((Spin(0, 0.0, 600),), Encoder(1))
     head = Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), 10**18)
     standing = StaticMotion(np.asarray(at, float) + [0, 0, 0.1], 30.0, tilt_deg, 1.0)
     return head.aim(first, count, standing.poses_at, beam_axis=True)

@@ -265,7 +265,7 @@ BAD_FILES = [
     (
         'kind = "static"',
         'kind = "static"\nspeed = 1.0',
-        "motion.speed: unknown key; expected one of kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg, mount",
+        "motion.speed: unknown key; expected one of mount, kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg",
     ),
     ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number from 0.001 to 10000"),
     ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number from 0.001 to 10000"),

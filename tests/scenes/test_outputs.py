@@ -1,6 +1,5 @@
 """Columns and codes in `scenes/OUTPUTS.md`, and stem lists in `scenes/README.md`, are those of the program."""
 
-import math
 import re
 from pathlib import Path
 
@@ -9,10 +8,11 @@ import pytest
 from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD, SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS
-from vlp16emu.forest.given.stem_list import _COLUMNS
+from vlp16emu.forest.given.given_stand import _COLUMNS
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.forest.stand.inventory import INVENTORY
 from vlp16emu.scenario.find import scene_files
+from vlp16emu.tables import LARGEST
 from vlp16emu.types import PlantPart, Semantic
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
@@ -41,16 +41,17 @@ def test_the_columns_of_a_stem_list_are_given_with_their_limits():
     """Every name that a column may have is given, with its limits in its own unit and whether it must be there."""
     given = {name: row for row in table("Stem lists", file="README.md") for name in names(row[0])}
     read = {name: (column, factor) for column in _COLUMNS.values() for name, factor in column.units.items()}
-    assert set(given) == {*read, "species"}
+    assert set(given) == {*read}
+    del read["species"]
     for name, (column, factor) in read.items():
         _, unit, limits, needed, _ = given[name]
         assert name.endswith(f"_{unit}") or name in {"x", "y"}
-        if math.isinf(column.low):
+        if column.high == LARGEST:
             assert limits == ""
         else:
             assert limits.startswith(f"{column.low / factor:g} to {column.high / factor:g}")
-        assert needed.startswith("in each line") == column.every_cell
-        assert bool(needed) == column.every_column
+        assert needed.startswith("in each line") == column.is_filled
+        assert bool(needed) == column.is_needed
 
 
 @pytest.mark.parametrize(("number", "columns"), [(0, SCENE_COLUMNS), (1, CAPTURE_COLUMNS)])

@@ -9,7 +9,7 @@ from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.place import place
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000 * 10**9
@@ -19,7 +19,7 @@ DISTANCE_M = np.linspace(0.5, 100.0, 128).astype(np.float32)
 
 @pytest.fixture
 def head():
-    rotor = Rotor((Spin(0, 350.0, 600),), 0.0, 0.0, 0.0, 1)
+    rotor = Rotor((Spin(0, 350.0, 600),), Encoder(1))
     return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), START_NS)
 
 
@@ -65,7 +65,7 @@ def test_one_pose_holds_for_all(head):
 
 def test_points_are_where_the_sensor_believes(head):
     """Encoder and angle errors move the pulse and not the belief: points stay in the directions of table and reading."""
-    rotor = replace(head.rotor, eccentricity_deg=0.06, eccentricity_phase_deg=40.0)
+    rotor = replace(head.rotor, encoder=Encoder(1, once=(0.06, 40.0)))
     beams = with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.03, seed=1)
     firings, points = placed(replace(head, rotor=rotor, beams=beams))
     x, y, z = points.sensor_m.T
@@ -85,3 +85,22 @@ def test_azimuths_stay_in_the_circle(head):
     assert points.azimuth_deg.max() < 360
     assert points.azimuth_deg[0] == pytest.approx(359.999)
     assert points.azimuth_deg[1] == pytest.approx(359.999 + 2_304e-9 * 3600 - 360)
+
+
+def test_tangents_move_points_aside_at_their_distance(head):
+    """Points off their pulses are as far from the sensor, and lie to greater azimuths and upwards by their tangents."""
+    _, on = placed(head)
+    tangents = np.random.default_rng(1).uniform(-0.01, 0.01, (128, 2))
+    firings = head.aim(0, 8, carried, beam_axis=True)
+    poses = carried(firings.t_ns.ravel())
+    off = place(head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses, tangents)
+    origin_m, across = firings.origin_m.reshape(-1, 3), firings.beam_axis.reshape(-1, 3)
+    up = np.cross(across, firings.direction.reshape(-1, 3))
+    np.testing.assert_allclose(np.linalg.norm(off.world_m - origin_m, axis=1), DISTANCE_M, rtol=1e-12)
+    moved = (off.world_m - on.world_m) / DISTANCE_M[:, None]
+    np.testing.assert_allclose(
+        np.stack([(moved * axis).sum(axis=1) for axis in (across, up)], axis=1), tangents, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        off.world_m, np.einsum("nab,nb->na", poses.world_R_body, off.sensor_m) + poses.world_p_body_m, atol=1e-11
+    )

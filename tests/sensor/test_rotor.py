@@ -7,14 +7,18 @@ import pytest
 from scipy import stats
 
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Clock, ClockSpan, EncoderLines, Pattern, Rotor, Spin, Swing
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
+from vlp16emu.sensor.settings import Sensor
 from vlp16emu.units import HOUR_NS
 
 
-def rotor_of(rpm=600, *, angle_deg=0.0, seed=1, **errors):
-    """Make a rotor at constant speed that has these errors alone."""
-    none = {"eccentricity_deg": 0.0, "eccentricity_phase_deg": 0.0, "noise_deg": 0.0}
-    return Rotor(spins=(Spin(0, angle_deg, rpm),), seed=seed, **none | errors)
+def rotor_of(rpm=600, *, angle_deg=0.0, swings=()):
+    return Rotor((Spin(0, angle_deg, rpm),), Encoder(1), swings=swings)
+
+
+def angles_deg(count):
+    """True angles (n,) of a steady rotor at the first sequence of each block."""
+    return rotor_of().angle_deg(np.arange(count) * 2 * SEQUENCE_NS)
 
 
 @pytest.mark.parametrize("rpm", [300, 420, 600, 1200])
@@ -44,43 +48,62 @@ def test_any_whole_speed_is_exact_after_years(rpm):
 
 
 def test_ideal_encoder_reads_the_truth():
-    """With both errors off the reading is the angle itself."""
-    rotor = rotor_of()
-    angle = rotor.angle_deg(np.arange(1000) * SEQUENCE_NS)
-    assert (rotor.reading_deg(angle, 0) == angle).all()
+    """Without errors the reading is the angle itself, bit by bit."""
+    angle_deg = angles_deg(1000)
+    assert (Encoder(1).read(angle_deg, 0) == angle_deg).all()
 
 
 def test_noise_is_white_and_as_wide_as_set():
-    """Reading errors are normal with the sigma that was set, and not correlated with their neighbours."""
-    rotor = rotor_of(seed=3, noise_deg=0.005)
-    angle = np.full(20_000, 180.0)
-    error = rotor.reading_deg(angle, 0) - angle
+    """Reading errors are normal with the sigma that was set, not correlated with their neighbours, and cut at the limit."""
+    error = Encoder(3, noise_deg=0.005).read(np.full(20_000, 180.0), 0) - 180.0
     assert stats.kstest(error / 0.005, "norm").pvalue > 0.01
     assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.02
+    error = Encoder(3, noise_deg=0.005, noise_limit_deg=0.01).read(np.full(20_000, 90.0), 0) - 90.0
+    assert np.abs(error).max() == pytest.approx(0.01)
+    assert (np.abs(error) > 0.00999).mean() == pytest.approx(2 * stats.norm.sf(2), rel=0.15)
 
 
-def test_noise_belongs_to_the_firing_sequence():
-    """A reading is the same whether its sequence is asked for alone or among others."""
-    rotor = rotor_of(seed=3, noise_deg=0.005)
-    angle = rotor.angle_deg(np.arange(100) * SEQUENCE_NS)
-    assert (rotor.reading_deg(angle, 0)[60:70] == rotor.reading_deg(angle[60:70], 60)).all()
+LINES = {"pitch_deg": 0.05, "rate_error": 0.24, "first_deg": 0.02}
 
 
-def test_eccentricity_is_one_cycle_per_revolution():
-    """The angle-locked error is a sine of the angle with the amplitude and phase that were set."""
-    rotor = rotor_of(eccentricity_deg=0.06, eccentricity_phase_deg=40.0)
-    angle = np.linspace(1.0, 359.0, 500)
-    error = rotor.reading_deg(angle, 0) - angle
-    np.testing.assert_allclose(error, 0.06 * np.sin(np.radians(angle - 40.0)), atol=1e-12)
+@pytest.mark.parametrize("errors", [{"noise_deg": 0.005}, {"hum": (0.002, 30.0)}, {"noise_deg": 0.0024, **LINES}])
+def test_errors_belong_to_the_firing_sequence(errors):
+    """A reading has the same bits whether its sequence is asked for alone or among others."""
+    encoder, angle_deg = Encoder(3, **errors), angles_deg(100)
+    assert (encoder.read(angle_deg, 5)[60:70] == encoder.read(angle_deg[60:70], 65)).all()
+
+
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_errors_of_the_turn_are_sines_of_the_angle(cycles):
+    """The error once, or twice, per revolution is a sine of the angle with the amplitude and phase that were set."""
+    angle_deg = np.linspace(1.0, 359.0, 500)
+    error = Encoder(1, **{("once", "twice")[cycles - 1]: (0.06, 40.0)}).read(angle_deg, 0) - angle_deg
+    np.testing.assert_allclose(error, 0.06 * np.sin(np.radians(cycles * angle_deg - 40.0)), atol=1e-12)
+
+
+def test_the_hum_repeats_every_25_sequences():
+    """Its period is 12.5 sequences, and its height twice its amplitude."""
+    off = Encoder(1, hum=(0.002, 30.0)).read(np.full(100, 90.0), 5) - 90.0
+    np.testing.assert_allclose(off[:25], off[25:50], atol=1e-12)
+    assert np.ptp(off) == pytest.approx(0.004, rel=0.02)
 
 
 def test_readings_stay_in_the_circle():
     """Errors at the wrap lead to readings in [0, 360), never to 360 or less than 0."""
-    rotor = rotor_of(seed=5, noise_deg=0.02)
-    reading = rotor.reading_deg(np.zeros(1000), 0)
+    reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), 0)
     assert ((reading >= 0) & (reading < 360)).all()
     assert (reading > 359).any()
     assert (reading < 1).any()
+
+
+def test_units_differ_by_their_spread():
+    """Without `rotation_spread` a unit is as set; with it amplitudes are even within that share, phases anywhere (KS)."""
+    assert Encoder.of_unit(Sensor(rotation_spread=0.0), 3).once == (0.06, 40.0)
+    units = [Encoder.of_unit(Sensor(preset="unit", rotation_spread=0.45), seed) for seed in range(400)]
+    for amplitude_deg, waves in ((0.06, [u.once for u in units]), (0.0078, [u.twice for u in units])):
+        share, phase = np.array(waves).T
+        assert stats.kstest(share / amplitude_deg, "uniform", args=(0.55, 0.9)).pvalue > 0.01
+        assert stats.kstest(phase / 360.0, "uniform").pvalue > 0.01
 
 
 def test_a_motor_swings_about_its_speed():
@@ -104,26 +127,9 @@ def test_a_stopped_motor_does_not_swing():
     assert set(rotor.angle_deg(np.arange(0, 10**9, 10**7))) == {10.0}
 
 
-def test_readings_hum_and_are_cut():
-    """The hum repeats every 25 sequences wherever a window begins, and no reading is farther off than the limit."""
-    pattern = Pattern(0.0, 0.0, 0.002, 30.0)
-    rotor = rotor_of(pattern=pattern)
-    off = rotor.reading_deg(np.full(100, 90.0), 5) - 90.0
-    np.testing.assert_allclose(off[:25], off[25:50], atol=1e-12)
-    assert np.ptp(off) == pytest.approx(0.004, rel=0.02)
-    np.testing.assert_array_equal(off[10:], rotor.reading_deg(np.full(90, 90.0), 15) - 90.0)
-    noisy = rotor_of(noise_limit_deg=0.01, noise_deg=0.005)
-    off = noisy.reading_deg(np.full(20_000, 90.0), 0) - 90.0
-    assert np.abs(off).max() == pytest.approx(0.01)
-    assert (np.abs(off) > 0.00999).mean() == pytest.approx(2 * stats.norm.sf(2), rel=0.15)
-
-
 def test_an_encoder_of_lines_reads_as_real_ones_do():
-    """Codes modulo five and twenty and steps between blocks have the shares of real units, cut anywhere, and on a line readings are exact."""
-    lines = EncoderLines(pitch_deg=0.05, rate_error=0.24, first_deg=0.02)
-    rotor = rotor_of(lines=lines, noise_deg=0.0024)
-    angle_deg = rotor.angle_deg(np.arange(60_000) * 2 * SEQUENCE_NS)
-    read_deg = rotor.reading_deg(angle_deg, 0)
+    """Codes modulo five and twenty and steps between blocks have the shares of real units, and on a line readings are exact."""
+    read_deg = Encoder(1, noise_deg=0.0024, **LINES).read(angles_deg(60_000), 0)
     code = np.floor(read_deg * 100 + 1e-6).astype(int)
     shares = np.bincount((code - 2) % 5) / len(code)
     np.testing.assert_allclose(shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012)  # mean of mrpt, nebula, einride
@@ -134,18 +140,8 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
     steps = np.diff(code) % 36_000
     found = [(steps == step).mean() for step in (38, 39, 40, 41, 42)]
     np.testing.assert_allclose(found, [0.079, 0.224, 0.548, 0.124, 0.025], atol=0.03)
-    np.testing.assert_array_equal(read_deg[777:], rotor.reading_deg(angle_deg[777:], 777))
-    exact = rotor_of(lines=lines)
     on_lines_deg = 0.02 + 0.05 * np.arange(1, 50) + 1e-9
-    np.testing.assert_allclose(exact.reading_deg(on_lines_deg, 0), on_lines_deg, atol=1e-8)
-
-
-def test_an_even_encoder_draws_nothing():
-    """Without lines readings are those of before, bit by bit."""
-    plain = rotor_of(noise_deg=0.005)
-    even = rotor_of(lines=EncoderLines.drawn(1, 0.0, 0.2, 0.0), noise_deg=0.005)
-    angle_deg = plain.angle_deg(np.arange(1000) * SEQUENCE_NS)
-    np.testing.assert_array_equal(plain.reading_deg(angle_deg, 0), even.reading_deg(angle_deg, 0))
+    np.testing.assert_allclose(Encoder(1, **LINES).read(on_lines_deg, 0), on_lines_deg, atol=1e-8)
 
 
 TEN_O_CLOCK_NS = 1_780_000_000 * 10**9 // HOUR_NS * HOUR_NS
@@ -158,21 +154,15 @@ def test_locked_clock_shows_the_utc_hour():
     assert clock.reading_ns(t_ns).tolist() == [HOUR_NS - 1, 0, 1]
 
 
-def test_free_clock_counts_from_power_up():
-    """Without GPS the counter is unrelated to UTC: zero at power-up and again every hour."""
-    clock = Clock((ClockSpan(TEN_O_CLOCK_NS + 123, 0, 0.0),))
-    t_ns = TEN_O_CLOCK_NS + 123 + np.array([0, HOUR_NS - 1, HOUR_NS, 25 * HOUR_NS + 5])
-    assert clock.reading_ns(t_ns).tolist() == [0, HOUR_NS - 1, 0, 5]
-
-
-def test_free_clock_shows_nothing_before_power_up():
-    """Before power-up the counter stands at zero; it does not wrap to the end of an hour."""
-    clock = Clock((ClockSpan(TEN_O_CLOCK_NS, 0, -100.0),))
-    t_ns = TEN_O_CLOCK_NS + np.array([-350_000, -1, 0, 10**9])
-    assert clock.reading_ns(t_ns).tolist() == [0, 0, 0, 10**9 - 100_000]
-
-
-def test_free_clock_runs_fast_by_its_error():
-    """20 ppm are 20 microseconds in a second and 72 milliseconds in an hour."""
-    clock = Clock((ClockSpan(0, 0, 20.0),))
-    assert clock.reading_ns(np.array([10**9, HOUR_NS])).tolist() == [10**9 + 20_000, 72_000_000]
+@pytest.mark.parametrize(
+    ("error_ppm", "since_ns", "shown_ns"),
+    [
+        (0.0, (0, HOUR_NS - 1, HOUR_NS, 25 * HOUR_NS + 5), (0, HOUR_NS - 1, 0, 5)),
+        (-100.0, (-350_000, -1, 0, 10**9), (0, 0, 0, 10**9 - 100_000)),
+        (20.0, (10**9, HOUR_NS), (10**9 + 20_000, 72_000_000)),
+    ],
+)
+def test_free_clock_counts_from_power_up(error_ppm, since_ns, shown_ns):
+    """Without GPS the counter is zero until power-up and again every hour, and fast by its error: 20 ppm are 72 ms an hour."""
+    clock = Clock((ClockSpan(TEN_O_CLOCK_NS + 123, 0, error_ppm),))
+    assert clock.reading_ns(TEN_O_CLOCK_NS + 123 + np.array(since_ns)).tolist() == list(shown_ns)

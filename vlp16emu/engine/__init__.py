@@ -1,20 +1,25 @@
 """A scenario set up and run in order: units, blocks, windows, timeline, merge."""
 
-from vlp16emu.engine.build import Like, Parts, Unit, assemble, beam_of, in_one_world
+from vlp16emu.engine.build import Parts, Unit, assemble, beam_of, in_one_world, in_phase_deg
 from vlp16emu.engine.engine import Engine, Job, Tap, scan
+from vlp16emu.engine.gps import GpsInput
+from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.engine.windows import Batching, window_of, workers
 
 __all__ = [
     "Batching",
     "Engine",
+    "GpsInput",
     "Job",
-    "Like",
     "Parts",
+    "Stretch",
     "Tap",
+    "Timeline",
     "Unit",
     "assemble",
     "beam_of",
     "in_one_world",
+    "in_phase_deg",
     "scan",
     "window_of",
     "workers",

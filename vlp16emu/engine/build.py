@@ -3,17 +3,15 @@
 Builds no geometry yet.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from vlp16emu.doors import door
 from vlp16emu.elementary import norm
-from vlp16emu.engine.changes import clock_spans, silences_ns, spans_of, spins, wobbles
 from vlp16emu.engine.gps import GpsInput
-from vlp16emu.engine.optics import Optics
-from vlp16emu.engine.timeline import Timeline
+from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
@@ -25,149 +23,70 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.events import Event
-from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
+from vlp16emu.sensor.beams import beams_of, with_angle_errors
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, EncoderLines, Pattern, Rotor, Swing, rotation_draws
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
-from vlp16emu.types import ReturnMode, SensorModel, World
-from vlp16emu.units import seconds_to_ns
+from vlp16emu.types import Firings, Hits, ReturnMode, Returns, World
+from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.site import Sway
 
-_OF_WORLD: tuple[Callable[[Scenario], object], ...] = (
-    lambda scenario: (scenario.world, scenario.world_seed, scenario.wind),
-    lambda scenario: (scenario.motion, scenario.motion_seed, scenario.gps, scenario.start_ns),
-    lambda scenario: [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)],
-)
-"""What decides it."""
-
-
-def seed_of(scenario: Scenario, unit: int) -> int:
-    """Seed of all that is random in a unit."""
-    if unit == 0:
-        return scenario.sensor_seed
-    own = scenario.rig[unit - 1].seed
-    return int(generator(scenario.sensor_seed, Purpose.UNIT, unit).integers(2**63)) if own is None else own
-
-
-def link_of(section: Sensor, unit: int) -> Link:
-    """Give a unit its addresses; the factory numbers its MAC addresses on."""
-    return Link(
-        source_mac=FACTORY_LINK.source_mac[:-1] + bytes([FACTORY_LINK.source_mac[-1] + unit]),
-        destination_mac=FACTORY_LINK.destination_mac,
-        source=section.address,
-        destination=FACTORY_LINK.destination,
-        data_port=section.data_port,
-        position_port=section.position_port,
-    )
-
-
-def head_of(
-    scenario: Scenario, section: Sensor | FreeSensor, seed: int, events: Sequence[Event], gps: GpsInput
-) -> Head:
-    """Make a sensor proper."""
-    start_ns = scenario.start_ns
-    spread, held = section.rotation_spread, getattr(section, "phase_lock_deg", None) is not None
-    share, turned_deg = rotation_draws(seed, spread)
-    rotor = Rotor(
-        spins=spins(section, events, start_ns),
-        eccentricity_deg=section.eccentricity_deg * share[0],
-        eccentricity_phase_deg=(section.eccentricity_phase_deg + turned_deg[0]) % 360.0,
-        noise_deg=section.azimuth_noise_deg,
-        seed=seed,
-        wobbles=wobbles(events),
-        swings=Swing.drawn(seed, 0.0 if held else section.speed_error_rpm, section.speed_wander_rpm),
-        noise_limit_deg=section.azimuth_noise_limit_deg,
-        pattern=Pattern(
-            section.twice_per_turn_deg * share[1], turned_deg[1], section.hum_deg * share[2], turned_deg[2]
-        ),
-        lines=EncoderLines.drawn(seed, section.encoder_pitch_deg, section.encoder_rate_error, spread),
-    )
-    beams = with_angle_errors(
-        _beams(section),
-        elevation_error_deg=scenario.noise.elevation_error_deg,
-        azimuth_error_deg=scenario.noise.azimuth_error_deg,
-        seed=seed,
-    )
-    clock = Clock(clock_spans(section, events, gps, start_ns))
-    return Head(beams, rotor, clock, start_ns)
-
-
-def _beams(section: Sensor | FreeSensor) -> BeamTable:
-    """Take the beam table of a model, or make the one that the scene describes."""
-    if isinstance(section, Sensor):
-        return BEAM_TABLES[SensorModel(section.model)]
-    return free_beams(
-        section.beam_elevations_deg,
-        lens_radius_m=section.lens_radius_m,
-        azimuth_resolution_deg=section.azimuth_resolution_deg,
-        rpm=section.rpm,
-    )
-
-
-def beam_of(scenario: Scenario, seed: int) -> Footprint:
-    """Make the light of a pulse; light without width where the scene wants no more."""
-    if scenario.beam.model == "none":
-        return LINE
-    detector, seen = scenario.detector, (0.0, 0.0)
-    if scenario.noise.weak_echoes_lost:
-        seen = threshold_of(detector)
-    return Footprint(scenario.beam, seed, detector.resolution_m, *seen)
-
-
-def detector_of(scenario: Scenario, sensor: Sensor | FreeSensor, seed: int, lasers: int) -> UnitDetector:
-    """Make the receiver of a sensor, in the weather of the run."""
-    return UnitDetector.of_unit(
-        scenario.detector,
-        scenario.noise,
-        scenario.weather,
-        seed=seed,
-        mode=ReturnMode(sensor.return_mode),
-        min_range_m=sensor.min_range_m,
-        max_range_m=sensor.max_range_m,
-        lasers=lasers,
-        power_up_ns=scenario.start_ns - seconds_to_ns(sensor.powered_for_s),
-    )
-
+if TYPE_CHECKING:
+    from vlp16emu.engine.engine import Engine
 
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
 
 
+class Optics(Protocol):
+    """What is between the lasers of a sensor and the world, and disturbs their light."""
+
+    def dimmed(self, firings: Firings, hits: Hits) -> Hits:
+        """Take from the light of each pulse what does not pass."""
+
+    def received(self, returns: Returns) -> Returns:
+        """Take away the returns of lasers that emit nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A sensor on the carrier."""
+    """One sensor on the carrier, with all that is its own."""
 
     number: int
     """Place in the rig, from 0."""
     section: Sensor | FreeSensor
     mount: Mount
-    """How it sits on the carrier."""
+    """Mount on the carrier."""
     seed: int
-    """Of all that is random in it."""
+    """Seed of all that is random in it."""
     head: Head
     motion: Motion
-    """Where it is."""
+    """Motion of the sensor's frame."""
     beam: Footprint
-    """How wide its pulses are."""
     detector: UnitDetector
     timeline: Timeline
     """Which pulses are sent, and in which packets; nothing of a sensor without packets."""
-    optics: Optics
-    """What its window and its lasers let through."""
     gps: GpsInput
     """What it gets of the GPS receiver."""
+    optics: Optics | None = None
 
     @property
     def link(self) -> Link:
-        """From where to where it sends.
+        """Addresses and ports of its frames; the factory numbers MAC addresses on.
 
         Raises
         ------
         ScenarioError
-            where it has no packets
+            If it has no packets
         """
-        return link_of(on_the_wire(self.section), self.number)
+        section = on_the_wire(self.section)
+        return replace(
+            FACTORY_LINK,
+            source_mac=FACTORY_LINK.source_mac[:-1] + bytes([FACTORY_LINK.source_mac[-1] + self.number]),
+            source=section.address,
+            data_port=section.data_port,
+            position_port=section.position_port,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +96,7 @@ class Parts:
     units: tuple[Unit, ...]
     """At least one."""
     carrier: Motion
-    """Who carries the devices."""
+    """Motion of the body that carries the devices."""
     imu: ImuSampler | None
     world: World
     """At rest."""
@@ -188,64 +107,82 @@ class Parts:
 
     @property
     def head(self) -> Head:
-        """That of the first unit, in most scenes the only one."""
+        """Head of the first unit, in most scenes the only one."""
         return self.units[0].head
 
     @property
     def motion(self) -> Motion:
-        """That of the first unit."""
+        """Motion of the first unit."""
         return self.units[0].motion
 
     @property
     def moves(self) -> bool:
-        """Whether anything does: a sensor, or what it sees."""
+        """Whether a sensor, or what it sees, moves."""
         return self.wind is not None or any(unit.motion.moves for unit in self.units)
-
-
-class Like(Protocol):
-    """Another run, whose world may be this one's too."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """What decides it."""
-
-    @property
-    def parts(self) -> Parts:
-        """What it is made of."""
 
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
     """Whether runs go the same way through the same world, so that only their sensors may differ."""
-    return all(of_world(one) == of_world(other) for of_world in _OF_WORLD) and not takes_poses(one.motion)
+    return not takes_poses(one.motion) and _way(one) == _way(other)
 
 
-def assemble(scenario: Scenario, like: Like | None = None) -> Parts:
+def _way(scenario: Scenario) -> tuple[object, ...]:
+    """Return what decides a world and the way through it."""
+    world, motion = (scenario.world, scenario.world_seed, scenario.wind), (scenario.motion, scenario.motion_seed)
+    reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
+    return *world, *motion, scenario.gps, scenario.start_ns, reach
+
+
+def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     """Make the parts that a scenario describes.
 
     Parameters
     ----------
-    like : where it is in one world with this one its carrier and world are these too
+    like : another run; if both are in one world, carrier and world are those of the other
 
     Raises
     ------
     InputError
-        where a part cannot be made of what its section says
+        If a part cannot be made of what its section says
     """
     if like and in_one_world(scenario, like.scenario):
         carrier, world, wind = like.parts.carrier, like.parts.world, like.parts.wind
     else:
         carrier, world, wind = _world(scenario)
-    return Parts(
-        units=tuple(
-            _unit(scenario, number, mounted(carrier, mount, scenario.start_ns))
-            for number, (_, mount) in enumerate(_sensors(scenario))
-        ),
-        carrier=carrier,
-        imu=_imu(scenario, carrier),
-        world=world,
-        wind=wind,
-        gps=GpsInput.of(scenario.gps, (), scenario.start_ns),
-    )
+    start_ns, imu = scenario.start_ns, scenario.imu
+    mounts = [mounted(carrier, mount, start_ns) for _, mount in _sensors(scenario)]
+    sampler = None
+    if imu:
+        sampler = ImuSampler(mounted(carrier, imu.mount, start_ns), imu, start_ns=start_ns, seed=scenario.sensor_seed)
+    units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(mounts))
+    return Parts(units, carrier, sampler, world, wind, _gps(scenario))
+
+
+def with_events(parts: Parts, scenario: Scenario) -> Parts:
+    """Return the parts of a run with the events of `scenario`; the carrier and the world are the same."""
+    return replace(parts, units=tuple(_unit(scenario, unit.number, unit.motion) for unit in parts.units))
+
+
+def seed_of(scenario: Scenario, unit: int) -> int:
+    """Seed of all that is random in a unit."""
+    if unit == 0:
+        return scenario.sensor_seed
+    own = scenario.rig[unit - 1].seed
+    return int(generator(scenario.sensor_seed, Purpose.UNIT, unit).integers(2**63)) if own is None else own
+
+
+def in_phase_deg(phase_deg: float, rpm: int, utc_ns: int) -> float:
+    """Angle of a rotor in phase: speeds are multiples of 60 rpm, so there are whole turns in a second."""
+    turned_ns = utc_ns % S_NS * (rpm // 60) % S_NS
+    return (phase_deg + 360.0 * turned_ns / S_NS) % 360.0
+
+
+def beam_of(scenario: Scenario, seed: int) -> Footprint:
+    """Return the footprint of a unit's pulses; `LINE` if the scene wants no width."""
+    if scenario.beam.model == "none":
+        return LINE
+    seen = threshold_of(scenario.detector) if scenario.noise.weak_echoes_lost else (0.0, 0.0)
+    return Footprint(scenario.beam, seed, scenario.detector.resolution_m, *seen)
 
 
 def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
@@ -274,28 +211,16 @@ def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
     return carrier, world, wind
 
 
-def _imu(scenario: Scenario, carrier: Motion) -> ImuSampler | None:
-    if (imu := scenario.imu) is None:
-        return None
-    motion = mounted(carrier, imu.mount, scenario.start_ns)
-    return ImuSampler(motion, imu, start_ns=scenario.start_ns, seed=scenario.sensor_seed)
-
-
 def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
     return [(scenario.sensor, scenario.motion.mount), *((unit, unit.mount) for unit in scenario.rig)]
 
 
-def with_events(parts: Parts, scenario: Scenario) -> Parts:
-    """Give the parts of a run other events, those of the scenario; the carrier and the world are the same."""
-    return replace(parts, units=tuple(_unit(scenario, unit.number, unit.motion) for unit in parts.units))
-
-
 def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
     section, mount = _sensors(scenario)[number]
-    events = [event for event in scenario.events if event.unit == number + 1]
-    seed, gps = seed_of(scenario, number), GpsInput.of(scenario.gps, events, scenario.start_ns)
-    head = head_of(scenario, section, seed, events, gps)
-    return Unit(
+    seed = seed_of(scenario, number)
+    head = _head(scenario, section, seed)
+    mode = ReturnMode(section.return_mode)
+    unit = Unit(
         number=number,
         section=section,
         mount=mount,
@@ -303,8 +228,43 @@ def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
         head=head,
         motion=motion,
         beam=beam_of(scenario, seed),
-        detector=detector_of(scenario, section, seed, len(head.beams.elevation_deg)),
-        timeline=Timeline(head, spans_of(section, events), silences_ns(events)),
-        optics=Optics.of(events, scenario.start_ns),
-        gps=gps,
+        detector=UnitDetector.of_unit(
+            scenario.detector,
+            scenario.noise,
+            scenario.weather,
+            seed=seed,
+            mode=mode,
+            min_range_m=section.min_range_m,
+            max_range_m=section.max_range_m,
+            lasers=len(head.beams.elevation_deg),
+            power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s),
+        ),
+        timeline=Timeline(head, (Stretch(0, None, mode, None),)),
+        gps=_gps(scenario),
     )
+    if not scenario.events:
+        return unit
+    changed: Unit = door("events")(unit, scenario)
+    return changed
+
+
+def _gps(scenario: Scenario) -> GpsInput:
+    return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
+
+
+def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
+    start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s)
+    phase_deg: float | None = getattr(section, "phase_lock_deg", None)
+    angle_deg, error_rpm = section.start_azimuth_deg, section.speed_error_rpm
+    if phase_deg is not None:
+        angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
+    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm)
+    rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
+    beams = with_angle_errors(
+        beams_of(section),
+        elevation_error_deg=scenario.noise.elevation_error_deg,
+        azimuth_error_deg=scenario.noise.azimuth_error_deg,
+        seed=seed,
+    )
+    free_clock = ClockSpan(power_up_ns, 0, section.clock_error_ppm)
+    return Head(beams, rotor, Clock((ClockSpan(power_up_ns) if scenario.gps.connected else free_clock,)), start_ns)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from vlp16emu.doors import door
-from vlp16emu.engine.build import Like, Parts, Unit, assemble, with_events
+from vlp16emu.engine.build import Parts, Unit, assemble, with_events
 from vlp16emu.engine.position import make_receiver, position_packets
 from vlp16emu.engine.timeline import Packer, TruthOf
 from vlp16emu.engine.windows import Batching, OwnWindows, Windows, in_order, windows_of
@@ -23,7 +23,6 @@ from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.events import Event, PacketEvent
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Firings, Hits, Packet, Returns
 from vlp16emu.units import seconds_to_ns
@@ -56,8 +55,10 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
     for tap in taps:
         tap(job, firings, hits, geometry)
-    light = unit.optics.dimmed(firings, textured(firings, hits, geometry.surfaces, job.texture_seed))
-    return unit.optics.received(detect(firings, light, geometry.surfaces, job.detector, truth=job.truth))
+    light, optics = textured(firings, hits, geometry.surfaces, job.texture_seed), unit.optics
+    light = optics.dimmed(firings, light) if optics else light
+    returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth)
+    return optics.received(returns) if optics else returns
 
 
 @dataclass(frozen=True)
@@ -83,13 +84,15 @@ class Engine:
     """Ground truth that data packets carry behind their records."""
 
     @classmethod
-    def of(cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: Like | None = None) -> Self:
+    def of(
+        cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: "Engine | None" = None
+    ) -> Self:
         """Set up a scenario; no geometry is built yet.
 
         Parameters
         ----------
         threads : workers, 0 for one per core
-        like : another engine; what that one has grown and built of the same world is used again
+        like : another engine, whose world is used again if it is the same
 
         Raises
         ------
@@ -103,7 +106,7 @@ class Engine:
         return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
+        """Return the packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
         Raises
         ------
@@ -114,10 +117,10 @@ class Engine:
         """
         on_the_wire(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
-        if any(isinstance(event, PacketEvent) for event in self.scenario.events):
-            packets: Iterator[Packet] = door("faults")(self.scenario, self.parts.units, self.sent, *span_ns)
-            return packets
-        return self.sent(*span_ns)
+        if not self.scenario.events:
+            return self.sent(*span_ns)
+        arriving: Iterator[Packet] = door("faults")(self.scenario, self.parts.units, self.sent, *span_ns)
+        return arriving
 
     def sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Merge the packets that leave in a span since the first pulse, before anything happens to them on their way."""
@@ -131,12 +134,12 @@ class Engine:
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
     ) -> Iterator[Returns]:
-        """Yield the returns of a unit before packing, in whole blocks that hold at least the span; with their surfaces if `truth`."""
+        """Return the returns of a unit before packing, in whole blocks that hold at least the span; with their surfaces if `truth`."""
         blocks, of = self.batching.blocks(*self.span_ns(start_s, stop_s)), self.parts.units[unit]
         return self._scans(of, of.detector, blocks, self.threads, truth=truth)
 
-    def with_events(self, events: Sequence[Event]) -> Self:
-        """Return an engine to whose sensors other events happen."""
+    def with_events(self, events: Sequence[object]) -> Self:
+        """Return an engine with other events of its sensors, in place of those of the scene."""
         scenario = self.scenario.model_copy(update={"events": list(events)})
         return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
 
@@ -177,10 +180,10 @@ class Engine:
     ) -> Iterator[Returns]:
         """Scan blocks on several threads; yield their returns in order of blocks."""
         together = 1 if self.prompt or self.truth_of else unit.beam.together
-        runs = self.windows.runs(blocks, together, threads)
-        of_run = self.batching.block, self.parts.world.seed, truth
-        jobs = (Job(unit, detector, run, *of_run) for run in runs)
-        return in_order(self._scan, jobs, self.windows, threads=threads, stop=blocks.stop)
+        block, seed = self.batching.block, self.parts.world.seed
 
-    def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:
-        return scan(job, opened.result(), self.taps)
+        def work(run: range, opened: Future[Geometry]) -> Returns:
+            return scan(Job(unit, detector, run, block, seed, truth), opened.result(), self.taps)
+
+        runs = self.windows.runs(blocks, together, threads)
+        return in_order(work, runs, self.windows, threads=threads, stop=blocks.stop)

@@ -1,4 +1,4 @@
-"""The style of all plots and pictures of points: light on dark, as the points of the viewer are."""
+"""Common style of plots and of pictures of points: light on dark, as in the viewer."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,12 +15,11 @@ if TYPE_CHECKING:
 
 
 BACK, INK, SOFT, _EDGE = "#0e1218", "#d7dbe0", "#8a94a3", "#3a4452"
-"""Colours of the background, of writing, of what is less important, and of frames."""
+"""Colours of the background, text, secondary text, and frames."""
 CYCLE = (
     "#5aa9e6", "#f2a541", "#74c476", "#e0605e", "#b58bd6", "#c9a27e", "#e58bc0", "#9aa4b0", "#d6cf5a", "#4fc3c7"
 )  # fmt: skip
 """Colours of lines and marks, in order."""
-_DPI = 100
 _STYLE: Mapping[Any, Any] = MappingProxyType(
     dict.fromkeys(("figure.facecolor", "savefig.facecolor", "axes.facecolor", "legend.facecolor"), BACK)
     | dict.fromkeys(("axes.edgecolor", "grid.color", "legend.edgecolor"), _EDGE)
@@ -32,7 +31,7 @@ _STYLE: Mapping[Any, Any] = MappingProxyType(
 
 
 def check_matplotlib() -> None:
-    """See that pictures can be drawn; MissingExtraError where matplotlib is not installed."""
+    """Raise MissingExtraError if matplotlib is not installed."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -42,40 +41,44 @@ def check_matplotlib() -> None:
 
 @contextmanager
 def plotted(
-    file: "IO[bytes] | str", size_px: tuple[int, int], layout: Any = "constrained", few_colours: int | None = None
+    file: "IO[bytes] | str",
+    size_px: tuple[int, int],
+    layout: Any = "constrained",
+    few_colours: int | None = None,
+    dpi: int = 100,
 ) -> Iterator["Figure"]:
-    """Yield a figure in the common style, and write it as PNG afterwards; MissingExtraError where matplotlib is not installed.
+    """Yield a figure in the common style, and write it as PNG afterwards.
 
     Parameters
     ----------
-    layout : engine of matplotlib; None where axes are placed by hand
-    few_colours : size of the palette of the file; None for all colours
+    layout : engine of matplotlib; None if axes are placed by hand
+    few_colours : size of the file's palette, for points and leaves, whose noise is costly in all colours; None for all
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed
     """
     check_matplotlib()
     import matplotlib as mpl
     from cycler import cycler
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     with mpl.rc_context({**_STYLE, "axes.prop_cycle": cycler(color=CYCLE)}):
-        figure = Figure(figsize=(size_px[0] / _DPI, size_px[1] / _DPI), dpi=_DPI, layout=layout)
+        figure = Figure(figsize=(size_px[0] / dpi, size_px[1] / dpi), dpi=dpi, layout=layout)
         yield figure
-        if few_colours:
-            save_in_few_colours(figure, file, few_colours)
-        else:
+        if few_colours is None:
             figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
+            return
+        from PIL import Image
 
-
-def save_in_few_colours(figure: "Figure", file: "IO[bytes] | str", colours: int) -> None:
-    """Write a figure as PNG with a palette of its own: points and leaves are noise, which is costly in all colours."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-
-    canvas: Any = FigureCanvasAgg(figure)  # its methods are untyped
-    canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    # What is thin and coloured would be lost by a palette by frequency alone.
-    few = picture.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
-    few.save(file, format="PNG", optimize=True)
+        canvas: Any = FigureCanvasAgg(figure)  # its methods are untyped
+        canvas.draw()
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        # A palette by frequency alone would lose thin coloured lines.
+        few = picture.quantize(few_colours, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+        few.save(file, format="PNG", optimize=True)
 
 
 def scale_bar(axes: "Axes", px_per_m: float, length_m: float, place_px: tuple[float, float]) -> None:

@@ -17,8 +17,8 @@ from vlp16emu.checked import PACKAGE, CheckedFolder, digest_of, read_checked
 
 SOURCES = (
     "elementary.py",
-    "extras/clouds/text.py",
     "extras/live",
+    "extras/recorded",
     "foliage",
     "forest",
     "motion",

@@ -1,20 +1,16 @@
-"""From the table `[motion]` and the ground to the motion of what carries the devices."""
+"""The motion of the carrier, from the table `[motion]` and the ground."""
 
 import logging
 import math
 
 import numpy as np
 
-from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.motion.detour import around
-from vlp16emu.motion.live_settings import Live
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
-from vlp16emu.motion.pose_files import read_poses
-from vlp16emu.motion.recorded import RecordedMotion
 from vlp16emu.motion.route import Route
-from vlp16emu.motion.settings import Gps, Recorded, Static, Walk
+from vlp16emu.motion.settings import Gait, Gps, MotionSection, Static, Walk
 from vlp16emu.motion.walk import WalkMotion
 from vlp16emu.motion.way_points import way_points
 from vlp16emu.types import Array, HeightField, IntArray, Poses
@@ -44,7 +40,7 @@ class StaticMotion:
 
 
 def make_carrier(
-    section: Static | Walk | Recorded | Live,
+    section: MotionSection,
     height_m: HeightField,
     ground: str,
     *,
@@ -55,7 +51,9 @@ def make_carrier(
     seed: int,
     obstacles: tuple[Array, Array] | None = None,
 ) -> tuple[Motion, Array]:
-    """Motion of what carries the devices over the ground, and points (n, 2) of its path on the map.
+    """Return the motion of what carries the devices over the ground, and points (n, 2) of its path on the map.
+
+    Raises TrajectoryError if a person cannot walk so, or recorded poses are no smooth motion.
 
     Parameters
     ----------
@@ -65,28 +63,33 @@ def make_carrier(
     reach_m : how far the sensor sees
     start_ns : UTC of the first pulse
     obstacles : places (n, 2) that waypoints lead around, and how far (n,) from each; as of `around`
-
-    Raises
-    ------
-    TrajectoryError
-        where a person cannot walk so, or the recorded poses are no smooth motion
     """
     if isinstance(section, Static):
         xy_m = np.array([[section.x_m, section.y_m]])
         position_m = np.append(xy_m[0], height_m(xy_m[:, 0], xy_m[:, 1])[0] + section.height_m)
         return StaticMotion(position_m, section.yaw_deg, section.pitch_deg, section.roll_deg), xy_m
-    if isinstance(section, Recorded):
-        recorded = RecordedMotion(section, read_poses(section), start_ns=start_ns)
-        _check_place(recorded.position_m, origin_m, height_m, reach_m)
-        return recorded, np.ascontiguousarray(recorded.position_m[:, :2])
-    if isinstance(section, Live):
-        return door("live_motion")(section, start_ns), np.array(section.path_m)
+    if not isinstance(section, Walk):
+        motion, xy_m = section.carrier(height_m, start_ns)
+        if (places_m := getattr(motion, "position_m", None)) is not None:
+            _check_place(places_m, origin_m, height_m, reach_m)
+        return motion, xy_m
+    _check_gait(section.gait, section.sensor_height_m)
     points = way_points(section, gps, origin_m[:2])
     if obstacles is not None:
         points = around(points, *obstacles)
     path = Path(points.xy_m, height_m, ground)
     route = Route(path, section, points.pause_s)
     return WalkMotion(section, route, start_ns=start_ns, seed=seed), path.xy_m
+
+
+def _check_gait(gait: Gait, sensor_height_m: float) -> None:
+    """Warn of a gait that lowers the sensor below the ground, from where nothing of the world is seen."""
+    dip_m = (1.0 + gait.variation) * (gait.vertical_m + gait.second_harmonic_m + gait.heel_strike_m)
+    if dip_m >= sensor_height_m:
+        _log.warning(
+            "motion.gait: lowers the sensor by %.2f m, into the ground; expected less than sensor_height_m = %g m",
+            *(dip_m, sensor_height_m),
+        )
 
 
 def _check_place(

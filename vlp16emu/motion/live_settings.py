@@ -1,16 +1,21 @@
 """The table `[motion]` of a scene whose poses come in while it runs."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.motion.settings import Mount
+from vlp16emu.doors import door
+from vlp16emu.motion.settings import MotionSection
 from vlp16emu.settings import Place, SceneFile, Section
+
+if TYPE_CHECKING:  # scenes are read without numpy
+    from vlp16emu.motion.pose import Motion
+    from vlp16emu.types import Array, HeightField
 
 _Point = Annotated[tuple[Place, Place], Field(strict=False)]
 
 
-class Live(Section):
+class Live(MotionSection):
     """Poses that come in while the run is streamed, from a simulator, motion capture or a joystick."""
 
     kind: Literal["live"]
@@ -23,8 +28,12 @@ class Live(Section):
     not at all at constant speed."""
     flown: SceneFile | None = None
     """What a stream has flown, as its option --flown writes it: the run is repeated byte for byte, and no poses come in."""
-    mount: Mount = Mount()
-    """Mount of the sensor on the body of the poses."""
+
+    def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
+        """Return the motion that follows the poses, and `path_m`."""
+        import numpy as np
+
+        return door("live_motion")(self, start_ns), np.array(self.path_m)
 
 
 def takes_poses(motion: Section) -> bool:

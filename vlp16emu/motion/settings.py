@@ -5,11 +5,15 @@ No kernel is in this file, so that a scene is read without the compiler.
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.settings import Angle, Fraction, NonNegative, Place, Positive, Preset, SceneFile, Section, Seed, Size
+from vlp16emu.settings import Angle, Fraction, NonNegative, Place, Preset, SceneFile, Section, Seed, Size
+
+if TYPE_CHECKING:  # scenes are read without numpy
+    from vlp16emu.motion.pose import Motion
+    from vlp16emu.types import Array, HeightField
 
 _Amplitude = Annotated[float, Field(ge=0, le=1)]
 _Error = Annotated[float, Field(ge=0, le=1000)]
@@ -47,7 +51,31 @@ class Mount(Section):
         return not any((*self.lever_arm_m, self.yaw_deg, self.pitch_deg, self.roll_deg, self.spin_hz))
 
 
-class Static(Section):
+class MotionSection(Section):
+    """What carries the sensor: a kind of motion."""
+
+    mount: Mount = Mount()
+    """Mount of the sensor on its carrier."""
+    if TYPE_CHECKING:
+        kind: str
+
+    @property
+    def own_seed(self) -> int | None:
+        """Seed that the section names; None for that of the scene."""
+        return None
+
+    def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":
+        """Return the motion of the carrier and points (n, 2) of its path.
+
+        Parameters
+        ----------
+        height_m : height of the ground over places x_m, y_m
+        start_ns : UTC of the first pulse
+        """
+        raise NotImplementedError
+
+
+class Static(MotionSection):
     """A sensor on a tripod."""
 
     kind: Literal["static"]
@@ -64,8 +92,6 @@ class Static(Section):
     """Nose down is positive."""
     roll_deg: Angle = 0.0
     """Right side down is positive."""
-    mount: Mount = Mount()
-    """Mount of the sensor on the tripod."""
 
 
 class LawnMower(Section):
@@ -191,7 +217,7 @@ class Harness(Section):
     """Share of critical damping, on all axes."""
 
 
-class Walk(Section):
+class Walk(MotionSection):
     """A person with the sensor on the back."""
 
     either_or: ClassVar[frozenset[str]] = frozenset({"speed_m_s", "run_time_s"})
@@ -233,56 +259,20 @@ class Walk(Section):
     """How the trunk of the person moves."""
     harness: Harness | None = None
     """How the pack hangs on the person; strapped tight without it."""
-    mount: Mount = Mount()
-    """Mount of the sensor on the pack."""
+
+    @property
+    def own_seed(self) -> int | None:
+        """Seed that the section names."""
+        return self.seed
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
-        """Refuse waypoints or a pace that are missing or given twice."""
         if sum(getattr(self, source) is not None for source in self.one_of) != 1:
             raise ValueError("exactly one of way_points_m, way_points_file and lawn_mower in it")
         if self.either_or <= self.model_fields_set:
             raise ValueError("one of speed_m_s and run_time_s in it, not both")
         if self.lawn_mower is not None and any(stop.way_point is not None for stop in self.stops):
             raise ValueError("stops given by at_m where lawn_mower makes the waypoints")
-        return self
-
-
-class Recorded(Section):
-    """Poses in a file, with the first at the start of the run."""
-
-    kind: Literal["recorded"]
-    """Selects recorded poses."""
-    file: SceneFile
-    """Path of the file, from the folder of the scene file."""
-    format: Literal["tum", "csv", "kitti"]
-    """t x y z qx qy qz qw; CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz, qw; 12 numbers of a matrix."""
-    times_file: SceneFile | None = None
-    """Time of each KITTI pose in seconds, one to a line."""
-    rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = None
-    """Rate of KITTI poses, where no file gives their times."""
-    max_gap_s: Positive = 1.0
-    """Poses farther apart in time are refused."""
-    axes: Literal["body", "camera"] = "body"
-    """body: x forward, z up, in the file's poses and in their world; camera: z forward, y down, in both (KITTI)."""
-    x_m: Place = 0.0
-    """Place in the world of the file's origin, with `y_m` and `z_m`; of poses in map coordinates the world's `origin_m` with
-    its signs turned, for that is not taken off them."""
-    y_m: Place = 0.0
-    """See `x_m`."""
-    z_m: Place = 0.0
-    """See `x_m`."""
-    yaw_deg: Angle = 0.0
-    """Where the file's x axis points, counter-clockwise from east."""
-    mount: Mount = Mount()
-    """Mount of the sensor on the body of the poses."""
-
-    @model_validator(mode="after")
-    def _times_of_kitti(self) -> Self:
-        """Refuse times that are missing or given twice."""
-        given = sum(times is not None for times in (self.times_file, self.rate_hz))
-        if given != (self.format == "kitti"):
-            raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")
         return self
 
 

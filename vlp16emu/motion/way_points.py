@@ -11,19 +11,16 @@ import numpy as np
 from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.motion.geodesy import to_local
-from vlp16emu.motion.pose_files import finite, named_cells
 from vlp16emu.motion.settings import Gps, LawnMower, Walk
+from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import Array
 
-_FARTHEST_M = 100_000.0
-"""Farther from the scene's origin the plane of the map is no picture of the earth."""
-_POINTS_PER_QUARTER = 6
-"""Waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
-
-_LOOP_RADIUS_M = 0.5
-"""Of the turn behind each end of a way back and forth: a step to the side, and round (assumption)."""
-_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7
-"""A way that is shorter from end to end is no way to go back on."""
+_FARTHEST_M = 100_000.0  # farther from the scene's origin the plane of the map is no picture of the earth
+_POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
+_GEODETIC = {"lat": Column({"lat": 1.0}, -90.0, 90.0), "lon": Column({"lon": 1.0}, -180.0, 180.0)}
+_STOP = Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False)
+_LOOP_RADIUS_M = 0.5  # of the turn behind each end of a way back and forth: a step to the side, and round (assumption)
+_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from end to end is no way to go back on
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +36,7 @@ class WayPoints:
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
     """Waypoints of a walk, with the stops at them; the other arguments are those of `read_way_points`.
 
-    Raises
-    ------
-    TrajectoryError
-        where a file has none, a pattern does not fit, or a stop is at none of them
+    Raises TrajectoryError if a file has none, a pattern does not fit, or a stop is at none of them.
     """
     if walk.way_points_file is not None:
         points = read_way_points(Path(walk.way_points_file), gps, origin_m)
@@ -91,15 +85,12 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
     A CSV has the columns x_m and y_m, and stop_s where the person is to stop. Of a GPX file the one track
     is read, or the one route if it has no track; its times and heights are left aside.
 
+    Raises TrajectoryError if the file is no such file, or lies more than 100 km from the scene's origin.
+
     Parameters
     ----------
     gps : where on earth the scene's origin is
     origin_m : easting and northing in the CSV that become (0, 0) in the scene
-
-    Raises
-    ------
-    TrajectoryError
-        where the file is no such file, or lies more than 100 km from the scene's origin
     """
     kind = path.suffix.lower()
     if kind == ".csv":
@@ -110,13 +101,9 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
 
 
 def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
-    xy_m, pause_s = [], []
-    for where, row in named_cells(path, ["x_m", "y_m"], ["stop_s"]):
-        xy_m.append([finite(f"{where}, column {axis}", row[axis]) for axis in ("x_m", "y_m")])
-        pause_s.append(finite(f"{where}, column stop_s", row.get("stop_s") or "0"))
-        if pause_s[-1] < 0:
-            raise TrajectoryError(f"{where}, column stop_s", f"found {pause_s[-1]:g}", "0 or more")
-    return WayPoints(np.reshape(xy_m, (-1, 2)) - np.array(origin_m), np.array(pause_s))
+    columns = {"x_m": Column({"x_m": 1.0, "x": 1.0}), "y_m": Column({"y_m": 1.0, "y": 1.0}), "stop_s": _STOP}
+    table = read_table(path, columns, "a CSV with the columns x_m, y_m and, if wanted, stop_s", TrajectoryError)
+    return WayPoints(table.numbers("x_m", "y_m") - np.array(origin_m), np.nan_to_num(table.numbers("stop_s")))
 
 
 def _read_gpx(path: Path, gps: Gps) -> WayPoints:
@@ -126,37 +113,35 @@ def _read_gpx(path: Path, gps: Gps) -> WayPoints:
     tracks, routes = count["trk"], count["rte"]
     if (tracks or routes) != 1:
         raise TrajectoryError(str(path), f"found {tracks} tracks and {routes} routes", "one of them")
-    found = points["trkpt" if tracks else "rtept"]
-    places = [(latitude, longitude, gps.height_m) for _, latitude, longitude in found]
-    xy_m = to_local(np.reshape(places, (-1, 3)), gps)[:, :2]
-    for (where, _, _), away_m in zip(found, norm(xy_m), strict=True):
-        if away_m > _FARTHEST_M:
-            raise TrajectoryError(
-                where,
-                f"lies {away_m / 1000:.0f} km from the scene's origin",
-                f"at most {_FARTHEST_M / 1000:g} km from {gps.latitude_deg:g}, {gps.longitude_deg:g} degrees",
-            )
+    table = points["trkpt" if tracks else "rtept"]
+    places = np.column_stack([table.numbers("lat", "lon"), np.full(len(table), gps.height_m)])
+    xy_m = to_local(places, gps)[:, :2]
+    for i in np.flatnonzero((away_m := norm(xy_m)) > _FARTHEST_M):
+        expected = f"at most {_FARTHEST_M / 1000:g} km from {gps.latitude_deg:g}, {gps.longitude_deg:g} degrees"
+        raise TrajectoryError(table.where(int(i)), f"lies {away_m[i] / 1000:.0f} km from the scene's origin", expected)
     return WayPoints(np.ascontiguousarray(xy_m), np.zeros(len(xy_m)))
 
 
-def _gpx_points(path: Path) -> tuple[dict[str, list[tuple[str, float, float]]], Counter[str]]:
-    """Line, latitude and longitude of each point of a GPX file by its element, and how many there are of each element."""
+def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
+    """Points of a GPX file by their element, as a table, and how many there are of each element."""
     parser, count = expat.ParserCreate(), Counter[str]()
-    points: dict[str, list[tuple[str, float, float]]] = {"trkpt": [], "rtept": []}
+    names = {axis: axis for axis in _GEODETIC}
+    points = {
+        name: Table(path, TrajectoryError, _GEODETIC, names, [], {axis: [] for axis in names}, _has_commas=True)
+        for name in ("trkpt", "rtept")
+    }
 
     def refuse(*_: object) -> None:  # entities are what small files grow vast by
         where = f"{path}, line {parser.CurrentLineNumber}"
         raise TrajectoryError(where, "a document type declaration", "none in a GPX file")
 
     def start(element: str, attributes: dict[str, str]) -> None:
-        name, where = element.rpartition(":")[2], f"{path}, line {parser.CurrentLineNumber}"
+        name = element.rpartition(":")[2]
         count[name] += 1
         if name in points:
-            latitude, longitude = (finite(f"{where}, {axis}", attributes.get(axis, "")) for axis in ("lat", "lon"))
-            for axis, value, limit in (("lat", latitude, 90.0), ("lon", longitude, 180.0)):
-                if abs(value) > limit:
-                    raise TrajectoryError(f"{where}, {axis}", f"found {value:g}", f"from {-limit:g} to {limit:g}")
-            points[name].append((where, latitude, longitude))
+            points[name].lines.append(parser.CurrentLineNumber)
+            for axis, cells in points[name].cells.items():
+                cells.append(attributes.get(axis, ""))
 
     parser.StartDoctypeDeclHandler, parser.StartElementHandler = refuse, start
     try:
@@ -164,6 +149,8 @@ def _gpx_points(path: Path) -> tuple[dict[str, list[tuple[str, float, float]]], 
     except expat.ExpatError as error:
         found = f"no XML: {expat.ErrorString(error.code)}"
         raise TrajectoryError(f"{path}, line {error.lineno}", found, "a GPX file") from None
+    except (LookupError, ValueError) as error:  # of the codec that the XML declaration names
+        raise TrajectoryError(f"{path}, line 1", str(error), "a GPX file in UTF-8") from None
     return points, count
 
 
@@ -172,10 +159,7 @@ def lawn_mower(plot: LawnMower) -> Array:
 
     The lines are as many as fit, in the middle of the width.
 
-    Raises
-    ------
-    TrajectoryError
-        where the turns do not fit between two lines or along the plot
+    Raises TrajectoryError if the turns do not fit between two lines or along the plot.
     """
     line_spacing_m, radius_m = plot.line_spacing_m, plot.turn_radius_m
     room_m = min(line_spacing_m, plot.length_m)

@@ -1,8 +1,10 @@
 """The wire: how returns become the bytes of a VLP-16, and how those bytes are read back."""
 
 from vlp16emu.packets.capture import Capture
+from vlp16emu.packets.clock import Clock, PacketClock, UnitClock, check_stamps, packet_clock, unit_clocks
 from vlp16emu.packets.data import azimuth_cdeg, data_payloads, pack_data, timestamp_us
 from vlp16emu.packets.decode import (
+    JUMP_NS,
     SENSOR_R_MANUAL,
     PointFrame,
     Points,
@@ -40,6 +42,7 @@ __all__ = [
     "DISTANCE_LSB_M",
     "FACTORY_LINK",
     "IMU_FRAME",
+    "JUMP_NS",
     "LASERS",
     "POSITION_BYTES",
     "RETURN_MODE_BYTE",
@@ -50,13 +53,17 @@ __all__ = [
     "Capture",
     "CaptureReader",
     "CapturedUnit",
+    "Clock",
     "Link",
     "PacketChunk",
+    "PacketClock",
     "PointFrame",
     "Points",
     "PositionRate",
     "Summary",
+    "UnitClock",
     "azimuth_cdeg",
+    "check_stamps",
     "chosen_unit",
     "data_fields",
     "data_payloads",
@@ -69,11 +76,13 @@ __all__ = [
     "imu_frames",
     "pack_data",
     "pack_position",
+    "packet_clock",
     "parse_rmc",
     "position_due_ns",
     "returns_in",
     "rmc",
     "scan_starts",
     "timestamp_us",
+    "unit_clocks",
     "units_in",
 ]

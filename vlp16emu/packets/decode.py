@@ -21,7 +21,7 @@ from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
-from vlp16emu.units import HOUR_NS, US_NS
+from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
@@ -33,6 +33,12 @@ PRODUCT_BEFORE_RELEASE = 0x21
 """Of a VLP-16 of 2014; else that of an HDL-32E (63-9243 Rev D, table 9-2), so the byte alone does not say."""
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
+
+
+_FASTEST_DEG_PER_NS = 1.5 * 1200 * 6 / S_NS
+"""1200 rpm (63-9243 Rev D, section 8.3, p. 50), with a margin for units that run too fast."""
+JUMP_NS = S_NS // 4
+"""A longer step of the clock ends a revolution: the slowest, at 300 rpm, takes 0.2 s."""
 
 
 class PointFrame(StrEnum):
@@ -187,14 +193,24 @@ def faults_in(fields: NDArray[np.void], factory: int | None = None, model: Senso
     return [faults[packet] for packet in sorted(faults)]
 
 
-def scan_starts(azimuth_deg: F8) -> I8:
-    """Find where scans begin, (m,): at the first of azimuths (n,) of points or blocks in order of time, and where they wrap."""
+def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
+    """Find where scans begin, (m,): at the first of azimuths (n,) of points or blocks, where they wrap, and after a jump of time.
+
+    With times (n,) a fall of the azimuth is a wrap only if the rotor can make the rest of the turn in the time between.
+    """
     step_deg = np.diff(azimuth_deg)
-    # The rotor only turns forward, so any fall is a wrap but for the noise of readings (0.01 deg), and
-    # a rise by a whole turn is that noise on the spot where the azimuth wraps.
-    turn = np.cumsum((step_deg < -1.0).astype(np.int64) - (step_deg > 359.0))
-    scan = np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), np.maximum.accumulate(turn)])
-    return np.flatnonzero(np.diff(scan, prepend=-1))
+    if t_ns is None:
+        jump, can_turn_deg = np.zeros(len(step_deg), np.int64), np.full(len(step_deg), 359.0)
+    else:
+        step_ns = np.diff(t_ns)
+        jump = (np.abs(step_ns) > JUMP_NS).astype(np.int64)
+        can_turn_deg = 1.0 + _FASTEST_DEG_PER_NS * np.clip(step_ns, 0, JUMP_NS)
+    # The rotor only turns forward: a fall is a wrap but for the noise of readings (0.01 deg) and packets that come late, and
+    # a rise that the rotor cannot make is a step back over the spot where the azimuth wraps.
+    wrap = (step_deg < -1.0) & (step_deg + 360.0 <= can_turn_deg)
+    turn = np.cumsum(wrap.astype(np.int64) - ((step_deg > 180.0) & (step_deg > can_turn_deg)))
+    scan = np.maximum.accumulate(turn) + np.cumsum(jump)
+    return np.flatnonzero(np.diff(np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), scan]), prepend=-1))
 
 
 def frame_named(name: str, *, where: str = "frame") -> PointFrame:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.clock import Clock, PacketClock
 from vlp16emu.packets.decode import (
     SENSOR_R_MANUAL,
     PointFrame,
@@ -25,6 +26,7 @@ from vlp16emu.packets.decode import (
 from vlp16emu.packets.layout import (
     AZIMUTH_CODES,
     BLOCK_PERIOD_NS,
+    BLOCKS_PER_PACKET,
     DATA_BYTES,
     DATA_PAYLOAD,
     DISTANCE_LSB_M,
@@ -35,7 +37,7 @@ from vlp16emu.packets.layout import (
 )
 from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.types import I8, U1, U2, Packet, PacketKind, ReturnMode, SensorModel
-from vlp16emu.units import HOUR_NS, S_NS, US_NS
+from vlp16emu.units import HOUR_NS, S_NS
 
 _CHUNK = 2_000
 """Packets decoded at once: 0.8 million records, some 50 MB of points."""
@@ -59,16 +61,23 @@ class PacketChunk(NamedTuple):
     """(n,) of the points: the sensor's clock, from the full hour before the capture, on past the next one."""
     packet_ns: I8
     """(p,) the same of the packets' first pulses."""
+    utc_ns: I8
+    """(p,) UTC of the packets' first pulses, by the clock of the reader."""
     fields: NDArray[np.void]
     """(p,) `DATA_PAYLOAD`, the packets themselves."""
     number: I8
     """(p,) of their frames in the file, from 1."""
 
     @property
+    def t_ns(self) -> I8:
+        """(n,) UTC of the points, by the clock of the reader."""
+        return self.clock_ns + (self.utc_ns - self.packet_ns)[self.points.packet]
+
+    @property
     def columns(self) -> dict[str, NDArray[np.generic]]:
         """(n,) each of the points' arrays by name, and the clock."""
         arrays = {name: getattr(self.points, name) for name in Points.__slots__}
-        return {**arrays, "clock_ns": self.clock_ns}
+        return {**arrays, "clock_ns": self.clock_ns, "t_ns": self.t_ns}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +100,11 @@ class Summary:
     first_stamp_ns: int
     """UTC, of the capture, at the first data packet."""
     duration_s: float
-    """Between the stamps of the first and the last data packet."""
+    """From the first data packet to the last, by the sensor's clock."""
+    clock: Clock
+    """Where UTC comes from."""
+    host_ahead_s: float
+    """Capture stamps less the sensor's clock, in the hour nearest to them, at the first data packet."""
     range_m: tuple[float, float, float] | None
     """Minimum, median and maximum of the returns; None where there are none."""
     gps: PositionFields | None
@@ -111,6 +124,7 @@ class CaptureReader:
     unit : the sensor whose packets are read; None for all
     frame : of the points
     model : of units from before release, whose product byte is that of another sensor
+    clock : of the unit's packets, for their UTC
     passes_over : whether packets at fault are passed over; else the first one ends the reading
 
     Raises
@@ -124,9 +138,11 @@ class CaptureReader:
         unit: CapturedUnit | None = None,
         frame: PointFrame = PointFrame.SENSOR,
         model: SensorModel | None = None,
+        clock: PacketClock | None = None,
         *,
         passes_over: bool = False,
     ) -> None:
+        self.clock = clock or PacketClock()
         self._model, self._passes_over = model, passes_over
         self._path, self._unit, self._frame = path, unit, frame
         self._capture = Capture(path)
@@ -137,9 +153,10 @@ class CaptureReader:
         self._turned_cdeg = self._turning_ns = 0
         self._positions = self._others = 0
         self._gps: PositionFields | None = None
-        self._stamps_ns: tuple[int, int] | None = None
-        self._hours = 0
-        self._clock_us = 0
+        self.first_stamp_ns = 0
+        """UTC, of the capture, at the first data packet; 0 before one has been read."""
+        self._packet_ns: list[I8] = []
+        self._zero_ns = 0
 
     def __enter__(self) -> Self:
         return self
@@ -164,8 +181,8 @@ class CaptureReader:
             if faults and not self._passes_over:
                 sound[faults[0].packet :] = False
             if sound.any():
-                numbers = np.array([datagram.number for datagram in held])
-                yield self._decoded(payloads[sound], numbers[sound])
+                numbers = np.array([(datagram.number, datagram.stamp_ns) for datagram in held])
+                yield self._decoded(payloads[sound], *numbers[sound].T)
             if faults and not (self._passes_over and self._azimuth_cdeg):
                 where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])
@@ -173,17 +190,13 @@ class CaptureReader:
             raise self._capture.no_data()
 
     @property
-    def first_stamp_ns(self) -> int:
-        """UTC, of the capture, at the first data packet; 0 before one has been read."""
-        return self._stamps_ns[0] if self._stamps_ns else 0
-
-    @property
     def summary(self) -> Summary:
         """What has been read, once all points have been taken."""
         azimuth_cdeg = np.concatenate(self._azimuth_cdeg)
-        starts = scan_starts(azimuth_cdeg.ravel() / 100)
+        packet_ns = np.concatenate(self._packet_ns)
+        block_ns = np.arange(BLOCKS_PER_PACKET) * BLOCK_PERIOD_NS
+        starts = scan_starts(azimuth_cdeg.ravel() / 100, (packet_ns[:, None] + block_ns).ravel())
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS
-        first_ns, last_ns = self._stamps_ns or (0, 0)
         modes = {code: mode for mode, code in RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
         return Summary(
@@ -199,9 +212,11 @@ class CaptureReader:
             no_returns=len(azimuth_cdeg) * RECORDS_PER_PACKET - points,
             scans=len(starts),
             records_per_scan=int(np.median(whole)) if len(whole) else None,
-            rpm=self._turned_cdeg / AZIMUTH_CODES / (self._turning_ns / S_NS) * 60,
-            first_stamp_ns=first_ns,
-            duration_s=(last_ns - first_ns) / S_NS,
+            rpm=self._turned_cdeg / AZIMUTH_CODES / max(self._turning_ns / S_NS, 1e-9) * 60,
+            first_stamp_ns=self.first_stamp_ns,
+            duration_s=int(packet_ns[-1] - packet_ns[0]) / S_NS,
+            clock=self.clock.clock,
+            host_ahead_s=(self.clock.host_ahead_ns or 0) / S_NS,
             range_m=self._ranges_m() if points else None,
             gps=self._gps,
             cut=self._capture.cut,
@@ -218,8 +233,7 @@ class CaptureReader:
                 if len(datagram.payload) != DATA_BYTES:
                     self._note_other(datagram)
                     continue
-                first_ns, _ = self._stamps_ns or (datagram.stamp_ns, 0)
-                self._stamps_ns = first_ns, datagram.stamp_ns
+                self.first_stamp_ns = self.first_stamp_ns or datagram.stamp_ns
                 held.append(datagram)
                 if len(held) == _CHUNK:
                     yield held
@@ -231,16 +245,21 @@ class CaptureReader:
         if held:
             yield held
 
-    def _decoded(self, payloads: U1, number: I8) -> PacketChunk:
+    def _decoded(self, payloads: U1, number: I8, stamp_ns: I8) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
         points, fields = (decode_data(payloads, keep_no_returns=False, model=self._model), data_fields(payloads))
         if self._frame is PointFrame.MANUAL:
             turned_m = matvec(SENSOR_R_MANUAL.T, points.xyz_m.astype(np.float64))
             points = replace(points, xyz_m=turned_m.astype(np.float32))
-        packet_ns = self._unwrapped_ns(fields)
+        stamps = zip(stamp_ns.tolist(), fields["timestamp_us"].tolist(), fields["return_mode"].tolist(), strict=True)
+        sensor_ns, utc_ns = np.array([self.clock.packet_ns(*each) for each in stamps]).T
+        if not self._packet_ns:
+            self._zero_ns = int(sensor_ns[0]) // HOUR_NS * HOUR_NS
+        packet_ns = sensor_ns - self._zero_ns
+        self._packet_ns.append(packet_ns)
         since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
         self._note(fields)
-        return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, fields, number)
+        return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, utc_ns, fields, number)
 
     def _note_other(self, datagram: Datagram) -> None:
         if len(datagram.payload) != POSITION_BYTES:
@@ -262,20 +281,13 @@ class CaptureReader:
         self._azimuth_cdeg.append(azimuth_cdeg.copy())
         self._modes |= dict.fromkeys(fields["return_mode"].tolist())
         self._factory = int(fields["factory"][0])
-        dual = fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
-        # From block 0 to block 10, which in dual return is the first of the sixth pair.
-        turned_cdeg = (azimuth_cdeg[:, 10].astype(np.int64) - azimuth_cdeg[:, 0]) % AZIMUTH_CODES
-        self._turned_cdeg += int(turned_cdeg.sum())
-        self._turning_ns += int(np.where(dual, 5, 10).sum()) * BLOCK_PERIOD_NS
-
-    def _unwrapped_ns(self, fields: NDArray[np.void]) -> I8:
-        """(p,) the clock of packets with the hours added."""
-        clock_us = fields["timestamp_us"].astype(np.int64)
-        back_us = np.diff(clock_us, prepend=self._clock_us if self._azimuth_cdeg else clock_us[0])
-        hours = self._hours + np.cumsum(back_us * US_NS < -HOUR_NS // 2)
-        self._hours, self._clock_us = int(hours[-1]), int(clock_us[-1])
-        packet_ns: I8 = clock_us * US_NS + hours * HOUR_NS
-        return packet_ns
+        for mode in np.unique(fields["return_mode"]):
+            stride = 2 if mode == RETURN_MODE_BYTE[ReturnMode.DUAL] else 1
+            step_cdeg = np.diff(azimuth_cdeg[fields["return_mode"] == mode, ::stride].astype(np.int64)) % AZIMUTH_CODES
+            # A far wider step than its neighbours is the edge of a field of view.
+            even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
+            self._turned_cdeg += int(step_cdeg[even].sum())
+            self._turning_ns += int(even.sum()) * BLOCK_PERIOD_NS
 
     def _ranges_m(self) -> tuple[float, float, float]:
         below = np.cumsum(self._codes[1:])

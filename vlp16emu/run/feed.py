@@ -1,14 +1,13 @@
 """The packets of a stream, which follows its clock and what is set on its sensors."""
 
 from collections import Counter
-from collections.abc import Collection, Generator, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterator
 from collections.abc import Set as AbstractSet
 from threading import Thread
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Engine
-from vlp16emu.engine.position import position_number
-from vlp16emu.scenario.events import Event
+from vlp16emu.engine.position import number_at
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -67,10 +66,10 @@ class PacketFeed:
         """Compute no packet that is due before a UTC time, from the next one on; from any thread."""
         self._from_ns = due_ns
 
-    def begin_again(self, from_ns: int, events: Sequence[Event]) -> None:
-        """Go on from a UTC time, or from where the run is if that is earlier, with other events; between two packets."""
+    def begin_again(self, from_ns: int, engine: Engine) -> None:
+        """Go on from a UTC time, or from where the run is if that is earlier, with another engine; between two packets."""
         self._let_go()
-        self.engine = self.engine.with_events(events)
+        self.engine = engine
         if from_ns > self._reached_ns:
             from_ns, there = self._reached_ns, self._at_reached
         else:
@@ -103,10 +102,9 @@ class PacketFeed:
         """Count the packets of all units due from the first pulse until before a UTC time."""
         scenario, units = self.engine.scenario, self.engine.parts.units
         since_ns = before_ns - scenario.start_ns
-        data = sum(unit.timeline.count(0, since_ns) for unit in units)
-        position = sum(position_number(scenario, unit, since_ns) for unit in units)
-        beside = self._beside.count(0, since_ns) if self._beside else {}
-        return Counter({PacketKind.DATA: data, PacketKind.POSITION: position, **beside})
+        kinds = PacketKind.DATA, PacketKind.POSITION
+        sent = {kind: sum(number_at(scenario, unit, kind, since_ns) for unit in units) for kind in kinds}
+        return Counter(sent | (self._beside.count(0, since_ns) if self._beside else {}))
 
     def _since_s(self, utc_ns: int) -> float:
         return (utc_ns - self.engine.scenario.start_ns) / S_NS

@@ -2,11 +2,12 @@
 
 import difflib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import get_args, get_type_hints
 
+from vlp16emu.doors import added
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import SceneFile, Section
 
@@ -22,13 +23,21 @@ def _folders() -> Iterator[Path]:
 
 
 def scene_files() -> dict[str, Path]:
-    """All scenes that can be called by name, sorted: files, and folders with a file of their name in them."""
+    """All scenes that can be called by name, sorted: files, and folders with a file of their name in them.
+
+    Those of other packages, in the folders of their entry points `vlp16emu.scenes`, come last.
+    """
+    found = _scenes_in(_folders())
+    return dict(sorted((_scenes_in(Path(folder) for _, folder in added("scenes")) | found).items()))
+
+
+def _scenes_in(folders: Iterable[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    for folder in _folders():
+    for folder in folders:
         own = (path for path in folder.glob("*/*.toml") if path.stem == path.parent.name)
         for path in (*folder.glob("*.toml"), *own):
             found.setdefault(path.stem, path)
-    return dict(sorted(found.items()))
+    return found
 
 
 def find(scene: str) -> Path:
@@ -42,8 +51,11 @@ def find(scene: str) -> Path:
     path = Path(scene)
     if path.suffix in (".toml", ".json") or path.parent != Path():
         return path
-    known = scene_files()
+    known = _scenes_in(_folders())
     name = scene if scene in known else scene.replace("-", "_")
+    if name not in known:
+        known = scene_files()
+        name = scene if scene in known else name
     if name not in known:
         near = difflib.get_close_matches(name.lower(), known, n=1)
         names = f"{near[0]}, the nearest of `vlp16emu scenes`" if near else ", ".join(known)

@@ -1,20 +1,20 @@
 """The scenario file as a frozen tree. Defaults live here and nowhere else."""
 
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
+from pydantic import AwareDatetime, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo, field_validator
+from pydantic_core import CoreSchema, core_schema
 
-from vlp16emu.doors import sections
+from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
-from vlp16emu.motion import Gps, Imu, Live, Recorded, Static, Walk
+from vlp16emu.motion import Gps, Imu, MotionSection
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.scenario.capture import CaptureClock
-from vlp16emu.scenario.events import AnyEvent, DeadLaser, DirtyWindow, GpsEvent
 from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
-from vlp16emu.settings import Section, Seed
+from vlp16emu.settings import OneOf, Section, Seed
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import Wind, WorldSection
 
@@ -22,10 +22,21 @@ _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 """Seconds of a pcap file are 32 bits without sign and end 37 days later, farther off than any run reaches."""
 
-if TYPE_CHECKING:
-    AnyWorld = WorldSection
-else:
-    AnyWorld = sections("world")
+
+class _Events:
+    """The type of `events`: what can happen is loaded by the first scene in which something does."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_before_validator_function(cls._checked, handler(list[Any]))
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Any:
+        return handler(door("events_schema")().core_schema if has_door("events_schema") else schema)
+
+    @staticmethod
+    def _checked(tables: Any, info: ValidationInfo) -> Any:
+        return tables if tables == [] else door("events_of_scene")(tables, info.data)
 
 
 class Scenario(Section):
@@ -50,15 +61,15 @@ class Scenario(Section):
     weather: Weather = Weather()
     gps: Gps = Gps()
     capture: CaptureClock = CaptureClock()
-    motion: Annotated[Static | Walk | Recorded | Live, Field(discriminator="kind")]
+    motion: Annotated[MotionSection, OneOf(MotionSection, "motions")]
     """How the sensor moves."""
     imu: Imu | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
     rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
-    events: Annotated[list[AnyEvent], Field(max_length=10_000, default_factory=list)]
+    events: Annotated[list[Any], _Events, Field(default_factory=list)]
     """What is set on the sensors while they run, and what goes wrong."""
-    world: AnyWorld
+    world: Annotated[WorldSection, OneOf(WorldSection, "worlds")]
     """What the sensor sees."""
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
@@ -102,20 +113,6 @@ class Scenario(Section):
             raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
         return rig
 
-    @field_validator("events")
-    @classmethod
-    def _can_happen(cls, events: list[AnyEvent], info: ValidationInfo) -> list[AnyEvent]:
-        sensor, rig, gps = (info.data.get(key) for key in ("sensor", "rig", "gps"))
-        for place, event in enumerate(events):
-            if rig is not None and event.unit > len(rig) + 1:
-                raise ValueError(f"events[{place}].unit of at most {len(rig) + 1}, the units of the scene")
-            has_wire = not isinstance(sensor, FreeSensor)
-            if not has_wire and not isinstance(event, DeadLaser | DirtyWindow):
-                raise ValueError(f'no {event.kind} (events[{place}]) beside sensor.model = "free"')
-            if gps is not None and not gps.connected and isinstance(event, GpsEvent):
-                raise ValueError(f"gps.connected = true beside {event.kind} (events[{place}])")
-        return events
-
     @field_validator("wind")
     @classmethod
     def _has_trees(cls, wind: Wind | None, info: ValidationInfo) -> Wind | None:
@@ -127,14 +124,12 @@ class Scenario(Section):
     @property
     def world_seed(self) -> int:
         """Seed of what the sensor sees."""
-        own = self.world.own_seed
-        return self.seed if own is None else own
+        return self.seed if self.world.own_seed is None else self.world.own_seed
 
     @property
     def motion_seed(self) -> int:
         """Seed of how the carrier moves."""
-        own = self.motion.seed if isinstance(self.motion, Walk) else None
-        return self.seed if own is None else own
+        return self.seed if self.motion.own_seed is None else self.motion.own_seed
 
     @property
     def sensor_seed(self) -> int:

@@ -1,4 +1,4 @@
-"""Where the lasers point and when they fire: one table per sensor, in wire order.
+"""Beam tables: elevations, offsets and firing times of lasers in wire order.
 
 Source: VLP-16 User Manual 63-9243 Rev D, table 9-1 (elevation and vertical correction). Each beam
 crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 to the rounding of the
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, tan
 from vlp16emu.random import Purpose, normal
+from vlp16emu.sensor.settings import FreeSensor, Sensor
 from vlp16emu.types import Array, SensorModel
 from vlp16emu.units import S_NS
 
 LASER_NS = 2_304
-"""From one laser's pulse to the next (63-9243 Rev D, section 8.1)."""
+"""Time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)."""
 SEQUENCE_NS = 55_296
-"""From one firing sequence to the next: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
+"""Period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
 
 LENS_RADIUS_M = 0.0419
 """Distance from the spin axis at which all beams cross the horizontal plane: -correction / tan(elevation)."""
@@ -30,19 +31,19 @@ class BeamTable:
     """Directions and firing times of L lasers in wire order."""
 
     elevation_deg: Array
-    """(L,) over the horizon, as the sensor's makers say."""
+    """(L,) elevation over the horizon by the data sheet."""
     vertical_offset_m: Array
     """(L,) height at which the beam's line meets the spin axis; ranges are measured from there."""
     lens_radius_m: float
     """Distance from the spin axis at which the light leaves."""
     sequence_ns: int
-    """From one firing sequence to the next."""
+    """Period of firing sequences."""
     laser_ns: int
-    """From one laser's pulse to the next."""
+    """Time between the pulses of consecutive lasers."""
     elevation_error_deg: Array
-    """(L,) by how much the lasers of this unit look higher than the table says."""
+    """(L,) constant elevation errors of this unit."""
     azimuth_error_deg: Array
-    """(L,) by how much they look beyond the rotor's angle."""
+    """(L,) constant azimuth errors of this unit."""
 
     @property
     def near_m(self) -> Array:
@@ -55,41 +56,8 @@ class BeamTable:
         return np.argsort(np.argsort(self.elevation_deg, kind="stable"), kind="stable").astype(np.uint16)
 
 
-def free_beams(
-    elevation_deg: Sequence[float], *, lens_radius_m: float, azimuth_resolution_deg: float, rpm: int
-) -> BeamTable:
-    """Make the table of a sensor that nobody sells: it fires once per azimuth step, its lasers evenly in between.
-
-    Parameters
-    ----------
-    elevation_deg : in order of firing; all beams pass through one point of the lens
-    azimuth_resolution_deg : what the rotor turns from one firing sequence to the next, to the nearest nanosecond
-    """
-    sequence_ns = round(azimuth_resolution_deg / (6 * rpm) * S_NS)
-    elevation = np.array(elevation_deg, np.float64)
-    offset_m = -lens_radius_m * tan(np.radians(elevation))
-    return _table(elevation, offset_m, lens_radius_m, sequence_ns, sequence_ns // len(elevation))
-
-
-def with_angle_errors(
-    table: BeamTable, *, elevation_error_deg: float, azimuth_error_deg: float, seed: int
-) -> BeamTable:
-    """Build one unit after a table: each laser a little off, by errors that stay with the unit and no packet reports.
-
-    Parameters
-    ----------
-    elevation_error_deg, azimuth_error_deg : one sigma of normal errors; 0 for none
-    """
-    lasers = len(table.elevation_deg)
-    return replace(
-        table,
-        elevation_error_deg=elevation_error_deg * normal(seed, Purpose.ANGLE_BIAS, 0, lasers, lane=0),
-        azimuth_error_deg=azimuth_error_deg * normal(seed, Purpose.ANGLE_BIAS, 0, lasers, lane=1),
-    )
-
-
 def _table(
-    elevation_deg: Sequence[float] | Array,
+    elevation_deg: Sequence[float],
     vertical_offset_m: Array,
     lens_radius_m: float = LENS_RADIUS_M,
     sequence_ns: int = SEQUENCE_NS,
@@ -110,3 +78,34 @@ _PUCK_HI_RES = _table(
 )
 
 BEAM_TABLES = {SensorModel.VLP_16: _VLP_16, SensorModel.PUCK_LITE: _VLP_16, SensorModel.PUCK_HI_RES: _PUCK_HI_RES}
+
+
+def beams_of(section: Sensor | FreeSensor) -> BeamTable:
+    """Return the beam table of a model, or that of a free sensor.
+
+    A free sensor fires once per azimuth step, to the nearest nanosecond, its lasers evenly in between. All its beams pass
+    through one point of the lens.
+    """
+    if isinstance(section, Sensor):
+        return BEAM_TABLES[SensorModel(section.model)]
+    elevation_deg, radius_m = section.beam_elevations_deg, section.lens_radius_m
+    sequence_ns = round(section.azimuth_resolution_deg / (6 * section.rpm) * S_NS)
+    offset_m = -radius_m * tan(np.radians(np.array(elevation_deg)))
+    return _table(elevation_deg, offset_m, radius_m, sequence_ns, sequence_ns // len(elevation_deg))
+
+
+def with_angle_errors(
+    table: BeamTable, *, elevation_error_deg: float, azimuth_error_deg: float, seed: int
+) -> BeamTable:
+    """Return the table of one unit, whose lasers have constant angle errors that no packet reports.
+
+    Parameters
+    ----------
+    elevation_error_deg, azimuth_error_deg : one sigma of normal errors; 0 for none
+    """
+    lasers = len(table.elevation_deg)
+    return replace(
+        table,
+        elevation_error_deg=elevation_error_deg * normal(seed, Purpose.ANGLE_BIAS, 0, lasers, lane=0),
+        azimuth_error_deg=azimuth_error_deg * normal(seed, Purpose.ANGLE_BIAS, 0, lasers, lane=1),
+    )

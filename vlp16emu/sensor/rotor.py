@@ -1,16 +1,16 @@
-"""The spinning head.
-
-Its true angle as a function of time and what the encoder reads; and what the sensor takes the time to be.
-"""
+"""The spinning head: its true angle over time, what its encoder reads, and the sensor's clock."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numba
 import numpy as np
 
 from vlp16emu.elementary import cos, sin
 from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.sensor.settings import Lidar
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import HOUR_NS, S_NS
@@ -22,11 +22,13 @@ _FAST = 0.85
 _SLOW_SHARES = 0.95, 0.61, 0.22, 0.47
 """Share of readings with the lower one behind each of four lines in turn (mrpt, nebula, einride: within 0.05 of these)."""
 _HALF_WIDTH = math.sqrt(3.0)
-"""Of an even distribution, in standard deviations."""
+"""Half-width of an even distribution, in standard deviations."""
 _SHORT_DEG = 1e-5
-"""How far before the next line a reading ends."""
+"""Least distance of a reading from the next line."""
 _KNOT_BITS = 20
 """A swing is straight between multiples of 2**20 ns, 1 ms."""
+Sine = tuple[float, float]
+"""Amplitude and phase, in degrees; none where the amplitude is 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ class Spin:
     """Change of speed."""
 
     def at(self, elapsed_ns: IntArray) -> Array:
-        """Turn times since the start (n,) into true angles, [0, 360)."""
+        """Return true angles (n,), [0, 360), at times since the start (n,)."""
         since_ns = elapsed_ns - self.from_ns
         out = np.empty(elapsed_ns.shape)
         if self.rpm_per_s:
@@ -58,7 +60,7 @@ class Spin:
         return out
 
     def rpm_at(self, elapsed_ns: int) -> float:
-        """Speed at a time since the start."""
+        """Return the speed at a time since the start, in rpm."""
         return self.rpm + self.rpm_per_s * (elapsed_ns - self.from_ns) / S_NS
 
 
@@ -73,13 +75,13 @@ class Wobbling:
     period_s: float
 
     def ahead_deg(self, elapsed_ns: IntArray) -> Array:
-        """Integrate it: the angles (n,) by which the rotor is ahead."""
+        """Return the angles (n,) by which the rotor is ahead of an even turn."""
         since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
         per_s = 2.0 * math.pi / self.period_s
         return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
 
     def rpm_at(self, elapsed_ns: int) -> float:
-        """Its share of the speed at a time since the start."""
+        """Return the speed that the wobble adds at a time since the start, in rpm."""
         since_ns = elapsed_ns - self.from_ns
         if not 0 <= since_ns < self.lasts_ns:
             return 0.0
@@ -95,13 +97,13 @@ class Swing:
     phase_rad: float
 
     def rate_at(self, elapsed_ns: int) -> float:
-        """Its share of the set speed at a time since the start."""
+        """Return the speed that the swing adds at a time since the start, as a share of the set speed."""
         per_ns = 2.0 * math.pi / self.period_ns
         return self.amplitude_ns * per_ns * cos(per_ns * elapsed_ns + self.phase_rad)
 
     @classmethod
-    def drawn(cls, seed: int, error_rpm: float, wander_rpm: float) -> "tuple[Swing, ...]":
-        """Draw those of a unit: of its mean speed, over minutes, and two within seconds; amplitudes are at 600 rpm.
+    def sample(cls, seed: int, error_rpm: float, wander_rpm: float) -> "tuple[Swing, ...]":
+        """Sample the swings of one unit: one of its mean speed, over minutes, and two within seconds, at 600 rpm.
 
         A unit (einride) was 0.04 deg off an even turn within half a second, others 0.02.
         """
@@ -120,98 +122,88 @@ class Swing:
 
 
 @dataclass(frozen=True, slots=True)
-class Pattern:
-    """Errors of the encoder's reading that repeat: with the turn, twice a turn, and with time."""
+class Encoder:
+    """The encoder of one unit: it reads the true angle with errors that repeat, and with white noise.
 
-    twice_deg: float
-    twice_phase_deg: float
-    hum_deg: float
-    hum_phase_deg: float
+    On real units the steps between blocks have a lag-1 autocorrelation near -0.5: the noise is one of the reading and not
+    of the speed. Between the lines of an encoder the reading goes on with time at one of two speeds, one too low and one
+    too high.
+    """
 
-    def added(self, reading_deg: Array, first: int) -> Array:
-        """Add them to the readings (k,) of firing sequences from `first` on."""
-        out = reading_deg
-        if self.twice_deg:
-            out = _with_sine(out, 2.0 * reading_deg - self.twice_phase_deg, self.twice_deg)
-        if self.hum_deg:
-            number = (first + np.arange(len(out))) % _HUM_SEQUENCES
-            out = _with_sine(out, 720.0 / _HUM_SEQUENCES * number + self.hum_phase_deg, self.hum_deg)
-        return np.asarray(out)
-
-
-@dataclass(frozen=True, slots=True)
-class EncoderLines:
-    """An encoder of lines, between which the reading goes on with time at one of two speeds, one too low and one too high."""
-
-    pitch_deg: float
-    """From line to line; 0 for an even encoder."""
-    rate_error: float
-    """Share of the speed that the lower one lacks."""
-    first_deg: float
-    """Reading of a line, behind which readings have the first of the shares."""
-    slow_shares: tuple[float, ...] = _SLOW_SHARES
-    """Of readings with the lower speed, behind each of so many lines in turn."""
-
-    def read(self, angle_deg: Array, noise_deg: float, seed: int, first: int) -> Array:
-        """Read (k,) angles, those of firing sequences from `first` on; lines are seen early or late, evenly."""
-        early = 2.0 * uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
-        angle_deg = angle_deg + _HALF_WIDTH * noise_deg * early
-        line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
-        share = np.take(self.slow_shares, line.astype(int) % len(self.slow_shares))
-        is_slow = uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
-        rate = np.where(is_slow, 1.0 - self.rate_error, 1.0 + _FAST * self.rate_error)
-        return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
+    seed: int
+    once: Sine = (0.0, 0.0)
+    """Error once per revolution; it crosses zero upwards at the angle of its phase."""
+    twice: Sine = (0.0, 0.0)
+    """Error twice per revolution."""
+    hum: Sine = (0.0, 0.0)
+    """Error with a period of 12.5 firing sequences."""
+    noise_deg: float = 0.0
+    """White error of each reading, one sigma; 0 switches it off."""
+    noise_limit_deg: float = math.inf
+    """Value at which the white error of an even encoder is cut."""
+    pitch_deg: float = 0.0
+    """Spacing of the lines; 0 for an even encoder."""
+    rate_error: float = 0.0
+    """Share of the speed that the lower of the two lacks."""
+    first_deg: float = 0.0
+    """Reading of the line behind which readings have the first of `slow_shares`."""
+    slow_shares: Sequence[float] = _SLOW_SHARES
+    """Share of readings at the lower speed, behind each of so many lines in turn."""
 
     @classmethod
-    def drawn(cls, seed: int, pitch_deg: float, rate_error: float, spread: float) -> "EncoderLines":
-        """Draw on which hundredth of a degree the lines of a unit are; with a spread, also what units differ in."""
-        own = uniform(seed, Purpose.AZIMUTH_PATTERN, 6, 6)
-        first_deg = math.floor(20.0 * own[0]) / 100
-        shares = np.clip(_SLOW_SHARES + spread * (0.3 * own[2:] - 0.15), 0.0, 1.0) if spread else _SLOW_SHARES
-        return cls(pitch_deg, rate_error * (1.0 + spread * (0.2 * own[1] - 0.1)), first_deg, tuple(shares))
+    def of_unit(cls, section: Lidar, seed: int) -> Self:
+        """Sample the encoder of one unit; with `rotation_spread` also its unit-to-unit deviations."""
+        spread, own = section.rotation_spread, uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
+        factor, turned_deg = 1.0 + spread * (2.0 * own[:3] - 1.0), 360.0 * own[3:6] * (spread > 0.0)
+        return cls(
+            seed=seed,
+            once=(section.eccentricity_deg * factor[0], (section.eccentricity_phase_deg + turned_deg[0]) % 360.0),
+            twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
+            hum=(section.hum_deg * factor[2], turned_deg[2]),
+            noise_deg=section.azimuth_noise_deg,
+            noise_limit_deg=section.azimuth_noise_limit_deg,
+            pitch_deg=section.encoder_pitch_deg,
+            rate_error=section.encoder_rate_error * (1.0 + spread * (0.2 * own[7] - 0.1)),
+            first_deg=math.floor(20.0 * own[6]) / 100,
+            slow_shares=np.clip(_SLOW_SHARES + spread * (0.3 * own[8:] - 0.15), 0.0, 1.0).tolist(),
+        )
 
+    def read(self, angle_deg: Array, first: int) -> Array:
+        """Return readings (k,), [0, 360), at true angles (k,) of firing sequences `first` and on."""
+        reading = _with_sine(angle_deg, angle_deg - self.once[1], self.once[0])
+        reading = _with_sine(reading, 2.0 * reading - self.twice[1], self.twice[0])
+        number = (first + np.arange(len(reading))) % _HUM_SEQUENCES
+        reading = _with_sine(reading, 720.0 / _HUM_SEQUENCES * number + self.hum[1], self.hum[0])
+        if self.pitch_deg:
+            return self._between_lines(reading, first) % 360.0
+        if self.noise_deg:
+            drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
+            reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
+        return np.asarray(reading % 360.0)
 
-def rotation_draws(seed: int, spread: float) -> tuple[list[float], list[float]]:
-    """Draw what a unit has of its own in the errors once and twice a turn and in the hum.
-
-    Parameters
-    ----------
-    spread : of the factors; without it nothing is drawn
-
-    Returns
-    -------
-    Three factors on amplitudes, and three additions to phases, deg
-    """
-    if not spread:
-        return [1.0] * 3, [0.0] * 3
-    drawn = uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 6)
-    return (1.0 + spread * (2.0 * drawn[:3] - 1.0)).tolist(), (360.0 * drawn[3:]).tolist()
+    def _between_lines(self, angle_deg: Array, first: int) -> Array:
+        # The white error is here one of when a line is seen: early or late, evenly.
+        early = 2.0 * uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
+        angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * early
+        line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
+        share = np.take(self.slow_shares, line.astype(int) % len(self.slow_shares))
+        is_slow = uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
+        rate = np.where(is_slow, 1.0 - self.rate_error, 1.0 + _FAST * self.rate_error)
+        return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
 
 
 @dataclass(frozen=True, slots=True)
 class Rotor:
-    """A head that turns clockwise, seen from above, at constant speed but for what happens to it.
+    """The motor of a head: it turns clockwise, seen from above, at constant speed but for what happens to it.
 
-    The true angle is a function of time alone. The encoder adds an error locked to the angle, one
-    cycle per revolution, and white noise on each reading: on real units the steps between blocks
-    have a lag-1 autocorrelation near -0.5, which is noise of the reading and not of the speed.
+    The true angle is a function of time alone.
     """
 
     spins: tuple[Spin, ...]
-    """In order of time; the first is from the start on."""
-    eccentricity_deg: float
-    """Amplitude of the angle-locked error; 0 switches it off."""
-    eccentricity_phase_deg: float
-    """Angle at which that error crosses zero upwards."""
-    noise_deg: float
-    """One sigma of a reading's white error; 0 switches it off."""
-    seed: int
+    """Spins in order of time; the first is from the start on."""
+    encoder: Encoder
     wobbles: tuple[Wobbling, ...] = ()
     swings: tuple[Swing, ...] = ()
-    noise_limit_deg: float = math.inf
-    """At which that error is cut."""
-    pattern: Pattern = Pattern(0.0, 0.0, 0.0, 0.0)
-    lines: EncoderLines = EncoderLines(0.0, 0.0, 0.0)
 
     @property
     def rpm(self) -> float:
@@ -219,7 +211,7 @@ class Rotor:
         return self.spins[0].rpm
 
     def angle_deg(self, elapsed_ns: IntArray) -> Array:
-        """Turn times since the start, any shape, into true angles in [0, 360), exact after any number of hours."""
+        """Return true angles, [0, 360), at times since the start of any shape; exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
         if self.swings:
             flat_ns = _swung(flat_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in self.swings]).T)
@@ -236,7 +228,7 @@ class Rotor:
         return out.reshape(elapsed_ns.shape)
 
     def revolutions(self, elapsed_ns: int) -> float:
-        """Count the turns from the start to a time, without those of a wobble, which come back."""
+        """Return the turns from the start to a time; a wobble adds none, as it comes back."""
         stops_ns = [*(spin.from_ns for spin in self.spins[1:]), elapsed_ns]
         turns = 0.0
         for spin, next_ns in zip(self.spins, stops_ns, strict=True):
@@ -246,23 +238,10 @@ class Rotor:
         return turns
 
     def rpm_at(self, elapsed_ns: int) -> float:
-        """Speed at a time since the start."""
+        """Return the speed at a time since the start, in rpm."""
         spin = [spin for spin in self.spins if spin.from_ns <= elapsed_ns or spin is self.spins[0]][-1]
         rate = 1.0 + sum(swing.rate_at(elapsed_ns) for swing in self.swings)
         return spin.rpm_at(elapsed_ns) * rate + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
-
-    def reading_deg(self, angle_deg: Array, first: int) -> Array:
-        """Read the encoder at (k,) true angles, those of firing sequences first .. first + k - 1."""
-        reading = angle_deg
-        if self.eccentricity_deg:
-            reading = _with_sine(reading, reading - self.eccentricity_phase_deg, self.eccentricity_deg)
-        reading = self.pattern.added(reading, first)
-        if self.lines.pitch_deg:
-            return self.lines.read(reading, self.noise_deg, self.seed, first) % 360.0
-        if self.noise_deg:
-            drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
-            reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
-        return np.asarray(reading % 360.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -295,7 +274,8 @@ def _swung(elapsed_ns: IntArray, amplitude_ns: Array, period_ns: Array, phase_ra
 
 @numba.njit(cache=True, nogil=True)
 def _with_sine(reading_deg: Array, phase_deg: Array, amplitude_deg: float) -> Array:
-    """Add a sine of phases (k,) to readings (k,)."""
+    if amplitude_deg == 0.0:
+        return reading_deg
     out = np.empty_like(reading_deg)
     for i in range(reading_deg.size):
         out[i] = reading_deg[i] + amplitude_deg * cos_sin(math.radians(phase_deg[i]))[1]
@@ -309,12 +289,12 @@ class ClockSpan:
     from_ns: int
     """UTC."""
     reading_ns: int | None = None
-    """What it shows at that instant, where it runs free; None where it is locked to GPS."""
+    """Reading at that instant of a clock that runs free; None if it is locked to GPS."""
     error_ppm: float = 0.0
-    """How much it is fast, where it runs free."""
+    """Rate error of a clock that runs free; positive is fast."""
 
     def reading(self, t_ns: IntArray) -> IntArray:
-        """Nanoseconds past the counter's hour at UTC instants, any shape; what it showed first before the span."""
+        """Return nanoseconds past the counter's hour at UTC instants of any shape; before the span its first reading."""
         if self.reading_ns is None:
             return np.asarray(t_ns % HOUR_NS)
         since = np.maximum(t_ns - self.from_ns, 0)
@@ -333,10 +313,10 @@ class Clock:
     """
 
     spans: tuple[ClockSpan, ...]
-    """In order of time; the first holds for all times before the second."""
+    """Spans in order of time; the first holds for all times before the second."""
 
     def reading_ns(self, t_ns: IntArray) -> IntArray:
-        """Nanoseconds past the counter's hour at UTC instants, any shape."""
+        """Return nanoseconds past the counter's hour at UTC instants of any shape."""
         out = self.spans[0].reading(t_ns)
         for span in self.spans[1:]:
             out = np.where(t_ns >= span.from_ns, span.reading(t_ns), out)

@@ -1,12 +1,12 @@
 """The `[sensor]` table."""
 
 from ipaddress import IPv4Address
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.settings import Preset, Seed
+from vlp16emu.settings import OneOf, Preset, Seed
 
 Degrees = Annotated[float, Field(ge=0, lt=360)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
@@ -181,12 +181,7 @@ class FreeSensor(Lidar):
         return tuple(low + (high - low) * i / (self.beams - 1) for i in range(self.beams))
 
 
-def _named(table: Any) -> Any:
-    """Let a table without `model` be one of the sensor that this project is about."""
-    return {"model": "vlp-16"} | table if isinstance(table, dict) else table
-
-
-AnySensor = Annotated[Annotated[Sensor | FreeSensor, Field(discriminator="model")], BeforeValidator(_named)]
+AnySensor = Annotated[Sensor | FreeSensor, OneOf(Lidar, "sensors", "model", "vlp-16")]
 """The `[sensor]` table."""
 
 

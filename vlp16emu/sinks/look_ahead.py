@@ -69,6 +69,11 @@ class LookAhead:
         return not self._ready
 
     @property
+    def made_until_ns(self) -> int:
+        """Due time of the last packet that has been computed; far off once all have been."""
+        return 2**63 if self._done else self._made_due_ns
+
+    @property
     def engine_speed(self) -> float | None:
         """Simulated time per time in which it was computed, since the buffer was last full; None before."""
         if (full := self._full) is None:
@@ -118,6 +123,7 @@ class LookAhead:
             while self._ready and self._ready[-1].due_ns >= earliest_ns:
                 self._ready.pop()
             self._redo, self._done = (earliest_ns, restart), False
+            self._made_due_ns = min(self._made_due_ns, earliest_ns)
             self._changed.notify_all()
 
     @property

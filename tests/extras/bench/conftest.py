@@ -37,15 +37,10 @@ class Engine:
             powered_for_s=3600.0,
         )
 
-    def changed(self, settings):
-        """Take over what was set."""
-        self.settings = settings
-        self.changes.append(settings)
-
-    def reset(self, settings):
-        """Start again."""
-        self.settings = settings
-        self.resets.append(settings)
+    def changed(self, _before, after, *, restarts):
+        """Take over what was set, or start again with it."""
+        self.settings = after
+        (self.resets if restarts else self.changes).append(after)
 
     def status(self):
         """Turn the rotor by a step, and look."""
@@ -66,12 +61,7 @@ def make(tmp_path):
     def made(*, saved=None, factory=None):
         engine = Engine()
         device = Device(
-            factory or DeviceSettings(),
-            status=engine.status,
-            changed=engine.changed,
-            reset=engine.reset,
-            info=INFO,
-            saved=saved,
+            factory or DeviceSettings(), status=engine.status, changed=engine.changed, info=INFO, saved=saved
         )
         engine.settings = device.settings
         return engine, device

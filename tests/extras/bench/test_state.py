@@ -48,12 +48,12 @@ def test_a_change_is_passed_on_once(make):
 def test_what_the_stream_cannot_follow_is_not_set(make, act):
     """A receiver that is out of reach leaves the settings as they were, and the one who asks hears of it."""
     _, device = make()
-    device.adopt(OTHERS)
+    device.adopt(lambda _: OTHERS)
 
-    def refused(settings):
+    def refused(_before, settings, **_how):
         raise OutputError("destination", "out of reach", "an address in reach")
 
-    device._changed = device._reset = refused
+    device._changed = refused
     with pytest.raises(OutputError):
         device.restart() if act == "restart" else device.change(lambda settings: replace(settings, rpm=300))
     assert device.settings == OTHERS
@@ -62,7 +62,7 @@ def test_what_the_stream_cannot_follow_is_not_set(make, act):
 def test_what_an_event_has_set_is_shown_and_not_passed_on(make):
     """Settings that the stream has taken from elsewhere are adopted without an echo."""
     engine, device = make()
-    device.adopt(OTHERS)
+    device.adopt(lambda _: OTHERS)
     assert (device.settings, device.power_up, engine.changes) == (OTHERS, DeviceSettings(), [])
 
 
@@ -70,10 +70,10 @@ def test_what_an_event_has_set_is_shown_and_not_passed_on(make):
 def test_saved_settings_survive_a_reset_and_others_are_lost(make, tmp_path, in_a_file):
     """A reset brings back what was saved last, and before that what the factory has set."""
     engine, device = make(saved=tmp_path / "saved.json" if in_a_file else None)
-    device.adopt(OTHERS)
+    device.adopt(lambda _: OTHERS)
     device.restart()
     assert (device.settings, engine.resets) == (DeviceSettings(), [DeviceSettings()])
-    device.adopt(OTHERS)
+    device.adopt(lambda _: OTHERS)
     device.save()
     device.change(lambda settings: replace(settings, rpm=300))
     device.restart()
@@ -84,7 +84,7 @@ def test_saved_settings_survive_the_run(make, tmp_path):
     """The next run starts with every field of a JSON table of those saved; one that has saved nothing with the factory's."""
     file = tmp_path / "saved.json"
     _, device = make(saved=file)
-    device.adopt(OTHERS)
+    device.adopt(lambda _: OTHERS)
     _, unsaved = make(saved=file)
     device.save()
     _, again = make(saved=file)
@@ -128,7 +128,7 @@ def test_a_file_that_no_sensor_has_saved_is_refused(make, tmp_path, content, lin
 def test_settings_that_cannot_be_saved_are_not_taken_for_saved(make, tmp_path):
     """Where the file cannot be written, the next power-up is as before."""
     _, device = make(saved=tmp_path / "absent" / "saved.json")
-    device.adopt(OTHERS)
+    device.adopt(lambda _: OTHERS)
     with pytest.raises((InputError, RunError)):
         device.save()
     assert device.power_up == DeviceSettings()

@@ -1,13 +1,16 @@
 """Pictures of what a sensor sees, without a browser."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
 
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
-from vlp16emu.extras.viewer.picture import Canvas, LaserRows, Oblique
+from vlp16emu.extras.camera import Orthographic
+from vlp16emu.extras.canvas import Canvas
+from vlp16emu.extras.viewer.picture import laser_rows
 
 Image = pytest.importorskip("PIL.Image", reason="the extra picture is not installed")
 pytest.importorskip("matplotlib", reason="the extra picture is not installed")
@@ -35,9 +38,19 @@ boxes = [
 BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
 
 
+def test_rays_begin_at_the_pixels_that_they_are_of():
+    """A ray of an oblique view begins at a place whose pixel is its own, and goes away from the eye."""
+    view = Orthographic.around(BOX_M, 30.0, 40.0, (64, 48))
+    origin_m, direction = view.rays(range(3, 5))
+    column, row, near_m = view.pixels(origin_m + 2.0 * direction)
+    assert (column.reshape(2, 64) == np.arange(64)).all()
+    assert (row.reshape(2, 64) == [[3], [4]]).all()
+    np.testing.assert_allclose(near_m, -2.0, atol=1e-9)
+
+
 def test_lengths_are_the_same_all_over_an_oblique_view():
     """From the south, 10 m to the east are as many pixels wherever they lie, and what is nearer to the eye is so by its height and place."""
-    view = Oblique(180.0, 30.0, (640, 400), BOX_M)
+    view = Orthographic.around(BOX_M, 180.0, 30.0, (640, 400))
     for place in ((0.0, 0.0, 0.0), (-5.0, 8.0, 4.0)):
         column, row, _ = view.pixels(np.array([place, np.add(place, (10.0, 0, 0))]))
         assert abs(column[1] - column[0] - 10 * view.px_per_m) <= 1
@@ -49,13 +62,13 @@ def test_lengths_are_the_same_all_over_an_oblique_view():
 
 def test_what_is_nearer_hides_what_is_behind():
     """Of two points at one pixel the nearer one is seen, in whichever order they come."""
-    view = Oblique(180.0, 30.0, (64, 64), BOX_M)
+    view = Orthographic.around(BOX_M, 180.0, 30.0, (64, 64))
     up = np.array([0.0, -np.cos(np.radians(30)), np.sin(np.radians(30))])  # towards the eye
     points_m, rgb = np.stack([np.zeros(3), 3 * up]), np.array([[255, 0, 0], [0, 255, 0]], np.uint8)
     for order in ([0, 1], [1, 0]):
-        canvas = Canvas(view)
+        canvas = Canvas(view.size)
         for one in order:
-            canvas.add(points_m[[one]], rgb[[one]])
+            canvas.add(view.pixels(points_m[[one]]), rgb[[one]])
         seen = canvas.image().reshape(-1, 3)
         assert (seen[:, 1] > 100).any()
         assert not (seen[:, 0] > 100).any()
@@ -64,13 +77,14 @@ def test_what_is_nearer_hides_what_is_behind():
 @pytest.mark.parametrize("rings", [8, 16, 300])
 def test_each_laser_has_its_row(rings):
     """The highest ring lies above, azimuths go from left to right, and rows fill their space, though there be more of them than pixels."""
-    view = LaserRows((640, 200), rings)
+    view = laser_rows((640, 200), rings)
+    left, wide, top, tall = round(0.06 * 640), round(0.85 * 640), 20, 160
     ring = np.arange(rings, dtype=float)
     column, row, _ = view.pixels(np.column_stack([np.full(rings, 90.0), ring, ring]))
-    assert (column == view.left + view.width // 4).all()
+    assert (column == left + wide // 4).all()
     assert (np.diff(row) <= 0).all()
-    assert row[-1] == view.top
-    assert view.top + view.height <= row[0] + view.dot_px[1] <= view.top + view.height + view.dot_px[1]
+    assert row[-1] == top
+    assert top + tall <= row[0] + view.dot_px[1] <= top + tall + view.dot_px[1]
 
 
 @pytest.mark.parametrize("view", ["sweep", "image"])
@@ -120,6 +134,15 @@ def test_a_scene_becomes_a_picture(tmp_path, colour):
         assert image.size == (320, 200)
         assert len(np.unique(np.array(image.convert("RGB")).reshape(-1, 3), axis=0)) > 20
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.mark.parametrize(("name", "library"), [("a.png", "matplotlib"), ("a.gif", "PIL"), ("a.mp4", "imageio_ffmpeg")])
+def test_a_missing_library_is_named_before_anything_is_simulated(tmp_path, monkeypatch, capsys, name, library):
+    """Without the library of a suffix one line names it, and no emulator has been made."""
+    monkeypatch.setitem(sys.modules, library, None)
+    monkeypatch.setattr("vlp16emu.cli.picture.make_emulator", None)
+    assert run(["picture", "static_bench", str(tmp_path / name)]) == 2
+    assert "pip install 'vlp16emu[picture]'" in capsys.readouterr().err
 
 
 def test_a_film_has_a_frame_for_each_revolution(tmp_path):

@@ -31,6 +31,8 @@ _FAILURES = (OSError, sqlite3.Error)
 """What a full disk raises, the second one in a folder of ROS 2."""
 _NAME = 60
 """Characters of the name that are part of the temporary folder's."""
+LATEST_NS = (2**31 - 1) * S_NS
+"""Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
 _METADATA_VERSION = 8
 """Of rosbag2: the last one whose quality of service is a text."""
 

@@ -2,7 +2,8 @@
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -13,21 +14,25 @@ from typing import Any
 import numpy as np
 
 from vlp16emu.engine import Unit
-from vlp16emu.errors import OutputError, PacketError, Vlp16emuError
+from vlp16emu.errors import OutputError, PacketError
+from vlp16emu.extras.bench.events import Event, event
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import Http
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.events import Event, HttpError, PowerCycle, Setting
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import RigSink, UnderWay
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _LEAD_NS = 150_000_000
-"""From a setting to the first packet that follows it: by then the engine has made that packet anew."""
+"""Least time from a setting to the first packet that follows it: by then the engine has made that packet anew."""
+_MOST_LEAD_NS = 1_000_000_000
+_MERGED_S = 0.5
+"""For so long at most what is set waits until the packets of the settings before are made ahead again."""
+_POLL_S = 0.01
 _STEP_S = 0.001
 """Times of events are rounded up to that."""
 
@@ -35,20 +40,21 @@ _STEP_S = 0.001
 @contextmanager
 def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: Http) -> Iterator[None]:
     """Serve the web interface of each sensor; errors as of `WebServer` and `Device`."""
-    control = Control(feed, sink, under_way)
+    control = Control(feed, sink, under_way, http.saved)
     with ExitStack() as stack:
         servers = []
-        for number, device in enumerate(control.devices(http.saved)):
-            control.change(number, device.settings)  # what was saved, it has from its first moment on
-            port, fault = http.port + number if http.port else 0, partial(control.fault, number)
-            servers.append(WebServer(device, http.host, port, fault=fault))
+        host, first = http.address
+        for number, device in enumerate(control.devices):
+            port, fault = first + number if first else 0, partial(control.fault, number)
+            servers.append(WebServer(device, host, port, fault=fault))
             stack.enter_context(servers[-1])
+        stack.enter_context(control.following())
         http.serving([server.address for server in servers])
         yield
 
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
-    """Give what the scene sets on a sensor."""
+    """Return what the scene sets on a sensor."""
     sensor = on_the_wire(unit.section)
     return DeviceSettings(
         rpm=sensor.rpm,
@@ -65,79 +71,64 @@ def _settings_of(unit: Unit, host: str) -> DeviceSettings:
 class Control:
     """Makes a stream follow settings that come from other threads, and reports the state of its sensors.
 
+    Whatever is set while the packets of earlier settings are being made ahead is one change: so no client, however
+    busy, keeps the engine from its work.
+
     Parameters
     ----------
     feed : makes the packets
     sink : sends them
     under_way : the stream, which is about to send its first packet
+    saved : file that keeps the saved settings of the first sensor; others have its name with their number
     """
 
-    def __init__(self, feed: PacketFeed, sink: RigSink, under_way: UnderWay) -> None:
-        self._feed, self._sink = feed, sink
-        self._under_way = under_way
+    def __init__(self, feed: PacketFeed, sink: RigSink, under_way: UnderWay, saved: Path | None) -> None:
+        self._feed, self._sink, self._under_way = feed, sink, under_way
         self._factory = [_settings_of(unit, sink.address) for unit in feed.engine.parts.units]
-        self._settings = list(self._factory)
-        self._lock = threading.Lock()
+        self._made = list(self._factory)
+        """Settings that packets are made with."""
+        self._restarts = set[int]()
+        """Units that start again with the next change."""
         self._events: list[Event] = list(feed.engine.scenario.events)
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
-        self._devices = list[Device]()
+        self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
+        self._lead_ns = _LEAD_NS
+        self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
+        """What the web interface of each sensor shows and sets."""
 
-    def devices(self, saved: Path | None) -> Iterator[Device]:
-        """Make what the web interface of each sensor shows and sets; a file keeps the saved settings of the first."""
-        for unit, factory in zip(self._feed.engine.parts.units, self._factory, strict=True):
-            sensor, n = on_the_wire(unit.section), unit.number
-            device = Device(
-                factory,
-                status=partial(self.status, n),
-                changed=partial(self.change, n),
-                reset=partial(self.reset, n),
-                info=DeviceInfo(sensor.serial_number, SensorModel(sensor.model), unit.link.source_mac),
-                saved=saved.with_stem(f"{saved.stem}_{n + 1}") if saved and n else saved,
-            )
-            self._devices.append(device)
-            yield device
+    def _device(self, unit: Unit, saved: Path | None) -> Device:
+        sensor, n = on_the_wire(unit.section), unit.number
+        return Device(
+            self._factory[n],
+            status=partial(self.status, n),
+            changed=partial(self._changed, n),
+            info=DeviceInfo(sensor.serial_number, SensorModel(sensor.model), unit.link.source_mac),
+            saved=saved.with_stem(f"{saved.stem}_{n + 1}") if saved and n else saved,
+        )
+
+    @contextmanager
+    def following(self) -> Iterator[None]:
+        """Let the stream follow what is set; what was saved, sensors have from their first moment on."""
+        for number, device in enumerate(self.devices):
+            self._redirect(number, self._factory[number], device.settings)
+        self._take_up()
+        thread = threading.Thread(target=self._run, name="settings", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self._over.set()
+            self._asked.set()
+            thread.join()
 
     def fault(self, unit: int) -> HttpFault | None:
         """Find what is wrong with the web interface of a unit now."""
-        since_s = self._since_ns() / S_NS
-        errors = (event for event in self._scenario.events if isinstance(event, HttpError))
-        here = (error for error in errors if error.unit == unit + 1 and error.lasts_at(since_s))
-        return next((HttpFault(error.status) for error in here), None)
-
-    def change(self, unit: int, new: DeviceSettings) -> None:
-        """Set a unit anew; its packets follow within 0.2 s.
-
-        Raises
-        ------
-        OutputError
-            where the new receiver is out of reach, or another machine, though the stream began on this one; then nothing changes
-        """
-        with self._lock:
-            old, self._settings[unit] = self._settings[unit], new
-            try:
-                self._redirect(unit, old, new)
-            except Vlp16emuError:
-                self._settings[unit] = old
-                raise
-            if keys := self._changed(old, new):
-                self._happen(lambda at_s: [Setting(kind="setting", at_s=at_s, unit=unit + 1, **keys)])
-
-    def reset(self, unit: int, power_up: DeviceSettings) -> None:
-        """Let a unit start again, with the settings that it has saved."""
-        with self._lock:
-            self._redirect(unit, self._settings[unit], power_up)
-            self._settings[unit] = power_up
-            keys = self._changed(self._factory[unit], power_up)
-
-            def events(at_s: float) -> list[Event]:
-                """Power is lost; settings that are not those of the scene follow."""
-                lost = PowerCycle(kind="power_cycle", at_s=at_s, unit=unit + 1)
-                again_s = at_s + lost.off_s
-                saved = [Setting(kind="setting", at_s=again_s, unit=unit + 1, **keys)] if keys else []
-                return [lost, *saved]
-
-            self._happen(events)
+        since_ns = self._since_ns()
+        for error in self._scenario.events:
+            if error.effect == "web" and error.unit == unit + 1 and error.begin_ns <= since_ns < error.end_ns:
+                return HttpFault(error.status)
+        return None
 
     def status(self, unit: int) -> DeviceStatus:
         """Report the state of a unit."""
@@ -146,7 +137,7 @@ class Control:
         now_ns = self._scenario.start_ns + since_ns
         ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
         powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
-        settings, rpm = self._settings[unit], of.head.rotor.rpm_at(since_ns)
+        settings, rpm = self.devices[unit].settings, of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
         payload = self._sink.latest_position(unit)
         sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # none is cut by an event
@@ -171,23 +162,35 @@ class Control:
         """Time since the first pulse at which the packet is due that leaves now, or later."""
         return self._under_way.due_in_ns(ahead_ns) - self._scenario.start_ns
 
+    def _changed(self, unit: int, old: DeviceSettings, new: DeviceSettings, *, restarts: bool) -> None:
+        """Set a unit anew, with the next change of the stream.
+
+        Raises
+        ------
+        OutputError
+            If the new receiver is out of reach, or another machine, though the stream began on this one
+        """
+        with self._lock:
+            self._redirect(unit, old, new)
+            self._restarts |= {unit} if restarts else set()
+        self._asked.set()
+
     def _adopt(self) -> None:
         """Show what events of the scene have set by now."""
         since_s = self._since_ns() / S_NS
-        due = list[tuple[Device, DeviceSettings]]()
+        due = list[Event]()
         with self._lock:
             while self._to_come and self._to_come[0].at_s <= since_s:
-                event = self._to_come.pop(0)
-                n = event.unit - 1
-                settings = self._settings[n]
-                if isinstance(event, PowerCycle):
-                    settings = self._factory[n]
-                elif isinstance(event, Setting):
-                    settings = _with(settings, event)
-                self._settings[n] = settings
-                due.append((self._devices[n], settings))
-        for device, settings in due:  # without the lock: a device that is being set waits for it
-            device.adopt(settings)
+                due.append(self._to_come.pop(0))
+                n = due[-1].unit - 1
+                self._made[n] = self._after(due[-1], self._made[n])
+        for one in due:  # without the lock: a device that is being set waits for it
+            self.devices[one.unit - 1].adopt(partial(self._after, one))
+
+    def _after(self, one: Event, settings: DeviceSettings) -> DeviceSettings:
+        if one.effect == "power":
+            return self._factory[one.unit - 1]
+        return _with(settings, one) if one.effect == "settings" else settings
 
     def _redirect(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
         """Send to the receiver that is set; to another machine only where the run was begun to send to one."""
@@ -199,20 +202,52 @@ class Control:
             raise OutputError("host.addr", new.host, expected)
         self._sink.redirect(unit, *where[1])
 
-    def _changed(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
+    def _run(self) -> None:
+        """Body of the thread."""
+        while self._asked.wait() and not self._over.is_set():
+            self._asked.clear()
+            if (from_ns := self._take_up()) is not None:
+                self._settle(from_ns)
+
+    def _take_up(self) -> int | None:
+        """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
+        from_ns = self._since_ns(self._lead_ns)
+        at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
+        with self._lock:
+            made = list[Event]()
+            for unit, device in enumerate(self.devices):
+                new, restarts = device.settings, unit in self._restarts
+                keys = self._keys(self._factory[unit] if restarts else self._made[unit], new)
+                lost = [event("power_cycle", at_s, unit + 1)] if restarts else []
+                made += lost
+                if keys:
+                    made.append(event("setting", at_s + (lost[0].off_s if lost else 0.0), unit + 1, **keys))
+                self._made[unit] = new
+            self._restarts.clear()
+            self._events = self._events + made
+        if not made:
+            return None
+        engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
+        self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
+        return due_ns
+
+    def _settle(self, from_ns: int) -> None:
+        """Wait until packets of a change are made ahead; if that took longer than they lead, the next ones lead by more."""
+        begin_s = time.monotonic()
+        has_begun = False
+        while (took_s := time.monotonic() - begin_s) < _MERGED_S and not self._over.wait(_POLL_S):
+            until_ns = self._under_way.made_until_ns
+            if not has_begun and until_ns > from_ns:
+                has_begun, self._lead_ns = True, min(max(_LEAD_NS, round(2 * took_s * S_NS)), _MOST_LEAD_NS)
+            if until_ns >= self._under_way.due_in_ns(self._lead_ns):
+                return
+
+    def _keys(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
         """Keys of a setting that takes the one to the other."""
         before, after = _keys_of(old), _keys_of(new)
         if not self._scenario.gps.connected:
             del after["phase_lock_deg"]
         return {key: value for key, value in after.items() if value != before[key]}
-
-    def _happen(self, events: Callable[[float], list[Event]]) -> None:
-        """Add events a moment from now, and have what is due from then on made anew; holds the lock."""
-        start_ns, from_ns = self._scenario.start_ns, self._since_ns(_LEAD_NS)
-        at_s = math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S
-        self._events = [*self._events, *events(round(at_s, 3))]
-        made = self._events
-        self._under_way.redo(start_ns + from_ns, lambda due_ns: self._feed.begin_again(due_ns, made))
 
 
 def _keys_of(settings: DeviceSettings) -> dict[str, Any]:
@@ -226,7 +261,7 @@ def _keys_of(settings: DeviceSettings) -> dict[str, Any]:
     }
 
 
-def _with(settings: DeviceSettings, event: Setting) -> DeviceSettings:
+def _with(settings: DeviceSettings, event: Event) -> DeviceSettings:
     phase = event.phase_lock_deg
     keys: dict[str, Any] = {
         "rpm": event.rpm,

@@ -5,38 +5,34 @@ So a part of a run is the same as cut out of the whole, and threads change nothi
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 
 from vlp16emu.engine import Unit
+from vlp16emu.engine.position import number_at
+from vlp16emu.extras.bench.events import Event
 from vlp16emu.packets import position_due_ns
 from vlp16emu.random import Purpose, generator, uniform
-from vlp16emu.scenario.events import (
-    Corrupt,
-    Delay,
-    Drop,
-    Duplicate,
-    Freeze,
-    Jitter,
-    PacketEvent,
-    Reorder,
-    Share,
-    Truncate,
-)
+from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, seconds_to_ns
 
-_ORDER = (Jitter, Reorder, Delay, Freeze, Drop, Corrupt, Truncate, Duplicate)
+_ORDER = ("jitter", "reorder", "delay", "freeze", "drop", "corrupt", "truncate", "duplicate")
 """Which of several faults of a packet comes first."""
+_LATE_KEYS = {"delay": "by_s", "jitter": "up_to_s", "duplicate": "after_s"}
+"""Key of the longest delay of a fault."""
 _LONGEST_NS = 20 * MS_NS
 """No more than this lies between packets that follow each other at their rate: 18.6 ms of position packets (63-9243 Rev D,
 section 8.2.2). Where nothing follows, because nothing is sent, a packet is not overtaken."""
 
+Streams = Callable[[int, int], Iterator[Packet]]
+"""Packets of all units due in a span since the first pulse, in order of sending."""
 
-def kinds_of(event: PacketEvent) -> tuple[PacketKind, ...]:
-    """Kinds of packets that an event befalls."""
+
+def kinds_of(event: Event) -> tuple[PacketKind, ...]:
+    """Return the kinds of packets that an event of packets befalls."""
     both = PacketKind.DATA, PacketKind.POSITION
     return both if event.packets == "both" else (PacketKind(event.packets),)
 
@@ -45,67 +41,63 @@ def kinds_of(event: PacketEvent) -> tuple[PacketKind, ...]:
 class PacketFault:
     """An event of packets of one unit."""
 
-    event: PacketEvent
+    event: Event
     number: int
     """Its place among the events of the run, from 0."""
     unit: Unit
     start_ns: int
     """UTC of the first pulse, from which position packets count."""
-    begin_ns: int
-    """UTC, as the next."""
-    end_ns: int
     counted: Mapping[PacketKind, range]
     """Numbers of the packets that it may befall, where they are counted."""
 
     def befalls(self, packet: Packet, number: int) -> bool:
         """Whether it befalls a packet with a number among those of its unit and kind, by what that was before all faults."""
-        if packet.kind not in kinds_of(self.event):
+        event, since_ns = self.event, packet.due_ns - self.start_ns
+        if packet.kind not in kinds_of(event):
             return False
-        lasts = self.begin_ns <= packet.due_ns < self.end_ns
-        is_in = number in self.counted[packet.kind] if self.counted else lasts
-        if not is_in or not isinstance(self.event, Share) or self.event.share == 1.0:
+        is_in = number in self.counted[packet.kind] if self.counted else event.begin_ns <= since_ns < event.end_ns
+        if not is_in or not event.is_random:
             return is_in
-        return self._random(Purpose.PACKET_FAULT, packet, number) < self.event.share
+        return bool(self._random(Purpose.PACKET_FAULT, packet, number) < event.share)
 
     @property
     def longest_ns(self) -> int:
-        """By how much it makes packets late at most."""
-        match self.event:
-            case Delay(by_s=late_s) | Jitter(up_to_s=late_s) | Duplicate(after_s=late_s):
-                return seconds_to_ns(late_s)
-            case Reorder(by=by):
-                return by * _LONGEST_NS + 1
-        return 0
+        """Longest delay that it gives a packet."""
+        if self.event.kind == "reorder":
+            return int(self.event.by) * _LONGEST_NS + 1
+        key = _LATE_KEYS.get(self.event.kind)
+        return seconds_to_ns(getattr(self.event, key)) if key else 0
 
     def change(self, packet: Packet, number: int) -> tuple[Packet, ...]:
-        """Give what becomes of a packet that it befalls, but for what depends on the packets before it."""
-        match self.event:
-            case Drop():
+        """Return what becomes of a packet that it befalls, but for what depends on the packets before it."""
+        event, due_ns, payload = self.event, packet.due_ns, packet.payload
+        match event.kind:
+            case "drop":
                 return ()
-            case Duplicate(after_s=after_s):
-                return packet, replace(packet, due_ns=packet.due_ns + seconds_to_ns(after_s))
-            case Delay(by_s=by_s):
-                return (replace(packet, due_ns=packet.due_ns + seconds_to_ns(by_s)),)
-            case Reorder(by=by):
-                return (replace(packet, due_ns=self._behind_ns(packet, by)),)
-            case Corrupt(bits=bits):
-                return (replace(packet, payload=self._flipped(packet, number, bits)),)
-            case Truncate(to_bytes=to_bytes):
-                return (replace(packet, payload=packet.payload[:to_bytes]),)
-        return (packet,)
+            case "duplicate":
+                return packet, replace(packet, due_ns=due_ns + self.longest_ns)
+            case "delay":
+                due_ns += self.longest_ns
+            case "reorder":
+                due_ns += self._overtaken_ns(packet, event.by)
+            case "corrupt":
+                payload = self._flipped(packet, number, event.bits)
+            case "truncate":
+                payload = payload[: event.to_bytes]
+        return (replace(packet, due_ns=due_ns, payload=payload),)
 
     def jitter_ns(self, packet: Packet, number: int) -> int:
         """Draw the delay of a packet."""
         return int(self._random(Purpose.PACKET_JITTER, packet, number) * self.longest_ns)
 
-    def _behind_ns(self, packet: Packet, by: int) -> int:
-        """Time just after the packet leaves that is so many of its kind behind one."""
+    def _overtaken_ns(self, packet: Packet, by: int) -> int:
+        """Time until just after the packet leaves that is `by` packets of its kind behind one."""
         if packet.kind is PacketKind.POSITION:
             rate = on_the_wire(self.unit.section).position_rate
             due_ns = position_due_ns(rate, self.unit.seed, self.start_ns, packet.number, by + 1)
-            return packet.due_ns + int(due_ns[-1] - due_ns[0]) + 1
+            return int(due_ns[-1] - due_ns[0]) + 1
         assert packet.fired_ns is not None
-        return packet.due_ns + by * min(packet.due_ns - packet.fired_ns, _LONGEST_NS) + 1
+        return by * min(packet.due_ns - packet.fired_ns, _LONGEST_NS) + 1
 
     def _flipped(self, packet: Packet, number: int, bits: int) -> bytes:
         """Flip different bits of the payload; none of one that was not cast."""
@@ -137,7 +129,7 @@ class Wire:
     def __init__(
         self, faults: Sequence[PacketFault], numbers: Mapping[int, int], frozen: Mapping[tuple[int, PacketKind], Packet]
     ) -> None:
-        self._faults = sorted(faults, key=lambda fault: _ORDER.index(type(fault.event)))
+        self._faults = sorted(faults, key=lambda fault: _ORDER.index(fault.event.kind))
         self._numbers = Counter(numbers)
         self._frozen = dict(frozen)
         self._left_ns = Counter[tuple[int, int, PacketKind]]()
@@ -156,7 +148,6 @@ class Wire:
             yield heappop(waiting)[-1]
 
     def _after_faults(self, packet: Packet) -> list[Packet]:
-        """Let all faults happen to a packet."""
         number = packet.number
         if packet.kind is PacketKind.DATA:
             number = self._numbers[packet.unit]
@@ -166,9 +157,9 @@ class Wire:
             if fault.unit.number != packet.unit:
                 continue
             hit = fault.befalls(packet, number)
-            if isinstance(fault.event, Jitter):
+            if fault.event.kind == "jitter":
                 out = [self._queued(fault, each, number, hit=hit) for each in out]
-            elif hit and isinstance(fault.event, Freeze):
+            elif hit and fault.event.kind == "freeze":
                 first = self._frozen.setdefault((fault.number, packet.kind), packet)
                 as_first = {"payload": first.payload, "fired_ns": first.fired_ns, "slots": first.slots}
                 out = [replace(each, **as_first) for each in out]  # type: ignore[arg-type]  # each of its own type
@@ -183,3 +174,46 @@ class Wire:
         if packet.kind in kinds_of(fault.event):
             due_ns = self._left_ns[key] = max(due_ns, self._left_ns[key])
         return packet if due_ns == packet.due_ns else replace(packet, due_ns=due_ns)
+
+
+def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
+    """Return the faults of packets among the events of a run."""
+    faults = list[PacketFault]()
+    for number, event in enumerate(scenario.events):
+        if event.effect != "packets":
+            continue
+        unit, counted = units[event.unit - 1], dict[PacketKind, range]()
+        if event.count is not None:
+            firsts = {kind: number_at(scenario, unit, kind, event.begin_ns) for kind in kinds_of(event)}
+            counted = {kind: range(first, first + event.count) for kind, first in firsts.items()}
+        faults.append(PacketFault(event, number, unit, scenario.start_ns, counted))
+    return faults
+
+
+def earliest_ns(faults: Sequence[PacketFault], start_ns: int) -> int:
+    """Find the time since the first pulse from which on packets may be so late that they arrive at `start_ns`, or later."""
+    return max(start_ns - sum(fault.longest_ns for fault in faults if fault.event.begin_ns < start_ns), 0)
+
+
+def arriving(
+    scenario: Scenario, units: Sequence[Unit], streams: Streams, start_ns: int, stop_ns: int
+) -> Iterator[Packet]:
+    """Return the packets that arrive in a span since the first pulse; those that leave in it, where nothing happens to them."""
+    faults = faults_of(scenario, units)
+    if not faults:
+        return streams(start_ns, stop_ns)
+    from_ns = earliest_ns(faults, start_ns)
+    frozen = {
+        (fault.number, kind): packet
+        for fault in faults
+        if fault.event.kind == "freeze" and fault.event.begin_ns < from_ns < fault.event.end_ns
+        for kind in kinds_of(fault.event)
+        if (packet := _first(fault, kind, streams(fault.event.begin_ns, stop_ns)))
+    }
+    numbers = {unit.number: unit.timeline.count(0, from_ns) for unit in units}
+    passed = Wire(faults, numbers, frozen).passed(streams(from_ns, stop_ns))
+    return (packet for packet in passed if start_ns <= packet.due_ns - scenario.start_ns < stop_ns)
+
+
+def _first(fault: PacketFault, kind: PacketKind, packets: Iterator[Packet]) -> Packet | None:
+    return next((packet for packet in packets if packet.unit == fault.unit.number and packet.kind is kind), None)

@@ -1,8 +1,7 @@
 """The sensor as its web interface sees it: what is set, what is saved, and how it is at an instant."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
@@ -132,8 +131,8 @@ class Device:
     ----------
     factory : what is set where nothing has been saved
     status : gives the sensor as it is now; called from the thread of the web server, and must not wait
-    changed : called after each change by `change`, with all settings; must not wait; where it raises, nothing changes
-    reset : called by `restart` with the settings after power-up; must not wait; where it raises, nothing changes
+    changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` where the sensor starts
+        again; must not wait; if it raises, nothing changes
     info : serial number and the like
     saved : file that saved settings are kept in from run to run; None to keep them for this run
 
@@ -148,13 +147,12 @@ class Device:
         factory: DeviceSettings,
         *,
         status: Callable[[], DeviceStatus],
-        changed: Callable[[DeviceSettings], None],
-        reset: Callable[[DeviceSettings], None],
+        changed: Callable[..., None],
         info: DeviceInfo,
         saved: Path | None = None,
     ) -> None:
         self.status, self.info = status, info
-        self._changed, self._reset, self._file = changed, reset, saved
+        self._changed, self._file = changed, saved
         self._lock = Lock()
         self._power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
         self._settings = self._power_up
@@ -169,19 +167,27 @@ class Device:
         """What will be set after the next power-up: what was saved last, otherwise what the factory has set."""
         return self._power_up
 
-    def change(self, made: Callable[[DeviceSettings], DeviceSettings]) -> None:
-        """Set what is made of the settings as they are."""
+    def change(self, made: Callable[[DeviceSettings], DeviceSettings], *, restarts: bool = False) -> None:
+        """Replace the settings by `made(settings)`; errors as of `changed`."""
         with self._lock:
-            before, after = self._settings, made(self._settings)
-            self._settings = after
-        if after != before:
-            with self._back_to(before):
-                self._changed(after)
+            before = self._settings
+            self._settings = after = made(before)
+            if after == before and not restarts:
+                return
+            try:
+                self._changed(before, after, restarts=restarts)
+            except Vlp16emuError:
+                self._settings = before
+                raise
 
-    def adopt(self, settings: DeviceSettings) -> None:
-        """Take over settings that the sensor has already been given by another way, such as an event of the scene."""
+    def adopt(self, made: Callable[[DeviceSettings], DeviceSettings]) -> None:
+        """Replace the settings as the sensor has already been set by another way, such as an event of the scene."""
         with self._lock:
-            self._settings = settings
+            self._settings = made(self._settings)
+
+    def restart(self) -> None:
+        """Start again from the settings after power-up; those that are not saved are lost."""
+        self.change(lambda _: self._power_up, restarts=True)
 
     def save(self) -> None:
         """Keep what is set for the next power-up; `OutputError` or `RunError` where the file cannot be written."""
@@ -190,23 +196,6 @@ class Device:
                 with OutputFile(self._file) as output, output.writing() as file:
                     file.write(_SETTINGS.dump_json(self._settings, indent=2) + b"\n")
             self._power_up = self._settings
-
-    def restart(self) -> None:
-        """Start again from the settings after power-up; those that are not saved are lost."""
-        with self._lock:
-            before, after = self._settings, self._power_up
-            self._settings = after
-        with self._back_to(before):
-            self._reset(after)
-
-    @contextmanager
-    def _back_to(self, before: DeviceSettings) -> Iterator[None]:
-        """Set what was set before where the stream cannot follow."""
-        try:
-            yield
-        except Vlp16emuError:
-            self.adopt(before)
-            raise
 
 
 def explained(error: ValidationError) -> tuple[str, str, str]:

@@ -13,17 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, TrajectoryError, readable
-from vlp16emu.extras.clouds.cloud import DESKEWED_COLUMNS, LABEL_COLUMNS, TRUTH_COLUMNS, CloudAbout, Column, point_file
+from vlp16emu.extras.clouds.cloud import (
+    DESKEWED_COLUMNS,
+    LABEL_COLUMNS,
+    TRUTH_COLUMNS,
+    CloudAbout,
+    Column,
+    point_file,
+    time_comment,
+)
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
+from vlp16emu.extras.recorded.files import read_tum
+from vlp16emu.extras.recorded.motion import RecordedMotion
+from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.motion import Recorded
 from vlp16emu.motion.pose import rotation, rotations
-from vlp16emu.motion.pose_files import read_tum
-from vlp16emu.motion.recorded import RecordedMotion
-from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
-from vlp16emu.scan import clock_zero_ns, twins
+from vlp16emu.packets import CaptureReader, Clock, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.scan import twins
 from vlp16emu.scenario import load
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 _MINUTE_NS = 60 * S_NS
 _PACKETS = 100
@@ -75,16 +83,17 @@ class Trajectory:
         return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
 
     def has(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(n,) whether instants (n,) lie between the first and the last pose."""
+        """(n,) whether instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
         at_ns = t_ns + self._offset_ns
-        inside: NDArray[np.bool_] = (at_ns >= self._first_ns) & (at_ns <= self._last_ns)
+        inside: NDArray[np.bool_] = (at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS)
         return inside
 
     def poses_at(self, t_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
-        body = self._motion.poses_at(t_ns + self._offset_ns)
+        at_ns = np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns)
+        body = self._motion.poses_at(at_ns)
         turn, place_m = body.world_R_body, body.world_p_body_m
-        minutes = (t_ns + self._offset_ns - self._first_ns) / _MINUTE_NS
+        minutes = (at_ns - self._first_ns) / _MINUTE_NS
         if self._drift_deg:
             off = rotations(np.radians(self._drift_deg * minutes), 0.0, 0.0)
             turn = off @ turn
@@ -147,13 +156,16 @@ class Deskewed:
     """Ended by its stop event."""
 
 
-def write_deskewed(capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event) -> Deskewed:
+def write_deskewed(
+    capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event, clock: str | None = None
+) -> Deskewed:
     """Write the points of a capture, in the world and in the sensor's frame, to a file as of `point_file`.
 
     Parameters
     ----------
     truth : labels points with what they lie on
     stop : ends the file between two parts of the capture
+    clock : of the pulses, as `vlp16emu.packets.unit_clocks`
 
     Raises
     ------
@@ -163,13 +175,14 @@ def write_deskewed(capture: Path, path: Path, way: Trajectory, truth: CaptureTru
         where the capture cannot be read, or is damaged; the file holds the points before
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
-    with CaptureReader(capture, known) as reader:
+    stamped = packet_clock(capture, known, clock, where="--clock")
+    with CaptureReader(capture, known, clock=stamped) as reader:
         chunks = reader.points()
         first = next(chunks)
-        zero_ns, start_ns = clock_zero_ns(reader, first), int(first.packet_ns[0])
+        start_ns = int(first.utc_ns[0])
         about = CloudAbout(
-            ("x, y, z in the world by a trajectory", "time in seconds since the first pulse of the capture"),
-            start_utc=datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=(start_ns + zero_ns) // 1000),
+            ("x, y, z in the world by a trajectory", time_comment(f"{stamped.clock}'s")),
+            start_utc=datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000),
             origin=way.origin,
             unit=way.unit,
         )
@@ -177,37 +190,34 @@ def write_deskewed(capture: Path, path: Path, way: Trajectory, truth: CaptureTru
         points = without_pose = last_ns = 0
         with point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
             for chunk in chain([first], chunks):
-                for block, left_out in _blocks(chunk, way, truth, (zero_ns, start_ns)):
+                for block, left_out in _blocks(chunk, way, truth, start_ns):
                     writer.write(block)
                     points, without_pose = points + len(block["t_ns"]), without_pose + left_out
-                last_ns = int(chunk.packet_ns[-1]) - start_ns
+                last_ns = int(chunk.utc_ns[-1]) - start_ns
                 if stop.is_set():
                     break
             if without_pose and not points:
-                raise _no_pose(way, (start_ns + zero_ns) / S_NS, last_ns / S_NS)
+                raise _no_pose(way, stamped.clock, start_ns / S_NS, last_ns / S_NS)
     files, size = (str(path), str(capture), str(way.path)), path.stat().st_size
     return Deskewed(*files, points, without_pose, truth is not None, last_ns / S_NS, size, interrupted=stop.is_set())
 
 
 def _blocks(
-    chunk: PacketChunk, way: Trajectory, truth: CaptureTruth | None, clock_ns: tuple[int, int]
+    chunk: PacketChunk, way: Trajectory, truth: CaptureTruth | None, start_ns: int
 ) -> Iterator[tuple[dict[str, NDArray[Any]], int]]:
-    """Place the points of data packets, each echo once, some packets at a time; beside them how many have no pose.
-
-    `clock_ns` are UTC of the zero of the sensor's clock, and the first pulse of the capture by that clock.
-    """
-    zero_ns, start_ns = clock_ns
+    """Yield the placed points of some data packets at a time, each echo once, and how many have no pose."""
+    chunk_t_ns = chunk.t_ns
     points, once = chunk.points, ~twins(chunk.points)
     cuts = np.searchsorted(points.packet, np.arange(0, len(chunk.fields) + _PACKETS, _PACKETS)).tolist()
     for number, (begin, end) in enumerate(pairwise(cuts)):
         part = begin + np.flatnonzero(once[begin:end])
-        has_pose = way.has(chunk.clock_ns[part] + zero_ns)
+        has_pose = way.has(chunk_t_ns[part])
         kept = part[has_pose]
-        t_ns, sensor_m = chunk.clock_ns[kept] + zero_ns, points.xyz_m[kept]
+        t_ns, sensor_m = chunk_t_ns[kept], points.xyz_m[kept]
         turn, place_m = way.poses_at(t_ns)
         block = {
             "t_ns": t_ns,
-            "since_start_ns": chunk.clock_ns[kept] - start_ns,
+            "since_start_ns": t_ns - start_ns,
             "world_m": np.einsum("nij,nj->ni", turn, sensor_m.astype(np.float64)) + place_m,
             "sensor_m": sensor_m,
             "viewpoint_m": place_m,
@@ -238,9 +248,9 @@ def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float]
     return file, origin, sensor if len(known) > 1 else None
 
 
-def _no_pose(way: Trajectory, start_s: float, duration_s: float) -> TrajectoryError:
+def _no_pose(way: Trajectory, clock: Clock, start_s: float, duration_s: float) -> TrajectoryError:
     begin_s, end_s = way.span_s
-    pulses = f"from {start_s:.3f} to {start_s + duration_s:.3f} s by the sensor's clock (see --time-offset)"
+    pulses = f"from {start_s:.3f} to {start_s + duration_s:.3f} s by the {clock} clock (see --clock and --time-offset)"
     return TrajectoryError(
         str(way.path), f"poses from {begin_s:.3f} to {end_s:.3f} s", f"poses at the pulses, {pulses}"
     )

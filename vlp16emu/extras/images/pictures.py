@@ -1,4 +1,4 @@
-"""Images in a folder: PNG for what people look at, OpenEXR for what is measured, and beside them cameras and poses."""
+"""A folder of images: PNG to look at, OpenEXR with exact values, and the intrinsics and poses of the camera."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,20 +15,26 @@ from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.types import Poses
 
 LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.uint8, "species": np.uint16}
-"""Folders of PNG files, and what their pixels are; that of depth has multiples of 2 mm, as packets have."""
+"""Folders of PNG files and the type of their pixels; depth is in steps of 2 mm, as in packets."""
 _POSES = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; camera z forward, x right, y down\n"
 
 
 class PictureFolder:
-    """A folder for the images of one run; a context manager.
+    """A folder for the images of one run: a context manager that writes the poses at its end.
 
-    It is an `OutputFolder`: it takes its name at the end, when the poses are written. After an error the images so far stay
-    without that name.
+    It is an `OutputFolder`, and takes its name then. After an error the images so far stay without that name.
 
     Parameters
     ----------
-    path : new or empty, else OutputError
+    path : new or empty folder
     cameras : content of `cameras.json`
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be made or is not empty
+    MissingExtraError
+        If Pillow or OpenEXR is not installed
     """
 
     def __init__(self, path: Path, cameras: Mapping[str, Any]) -> None:
@@ -68,13 +74,13 @@ class PictureFolder:
 
     @property
     def images(self) -> int:
-        """How many are written."""
+        """Number of images written."""
         return len(self._poses) - 1
 
     def add(
         self, pose: Poses, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32], labels: Mapping[str, NDArray[Any]]
     ) -> None:
-        """Write one image by the pose of the camera.
+        """Write one image, taken at a pose of the camera.
 
         Parameters
         ----------
@@ -95,7 +101,6 @@ class PictureFolder:
         self._poses.append(tum_rows(pose))
 
     def _write_exr(self, file: BinaryIO, channels: Mapping[str, NDArray[Any]]) -> None:
-        """Write the exact values; the library writes the file by its name."""
         header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
         try:
             with self._exr.File(header, {key: np.ascontiguousarray(channels[key]) for key in channels}) as image:

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import norm
 from vlp16emu.engine import Parts
 from vlp16emu.engine.windows import STEPS, Batching, Windows
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.live.knots import STEP_NS, Knots
+from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.motion.pose_files import RATES, UNIT_TOLERANCE, finite, named_cells, seconds_ns
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.tables import Column, read_table
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -22,9 +22,13 @@ Array = NDArray[np.float64]
 Cell = tuple[int, int, int]
 """Name of a box of the world, for whose sensors a window is opened."""
 
-_STATE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", *RATES[:-1])
-_CELL = RATES[-1]
-FLOWN_HEADER = ",".join(["t_s", *_STATE, _CELL]) + "\n"
+_RATES = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
+_COLUMNS = {
+    **TIMED_POSES,
+    **{name: Column({name: 1.0}) for name in _RATES},
+    "cell": Column({"cell": 1.0}, is_filled=False),
+}
+FLOWN_HEADER = ",".join(_COLUMNS) + "\n"
 """First line of the table."""
 
 
@@ -50,22 +54,18 @@ def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
 
 def read_flown(path: Path) -> Flown:
     """Read a table of knots; `TrajectoryError` where the file is none, or is not whole from its beginning."""
-    lines = named_cells(path, ["t_s", *_STATE, _CELL], [])
-    if len(lines) < 2:
-        raise TrajectoryError(str(path), f"found {len(lines)} knots", "at least 2")
-    states, cells = np.empty((len(lines), len(_STATE))), list[tuple[int, Cell]]()
-    for number, (where, row) in enumerate(lines):
-        if seconds_ns(where, row["t_s"]) != number * STEP_NS:
+    table = read_table(path, _COLUMNS, "a table of knots", TrajectoryError)
+    if len(table) < 2:
+        raise TrajectoryError(str(path), f"found {len(table)} knots", "at least 2")
+    for number, t_ns in enumerate(table.times_ns("t_s")):
+        if t_ns != number * STEP_NS:
             expected = f"{number * STEP_NS / S_NS:.9f}, as knots are {STEP_NS / S_NS:.9f} s apart"
-            raise TrajectoryError(f"{where}, column t_s", f"found {row['t_s']}", expected)
-        states[number] = [finite(f"{where}, column {name}", row[name]) for name in _STATE]
-        if row[_CELL] or number == 0:
-            cells.append((number, _cell(f"{where}, column {_CELL}", row[_CELL])))
-    lengths = norm(states[:, 3:7])
-    if (off := np.abs(lengths - 1.0) > UNIT_TOLERANCE).any():
-        i = int(off.argmax())
-        raise TrajectoryError(lines[i][0], f"a quaternion of length {lengths[i]:.6g}", "length 1")
-    return Flown(states, tuple(cells))
+            raise TrajectoryError(table.where(number, "t_s"), f"found {table.cells['t_s'][number]}", expected)
+    states = table.numbers(*POSE, *_RATES)
+    unit_lengths(table, states[:, 3:7])
+    names = enumerate(table.texts("cell"))
+    cells = tuple((i, _cell(table.where(i, "cell"), text)) for i, text in names if text or i == 0)
+    return Flown(states, cells)
 
 
 class FlownMotion:

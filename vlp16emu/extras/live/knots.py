@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp
+from vlp16emu.extras.recorded.motion import fill_poses, fill_rates
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.motion.recorded import fill_poses, fill_rates
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS

@@ -1,4 +1,4 @@
-"""What stands in a forest, in the figures that foresters use."""
+"""Figures of forestry: density, diameter, basal area, volume, pattern, relief."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from vlp16emu.types import HeightField
 Array = NDArray[np.float64]
 
 CELL_M = 0.5
-"""Edge of the cells for areas and slopes: about as long as a foot that feels the slope."""
+"""Edge of the cells for areas and slopes: about the length of a foot on the slope."""
 
 
 @dataclass(frozen=True, slots=True)
 class StandRow:
-    """One species of a stand, or all together."""
+    """Figures of one species of a stand, or of all."""
 
     species: str
     stems: int
@@ -46,7 +46,7 @@ class Relief:
 
 
 def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[StandRow]:
-    """Rows of all species of an inventory (n,), the most frequent first, and at the end one of all trees where species are several."""
+    """Return rows of the species of an inventory (n,), the most frequent first, and a last one of all trees if there are several."""
     numbers, stems = np.unique(inventory["species"], return_counts=True)
     rows = [
         _row(species[int(number)], inventory[inventory["species"] == number], ground_m2)
@@ -56,7 +56,6 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
 
 
 def _row(name: str, trees: NDArray[np.void], ground_m2: float) -> StandRow:
-    """Sum up trees (n,), n >= 1."""
     ground_ha = ground_m2 / 10_000
     dbh_m = trees["dbh_m"]
     return StandRow(
@@ -75,9 +74,9 @@ def _row(name: str, trees: NDArray[np.void], ground_m2: float) -> StandRow:
 
 
 def clark_evans(xy_m: Array, all_xy_m: Array, ground_m2: float) -> float:
-    """Index of Clark and Evans (1954): mean distance to the nearest neighbour over that of a random pattern.
+    """Return the index of Clark and Evans (1954): mean distance to the nearest neighbour over its expectation at random.
 
-    It is 1 at random, less in clumps, up to 2.149 where regular.
+    It is 1 at random, less in clumps, and up to 2.149 in a regular pattern.
 
     Parameters
     ----------
@@ -89,7 +88,7 @@ def clark_evans(xy_m: Array, all_xy_m: Array, ground_m2: float) -> float:
 
 
 def cells_near(way_xy_m: Array, radius_m: float) -> Array:
-    """Middles (n, 2) of the cells of `CELL_M` whose distance from a dense line of points (m, 2) is a radius at most.
+    """Return the middles (n, 2) of the cells of `CELL_M` within a radius of a dense line of points (m, 2).
 
     Their number times `CELL_M` squared is the area around the path.
     """
@@ -102,7 +101,7 @@ def cells_near(way_xy_m: Array, radius_m: float) -> Array:
 
 
 def relief(cells_xy_m: Array, height_m: HeightField) -> Relief:
-    """Heights and slopes of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
+    """Return heights and slopes of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
     x_m, y_m = cells_xy_m.T
     half = CELL_M / 2
     rise_x = (height_m(x_m + half, y_m) - height_m(x_m - half, y_m)) / CELL_M

@@ -1,4 +1,4 @@
-"""What a run saw of each stem, from the truth of its returns."""
+"""Coverage of each stem by the returns of a run, from their ground truth."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.forest.plants.flora import Table, Trees
-from vlp16emu.forest.plants.stem_form import StemForms, stem_forms
-from vlp16emu.forest.plants.stem_rings import axis_m
+from vlp16emu.forest.plants.stem_rings import StemForms, axis_m, stem_forms
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.vectors import places_m
 
@@ -23,24 +22,24 @@ STEM_SEEN = np.dtype(
         ("breast_seen_deg", "<f8"),  # of the stem's girth between 1.1 m and 1.5 m, in cells of 10 degrees
     ]
 )
-"""What returns show of a stem."""
+"""Coverage of a stem by returns."""
 
 _SECTORS = 36
 """Cells around a stem."""
 
 _LOW_M, _CELL_M = 0.3, 0.5
-"""Where cells begin above the foot, and their height."""
+"""Beginning of the cells above the foot, and their height."""
 
 _BREAST_M = (1.1, 1.5)
 
 _ASIDE_M = 0.5
-"""A return is from the stem itself, and of this world, if it is nearer to the axis than this and a diameter."""
+"""A return is from the stem itself, and of this world, if it is nearer to the axis than this plus a diameter."""
 
 _COLUMNS = ["world_x_m", "world_y_m", "world_z_m", "semantic", "part", "instance"]
 
 
 def tables_of_returns(folder: Path) -> list[Path]:
-    """Find what is behind the returns of a run, a table for each unit; InputError where there is none."""
+    """Return the ground truth of the returns of a run, a table per unit; InputError if there is none."""
     tables = sorted(folder.glob("returns*.parquet"))
     if not tables:
         raise InputError(str(folder), "no returns.parquet", "the truth of a run with --truth-returns")
@@ -48,14 +47,17 @@ def tables_of_returns(folder: Path) -> list[Path]:
 
 
 def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = None) -> NDArray[np.void]:
-    """Sum up what the returns of a run show of stems: (n,) `STEM_SEEN`.
-
-    InputError where a file is no table of returns, or of another world.
+    """Return the coverage of stems by the returns of a run: (n,) `STEM_SEEN`.
 
     Parameters
     ----------
     trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
-    table : species; that of the program if none is given
+    table : species; the program's own if None
+
+    Raises
+    ------
+    InputError
+        If a file is no table of returns, or of another world
     """
     forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
     cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
@@ -84,7 +86,7 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
 
 
 def _of_stems(returns: dict[str, NDArray[np.float64]], ids: NDArray[np.uint32]) -> tuple[NDArray[np.int64], Array]:
-    """Give the returns from stems of trees with these ids (n,), ascending: row of the tree (k,), and place (k, 3)."""
+    """Return the returns from stems of trees with these ids (n,), ascending: row of the tree (k,), and place (k, 3)."""
     is_stem = np.isin(returns["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
     is_stem &= (returns["semantic"] == Semantic.TREE) & np.isin(returns["instance"], ids)
     at_m = np.column_stack([returns[name][is_stem] for name in _COLUMNS[:3]])
@@ -94,7 +96,7 @@ def _of_stems(returns: dict[str, NDArray[np.float64]], ids: NDArray[np.uint32]) 
 def _about_axes(
     trees: Trees, forms: StemForms, which: NDArray[np.int64], at_m: Array
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
+    """Return height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
     own = trees[which]
     from_foot_m = at_m - places_m(own)
     up_m = from_foot_m[:, 2]

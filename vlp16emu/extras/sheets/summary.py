@@ -1,4 +1,4 @@
-"""What stands along the path of a sensor, in figures."""
+"""Figures of what stands along the path of a sensor."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ _MEASURES = {
     "root_plate": ("diameter", 1),
     **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
 }
-"""What is reported of the size of a kind, and along which axis it lies."""
+"""Reported size of a kind of thing, and its axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class PathSummary:
     """The path of the sensor."""
 
     length_m: float
-    """0 where it stands."""
+    """0 if the sensor stands still."""
     start_m: list[float]
     """x, y, z."""
     end_m: list[float]
@@ -36,7 +36,7 @@ class PathSummary:
 
 @dataclass(frozen=True, slots=True)
 class NamedThing:
-    """A thing of a hall, or one of the user's own."""
+    """A named thing: of a hall, or one of the user's own."""
 
     name: str
     kind: str
@@ -52,45 +52,45 @@ class Things:
     count: int
     per_ha: float
     measure: str
-    """What of their size the next two are."""
+    """The size whose extremes follow: height, length or diameter."""
     least_m: float
     greatest_m: float
     species: Mapping[str, int]
-    """Their number by name, the most frequent first."""
+    """Counts by name, the most frequent first."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorldSummary:
-    """What every world has."""
+    """Figures of any world."""
 
     scene: str
     title: str
     seed: int
     world: str
-    """Its kind."""
+    """Kind of the world."""
     path: PathSummary
     radius_m: float
-    """Of the surroundings that are looked at."""
+    """Distance from the path within which things are reported."""
     named: tuple[NamedThing, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class ForestSummary(WorldSummary):
-    """What a world with trees has besides, within the radius."""
+    """Figures of a forest, within the radius."""
 
     area_ha: float
     relief: Relief
     trees: tuple[StandRow, ...]
     clark_evans: float | None
-    """None with less than two trees."""
+    """None with fewer than two trees."""
     things: Mapping[str, Things]
     """By kind."""
     trees_in_reach: int
-    """Of the sensor."""
+    """Trees within the sensor's range."""
 
 
 def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
-    """Sum up a survey; `scene` is its name there."""
+    """Summarise the survey of a scene of this name."""
     path_xy_m = seen.path_m[:, :2]
     length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
     bare = WorldSummary(
@@ -114,7 +114,7 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
     return ForestSummary(
         **{name: getattr(bare, name) for name in WorldSummary.__slots__},
         area_ha=ground_m2 / 10_000,
-        relief=relief(cells, seen.height_m),
+        relief=relief(cells, seen.bare.height_m),
         trees=tuple(stand_rows(seen.inventory(seen.near), seen.species, ground_m2)),
         clark_evans=clark_evans(xy_m, all_xy_m, ground_m2) if len(xy_m) > 1 else None,
         things=_things(seen, ground_m2),

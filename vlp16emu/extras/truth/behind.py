@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Unit
 from vlp16emu.packets.data import distance_lsb, odd_column
-from vlp16emu.packets.layout import NO_ECHO, SEQUENCES_PER_PACKET, SLOT
+from vlp16emu.packets.layout import NO_ECHO, RECORDS_PER_PACKET, SLOT
 from vlp16emu.types import SURFACE, ReturnMode, Returns
 
 _ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}
@@ -32,8 +32,7 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
         rows = np.stack([pair.reshape(-1, 32) for pair in pairs], axis=1)  # two blocks to two firing sequences
     else:
         rows = _rows(unit, returns, np.full(shape, _ONLY_COLUMN[mode]))
-    packets = len(returns.distance_m) // SEQUENCES_PER_PACKET[mode]
-    return rows.reshape(packets, -1)
+    return rows.reshape(-1, RECORDS_PER_PACKET)
 
 
 def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np.void]:

@@ -5,14 +5,11 @@ from dataclasses import dataclass
 from itertools import islice
 
 from vlp16emu.engine import Unit
-from vlp16emu.engine.changes import end_ns
-from vlp16emu.engine.timetable import number_at, timetable
-from vlp16emu.extras.bench.faults import PacketFault, kinds_of
-from vlp16emu.extras.bench.wire import faults_of
+from vlp16emu.engine.position import number_at, timetable
+from vlp16emu.extras.bench.events import Event
+from vlp16emu.extras.bench.faults import PacketFault, faults_of, kinds_of
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.events import Event, GpsEvent, LastingEvent, PacketEvent, PowerCycle, Share
 from vlp16emu.types import PacketKind
-from vlp16emu.units import seconds_to_ns
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -49,46 +46,36 @@ def happenings(
     """
     found = list[Happening]()
     for place, event in enumerate(scenario.events):
-        begin_ns = seconds_to_ns(event.at_s)
-        if not _is_random(event) and (from_ns is None or from_ns <= begin_ns) and begin_ns < until_ns:
+        begin_ns = event.begin_ns
+        if not event.is_random and (from_ns is None or from_ns <= begin_ns) and begin_ns < until_ns:
             found += _whole(scenario, units[event.unit - 1], place, event, stop_ns)
-    random = [fault for fault in faults_of(scenario, units) if _is_random(fault.event)]
+    random = [fault for fault in faults_of(scenario, units) if fault.event.is_random]
     if random:
         found += _single(scenario, units, random, from_ns or 0, until_ns)
     return sorted(found)
 
 
-def _is_random(event: Event) -> bool:
-    return isinstance(event, Share) and event.share < 1.0
-
-
 def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: int) -> Iterator[Happening]:
-    """Give an event with all packets that are due meanwhile."""
-    begin_ns = over_ns = seconds_to_ns(event.at_s)
-    if isinstance(event, LastingEvent):
-        over_ns = min(end_ns(event), max(stop_ns, begin_ns))
-    elif isinstance(event, PowerCycle):
-        over_ns = seconds_to_ns(event.at_s + event.off_s)
-    kinds: tuple[PacketKind, ...] = (PacketKind.DATA,)
-    if isinstance(event, GpsEvent):
-        kinds = (PacketKind.POSITION,)
-    elif isinstance(event, PacketEvent):
-        kinds = kinds_of(event)
-    for kind in kinds:
+    """Yield an event with all packets that are due meanwhile."""
+    begin_ns, over_ns, start_ns = event.begin_ns, event.end_ns, scenario.start_ns
+    if event.effect != "power":
+        over_ns = min(over_ns, max(stop_ns, begin_ns))
+    kinds: tuple[PacketKind, ...] = (PacketKind.POSITION if event.effect == "gps" else PacketKind.DATA,)
+    for kind in kinds_of(event) if event.effect == "packets" else kinds:
         first, until_ns = number_at(scenario, unit, kind, begin_ns), over_ns
-        if isinstance(event, PacketEvent) and event.count is not None:
+        if event.effect == "packets" and event.count is not None:
             due_ns = (packet.due_ns for packet in timetable(scenario, [unit], begin_ns, over_ns) if packet.kind is kind)
-            last_ns = max(islice(due_ns, event.count), default=scenario.start_ns + begin_ns)
-            until_ns = last_ns + 1 - scenario.start_ns
+            last_ns = max(islice(due_ns, event.count), default=start_ns + begin_ns)
+            until_ns = last_ns + 1 - start_ns
         count = number_at(scenario, unit, kind, until_ns) - first
-        times = scenario.start_ns + begin_ns, scenario.start_ns + until_ns
+        times = start_ns + begin_ns, start_ns + until_ns
         yield Happening(*times, place + 1, event.unit, event.kind, kind, first, count)
 
 
 def _single(
     scenario: Scenario, units: Sequence[Unit], faults: Sequence[PacketFault], from_ns: int, until_ns: int
 ) -> Iterator[Happening]:
-    """Give the packets due in a span that faults befall."""
+    """Yield the packets due in a span that faults befall."""
     numbers = {unit.number: number_at(scenario, unit, PacketKind.DATA, from_ns) for unit in units}
     for packet in timetable(scenario, units, from_ns, until_ns):
         number = packet.number

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit
-from vlp16emu.engine.timetable import timetable
+from vlp16emu.engine.position import timetable
 from vlp16emu.errors import RunError
-from vlp16emu.extras.bench.wire import arriving, earliest_ns, faults_of
+from vlp16emu.extras.bench.faults import arriving, earliest_ns, faults_of
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
 from vlp16emu.extras.truth.happenings import Happening, happenings
 from vlp16emu.extras.truth.slots import SlotTable
@@ -25,8 +25,8 @@ from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
-from vlp16emu.run.options import TruthTo
-from vlp16emu.run.run import HasEngine, TruthPlace
+from vlp16emu.run.options import TruthPlace, TruthTo
+from vlp16emu.run.run import HasEngine
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
@@ -91,8 +91,7 @@ class Truth:
             self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
             self._folder.write_json("rig.json", rig_of(scenario, parts))
             # The first packet may have begun before it was asked for.
-            faults = faults_of(scenario, self._units)
-            earliest_s = earliest_ns(scenario, faults, seconds_to_ns(span_s[0])) / S_NS
+            earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
             firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
             from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
             at = scenario.start_ns, to.rate_hz
@@ -374,7 +373,7 @@ def write_truth(
     RunError
         If the disk is full; the lines before are kept
     """
-    run = emulator.run.with_truth_in(to)
+    run = emulator.run.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
     run.engine.span_ns(*span_s)  # checks the span before the folder is touched
     done_s, stop = 0.0, stop or Event()

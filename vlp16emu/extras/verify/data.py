@@ -1,12 +1,12 @@
-"""Rules about data packets, checked in chunks as columns: their codes, their time, the rotor, lasers and window."""
+"""Data packets as columns of a chunk, and their rules: codes, time, the rotor, lasers and window."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.extras.verify.frames import HOUR_US, JITTER_US, ClockWatch, wrap_hour_us
-from vlp16emu.extras.verify.rules import Findings, Level, Rule
+from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
 from vlp16emu.packets.layout import (
@@ -66,298 +66,253 @@ _DARKER = 0.35
 _STEADY = 0.25
 """By how much the sectors change in the middle while one turns dark."""
 
-_Found = Callable[[int], str]
-"""Says what stands in packet i of a chunk."""
-
 
 class DataChunk:
-    """Consecutive data packets of one return mode.
+    """Columns of n consecutive data packets of one return mode, and of the steps from packet to packet.
 
     Parameters
     ----------
     datagrams : at least one
+    before : factory bytes of the packet before the first; empty if there is none
     continues : the first packet was the last one of the chunk before, and stands here as its neighbour only
     ends : no chunk follows that begins with the last packet
     """
 
-    def __init__(self, datagrams: Sequence[Datagram], *, continues: bool, ends: bool) -> None:
-        self.continues, self.ends = continues, ends
+    def __init__(self, datagrams: Sequence[Datagram], before: bytes, *, continues: bool, ends: bool) -> None:
+        n = len(datagrams)
+        self.own = slice(1 if continues else 0, n)
+        """Packets whose codes no chunk before has judged."""
+        self.judged = slice(0, n if ends else n - 1)
+        """Packets whose azimuths are judged; of the last one only the next chunk knows the neighbour."""
         self.number, self.stamp_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
-        """(n,) frame numbers and capture stamps."""
         payload = np.frombuffer(b"".join(each.payload for each in datagrams), DATA_PAYLOAD)
         blocks = payload["blocks"]
         self.dual = bool(payload["return_mode"][0] == RETURN_MODE_BYTE[ReturnMode.DUAL])
         self.timestamp_us = payload["timestamp_us"].astype(np.int64)
-        """(n,)."""
         self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)
         """(n, 12)."""
-        records = blocks["records"]
         self.distance_lsb, self.reflectivity = (
-            np.ascontiguousarray(records[name]) for name in ("distance_lsb", "reflectivity")
+            np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
         )
         """(n, 12, 2, 16)."""
+        self._read_factory(payload, before)
+        self._read_codes()
+        self._read_steps()
+        self._read_times()
+        self._read_revolutions()
 
+    def _read_factory(self, payload: NDArray[np.void], before: bytes) -> None:
+        """Find changes of return mode and product; what was there before is not reported again."""
+        self.mode, self.product = payload["return_mode"], payload["factory"]
+        pairs = zip(before or bytes([self.mode[0], self.product[0]]), (self.mode, self.product), strict=True)
+        self.mode_before, self.product_before = (np.append(np.uint8(first), codes[:-1]) for first, codes in pairs)
+        new_mode, new_product = self.mode != self.mode_before, self.product != self.product_before
+        is_new, modes = new_mode | new_product, [*RETURN_MODE_BYTE.values()]
+        self.is_set = new_mode & ~new_product & np.isin(self.mode, modes) & np.isin(self.mode_before, modes)
+        self.is_changed = is_new & ~self.is_set
+        is_new[0] |= not before
+        self.is_no_mode = is_new & ~np.isin(self.mode, modes)
+        is_no_product = is_new & ~np.isin(self.product, [*FACTORY_BYTE.values()])
+        self.is_old_product = is_no_product & (self.product == PRODUCT_BEFORE_RELEASE) & ~new_product
+        self.is_no_product = is_no_product & ~self.is_old_product
 
-def check_factory(number: int, factory: bytes, before: bytes, findings: Findings) -> None:
-    """Check return mode and product of a packet, two bytes that differ from those before; before the first there are none."""
-    if factory[0] not in RETURN_MODE_BYTE.values():
-        findings.add(Rule.FACTORY, number, f"return mode 0x{factory[0]:02x}", "0x37, 0x38 or 0x39")
-    if factory[1] not in FACTORY_BYTE.values():
-        # In the first packet it may be that of a unit from before release; a change to it is an error below.
-        old = factory[1] == PRODUCT_BEFORE_RELEASE and before[1:] in (b"", factory[1:])
-        level = Level.NOTE if old else Level.ERROR
-        findings.add(Rule.FACTORY, number, f"product 0x{factory[1]:02x}", "0x22 or 0x24", level)
-    if before:
-        findings.add(Rule.FACTORY, number, f"bytes {factory.hex(' ')}", f"{before.hex(' ')} as before")
+    def _read_codes(self) -> None:
+        each = np.arange(len(self.number))
+        is_no_flag, self.azimuth = self.flag != BLOCK_FLAG, self.azimuth_cdeg.max(axis=1)
+        self.is_no_flag, self.flag_block = is_no_flag.any(axis=1), is_no_flag.argmax(axis=1)
+        self.flag_found = self.flag[each, self.flag_block].byteswap()
+        self.azimuth_block, self.first_deg = self.azimuth_cdeg.argmax(axis=1), self.azimuth_cdeg[:, 0] / 100
+        self.is_past_turn, self.is_full_turn = self.azimuth > AZIMUTH_CODES, self.azimuth == AZIMUTH_CODES
+        self.is_past_hour = self.timestamp_us >= HOUR_US
+        is_short = (self.distance_lsb > 0) & (self.distance_lsb < MIN_DISTANCE_LSB)
+        self.short = is_short.sum(axis=(1, 2, 3))
+        self.has_short = self.short > 0
+        self.shortest = np.where(is_short, self.distance_lsb, MIN_DISTANCE_LSB).min(axis=(1, 2, 3))
+        # Even and odd blocks of dual return are pairs (63-9243 Rev D, section 9.3.2, p. 57).
+        is_apart = self.azimuth_cdeg[:, ::2] != self.azimuth_cdeg[:, 1::2]
+        self.is_apart, pair = is_apart.any(axis=1), is_apart.argmax(axis=1)
+        self.even, self.odd = 2 * pair, 2 * pair + 1
+        self.even_cdeg, self.odd_cdeg = self.azimuth_cdeg[each, self.even], self.azimuth_cdeg[each, self.odd]
+        last, other = self.distance_lsb[:, ::2], self.distance_lsb[:, 1::2]
+        self.swapped = ((last < other) & (last > 0)).sum(axis=(1, 2, 3))
+        self.has_swapped, equal = self.swapped > 0, last == other
+        is_unequal = equal & (self.reflectivity[:, ::2] != self.reflectivity[:, 1::2])
+        self.unequal, self.pairs = is_unequal.sum(axis=(1, 2, 3)), equal.sum(axis=(1, 2, 3))
+        self.has_unequal = self.unequal > _UNEQUAL_REFLECTIVITY_SHARE * self.pairs
 
+    def _read_steps(self) -> None:
+        """Find the azimuth steps inside packet i and, in the last column, the one to packet i + 1.
 
-def check_codes(chunk: DataChunk, findings: Findings) -> None:
-    """Check flags, ranges and codes of each packet, and the pairs of dual return."""
-
-    def add(rule: Rule, broken: NDArray[np.bool_], found: _Found, expected: str, level: Level = Level.ERROR) -> None:
-        broken[0] &= not chunk.continues
-        findings.add_where(rule, broken, chunk.number, found, expected, level)
-
-    flag, most_cdeg, stamp_us = chunk.flag, chunk.azimuth_cdeg.max(axis=1), chunk.timestamp_us
-    bad_flag = flag != BLOCK_FLAG
-    at = bad_flag.argmax(axis=1)
-    forbidden = (chunk.distance_lsb > 0) & (chunk.distance_lsb < MIN_DISTANCE_LSB)
-    count = forbidden.sum(axis=(1, 2, 3))
-
-    def found_flag(i: int) -> str:
-        return f"{int(flag[i, at[i]]).to_bytes(2, 'little').hex(' ')} at block {at[i]}"
-
-    def found_azimuth(i: int) -> str:
-        return f"azimuth {most_cdeg[i]} at block {chunk.azimuth_cdeg[i].argmax()}"
-
-    def found_distances(i: int) -> str:
-        return f"{count[i]} distances as short as {chunk.distance_lsb[i][forbidden[i]].min()} counts"
-
-    codes = f"0 .. {AZIMUTH_CODES - 1}"
-    add(Rule.FLAG, bad_flag.any(axis=1), found_flag, "ff ee")
-    add(Rule.AZIMUTH_RANGE, most_cdeg > AZIMUTH_CODES, found_azimuth, codes)
-    add(Rule.AZIMUTH_RANGE, most_cdeg == AZIMUTH_CODES, found_azimuth, codes, Level.NOTE)
-    add(Rule.TIME_RANGE, stamp_us >= HOUR_US, lambda i: f"time stamp {stamp_us[i]} us", f"0 .. {HOUR_US - 1}")
-    add(Rule.DISTANCE_CODE, count > 0, found_distances, f"0 or at least {MIN_DISTANCE_LSB}")
-    if chunk.dual:
-        _check_pairs(chunk, add)
-
-
-def _check_pairs(chunk: DataChunk, add: Callable[[Rule, NDArray[np.bool_], _Found, str], None]) -> None:
-    """Even and odd blocks of dual return. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
-    azimuth_cdeg, distance_lsb, reflectivity = chunk.azimuth_cdeg, chunk.distance_lsb, chunk.reflectivity
-    twin_differs = azimuth_cdeg[:, ::2] != azimuth_cdeg[:, 1::2]
-    last, other = distance_lsb[:, ::2], distance_lsb[:, 1::2]
-    swapped = ((last < other) & (last > 0)).sum(axis=(1, 2, 3))
-    equal = last == other
-    unequal = (equal & (reflectivity[:, ::2] != reflectivity[:, 1::2])).sum(axis=(1, 2, 3))
-    pairs, share = equal.sum(axis=(1, 2, 3)), _UNEQUAL_REFLECTIVITY_SHARE
-
-    even = 2 * twin_differs.argmax(axis=1)
-
-    def found_azimuths(i: int) -> str:
-        twins = azimuth_cdeg[i, even[i] : even[i] + 2]
-        return f"azimuths {twins[0]} and {twins[1]} at blocks {even[i]} and {even[i] + 1}"
-
-    def found_unequal(i: int) -> str:
-        return f"{unequal[i]} of {pairs[i]} pairs of equal distance with unequal reflectivity"
-
-    add(Rule.DUAL_AZIMUTH, twin_differs.any(axis=1), found_azimuths, "equal ones")
-    nearer, expected = "pairs with the last return nearer than the other", "the last return to be the farther one"
-    add(Rule.DUAL_ORDER, swapped > 0, lambda i: f"{swapped[i]} {nearer}", expected)
-    add(Rule.DUAL_REFLECTIVITY, unequal > share * pairs, found_unequal, f"at most {share:.0%}")
-
-
-class _Steps:
-    """Azimuth steps of a chunk; row i holds those inside packet i and, at its end, the one to packet i+1.
-
-    The second block of each dual pair is left out.
-    """
-
-    def __init__(self, chunk: DataChunk) -> None:
-        azimuth_cdeg = chunk.azimuth_cdeg[:, :: 2 if chunk.dual else 1]
+        The second block of each dual pair is left out.
+        """
+        azimuth_cdeg = self.azimuth_cdeg[:, :: 2 if self.dual else 1]
         forward_cdeg = np.append(np.diff(azimuth_cdeg.ravel()) % AZIMUTH_CODES, 0)
         self.forward_cdeg: NDArray[np.int64] = forward_cdeg.reshape(azimuth_cdeg.shape)
         """(n, blocks) 0 .. 35999; the very last one leads nowhere and is 0."""
-        self.signed_cdeg: NDArray[np.int64] = (
-            (self.forward_cdeg + AZIMUTH_CODES // 2 - 1) % AZIMUTH_CODES - AZIMUTH_CODES // 2 + 1
-        )
+        half = AZIMUTH_CODES // 2
+        self.signed_cdeg: NDArray[np.int64] = (self.forward_cdeg + half - 1) % AZIMUTH_CODES - half + 1
         self.usual_cdeg = np.median(self.forward_cdeg[:, :-1], axis=1, keepdims=True)
-        """(n, 1) median inside the packet."""
         self.is_even = np.abs(self.signed_cdeg - self.usual_cdeg) <= _STEP_TOLERANCE_CDEG
         self.is_odd: NDArray[np.bool_] = ~self.is_even | (self.signed_cdeg <= 0)
-        """(n, blocks) neither forward nor near the usual step, and not explained."""
+        """(n, blocks) neither forward nor near the usual step; `_read_times` takes off what it explains."""
         self.is_odd[-1, -1] = False
+        inside_cdeg = self.signed_cdeg[:, :-1]
+        self.is_still = np.abs(inside_cdeg).max(axis=1) <= _STILL_CDEG
+        self.is_still &= np.abs(inside_cdeg.sum(axis=1)) <= _STILL_CDEG
+        blocks = azimuth_cdeg.shape[1]
+        self.step_number = np.repeat(self.number[:, None], blocks, axis=1)
+        self.step_number[:-1, -1] = self.number[1:]  # a step belongs to the packet it leads to
+        self.step_deg, self.usual_deg = self.signed_cdeg / 100, float(np.median(self.usual_cdeg)) / 100
+        led_to = np.roll(np.arange(0, BLOCKS_PER_PACKET, BLOCKS_PER_PACKET // blocks), -1)
+        self.step_block = np.broadcast_to(led_to, self.step_deg.shape)
+
+    def _read_times(self) -> None:
+        """Find which of the n - 1 steps of time are regular, and excuse azimuths that time explains."""
+        self.period_ns = BLOCK_PERIOD_NS * self.forward_cdeg.shape[1]
+        self.after = self.number[1:]
+        self.step_us = wrap_hour_us(np.diff(self.timestamp_us))
+        self.low_us = self.period_ns // US_NS
+        self.high_us = self.low_us + 1
+        self.is_regular = (self.step_us == self.low_us) | (self.step_us == self.high_us)
+        periods = np.rint(self.step_us * US_NS / self.period_ns).astype(np.int64)
+        self.missing = periods - 1
+        off_us = np.abs(self.step_us - periods * self.period_ns / US_NS)
+        is_whole = (periods > 1) & (off_us <= 1 + self.step_us * _CLOCK_PPM / 1e6)
+        is_explained = self._explain(self.step_us - self.period_ns / US_NS)
+        odd_inside = self.is_odd[:-1, :-1].any(axis=1)
+        self.is_gap = ~self.is_regular & is_explained & (odd_inside | ~is_whole)
+        self.is_lost = ~self.is_regular & is_whole & ~self.is_gap
+        self.is_broken = ~(self.is_regular | self.is_gap | self.is_lost)
+        self.gap_number = np.where(odd_inside, self.number[:-1], self.after)
+        self.is_odd[:-1][self.is_gap] = False
+        self.is_odd[:-1, -1] &= self.is_regular
+        self.is_odd[self.is_still] = False
+        self.is_twin = (self.forward_cdeg[:, 0] == 0) & ~self.is_still & (not self.dual)
+        self.is_odd[:, 0] &= ~self.is_twin
+        self._find_late(np.append(self.is_gap & odd_inside, False))
+
+    def _explain(self, extra_us: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Find where the odd azimuth steps of a packet account for the time (n - 1,) beyond a period."""
+        even_cdeg = self.forward_cdeg[:, :-1][~self.is_odd[:, :-1]]
+        # A mean, because the median of whole numbers is too coarse to turn a gap into time.
+        usual_cdeg = max(float(even_cdeg.mean()), 1.0) if len(even_cdeg) else 1.0
+        rate_cdeg_us = usual_cdeg / (BLOCK_PERIOD_NS / US_NS)
+        is_odd = self.is_odd[:-1]
+        gap_us = np.where(is_odd, self.forward_cdeg[:-1] - usual_cdeg, 0.0).sum(axis=1) / rate_cdeg_us
+        tolerance_us = _GAP_TOLERANCE_CDEG / rate_cdeg_us + _GAP_TOLERANCE * gap_us
+        self.gap_ms = gap_us / 1e3
+        is_explained: NDArray[np.bool_] = is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us)
+        return is_explained
+
+    def _find_late(self, takes_longer: NDArray[np.bool_]) -> None:
+        """Hold time stamps against capture stamps; packets (n,) that take longer have a gap of the revolution inside."""
+        offset_us = self.stamp_ns // US_NS - self.timestamp_us
+        moved_us = wrap_hour_us(offset_us - offset_us[0])
+        after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
+        late_us = moved_us - np.maximum(np.minimum.accumulate(moved_us), after_us)
+        self.late_ms = late_us / 1e3
+        self.is_late = (late_us > JITTER_US) & ~takes_longer & (not self.is_broken.any())
+        self.offset_us = int(offset_us[0]) + round(float(np.median(moved_us)))
+        """Of the whole chunk: a median, which no burst can move."""
+
+    def _read_revolutions(self) -> None:
+        """Find the mean speed of each revolution, over which the error of the encoder goes out."""
+        turned_cdeg = self.signed_cdeg[:-1].sum(axis=1)
+        middle_cdeg = float(np.median(turned_cdeg)) if len(turned_cdeg) else 0.0
+        packets = max(round(AZIMUTH_CODES / middle_cdeg), 1) if middle_cdeg >= 1.0 else len(self.number)
+        rows = len(turned_cdeg) // packets * packets
+        whole = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
+        revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
+        self.rpm = revolution_cdeg / AZIMUTH_CODES / (packets * self.period_ns / S_NS) * 60.0
+        self.is_off = whole & (np.abs(self.rpm - _SET_RPM * np.rint(self.rpm / _SET_RPM)) > _HELD_RPM)
+        self.revolution_number = self.number[:rows:packets]
+        is_even = self.is_even.copy()
+        is_even[:-1, -1] &= self.is_regular
+        is_even[-1, -1] = False
+        self.even_cdeg = self.forward_cdeg[self.judged][is_even[self.judged]]
 
 
-class SweepRules:
-    """Checks time stamps and azimuths, chunk by chunk: what a steady rotor and a steady clock give.
+_CODES, _PRODUCTS = f"0 .. {AZIMUTH_CODES - 1}", "0x22 or 0x24"
+_SHORTEST_CODE, _FEW = f"0 or at least {MIN_DISTANCE_LSB}", f"at most {_UNEQUAL_REFLECTIVITY_SHARE:.0%}"
+_WHOLE, _HELD = "all of it, unless a field of view is set", f"a multiple of {_SET_RPM} rpm within {_HELD_RPM:g}, held"
+_USUAL = f"{{usual_deg:+.2f}} deg within {_STEP_TOLERANCE_CDEG / 100:.2f}"
+_FACTORY = "bytes {mode:02x} {product:02x}", "{mode_before:02x} {product_before:02x} as before"
+_OF_PACKETS = (
+    Row(Rule.FACTORY, "is_no_mode", "return mode 0x{mode:02x}", "0x37, 0x38 or 0x39"),
+    Row(Rule.FACTORY, "is_no_product", "product 0x{product:02x}", _PRODUCTS),
+    Row(Rule.FACTORY, "is_old_product", "product 0x{product:02x}", _PRODUCTS, Level.NOTE),
+    Row(Rule.FACTORY, "is_changed", *_FACTORY),
+    Row(Rule.FACTORY, "is_set", *_FACTORY, Level.NOTE),
+    Row(Rule.FLAG, "is_no_flag", "{flag_found:04x} at block {flag_block}", "ffee"),
+    Row(Rule.AZIMUTH_RANGE, "is_past_turn", "azimuth {azimuth} at block {azimuth_block}", _CODES),
+    Row(Rule.AZIMUTH_RANGE, "is_full_turn", "azimuth {azimuth} at block {azimuth_block}", _CODES, Level.NOTE),
+    Row(Rule.TIME_RANGE, "is_past_hour", "time stamp {timestamp_us} us", f"0 .. {HOUR_US - 1}"),
+    Row(Rule.DISTANCE_CODE, "has_short", "{short} distances, the shortest {shortest} counts", _SHORTEST_CODE),
+    Row(Rule.AZIMUTH_STEP, "is_still", "azimuth frozen at {first_deg:.2f} deg", "a rotor that turns"),
+)
+_OF_PAIRS = (
+    Row(Rule.DUAL_AZIMUTH, "is_apart", "azimuths {even_cdeg} and {odd_cdeg} at blocks {even} and {odd}", "equal ones"),
+    Row(Rule.DUAL_ORDER, "has_swapped", "{swapped} pairs with the last return nearer", "the last return farther"),
+    Row(
+        Rule.DUAL_REFLECTIVITY,
+        "has_unequal",
+        "{unequal} of {pairs} pairs of equal distance differ in reflectivity",
+        _FEW,
+    ),
+)
+_OF_STEPS = (
+    Row(Rule.LOST_PACKETS, "is_lost", "{missing} data packets missing before it", "none", at="after"),
+    Row(Rule.TIME_STEP, "is_broken", "time stamp {step_us:+d} us", "+{low_us} or +{high_us} us", at="after"),
+    Row(Rule.AZIMUTH_GAP, "is_gap", "{gap_ms:.1f} ms of the revolution left out", _WHOLE, Level.NOTE, at="gap_number"),
+    Row(Rule.LATENESS, "is_late", "{late_ms:.1f} ms later than others", f"within {JITTER_US / 1e3:.0f} ms"),
+    Row(Rule.SPEED, "is_off", "a revolution at {rpm:.1f} rpm", _HELD, at="revolution_number"),
+)
+_OF_AZIMUTHS = (
+    Row(Rule.SINGLE_AS_DUAL, "is_twin", "blocks 0 and 1 with one azimuth", "two azimuths"),
+    Row(Rule.AZIMUTH_STEP, "is_odd", "azimuth {step_deg:+.2f} deg at block {step_block}", _USUAL, at="step_number"),
+)
 
-    The last packet of a chunk is judged with the next chunk, where its neighbour is known.
-    """
+
+class DataRules:
+    """Checks data packets, chunk by chunk, and keeps what only several chunks show."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
-        self._clock = ClockWatch(findings)
+        self._clock, self._optics = ClockWatch(findings), OpticsRules(findings)
         self.lost_packets = 0
         self.covered_us = 0.0
         """Time spanned by the packets and by those that were lost."""
         self.left_out_us = 0.0
         """Time during which the sensor sent nothing, by a limited field of view."""
-        self._turned_cdeg = 0
-        self._turned_steps = 0
+        self._turned_cdeg = self._turned_steps = 0
 
     @property
     def rpm(self) -> float | None:
-        """Mean speed over all even steps; None where there were none."""
-        if self._turned_steps == 0:
-            return None
-        return self._turned_cdeg / self._turned_steps / _CDEG_PER_STEP_AND_RPM
+        """Mean speed over all even steps; None if there are none."""
+        return self._turned_cdeg / self._turned_steps / _CDEG_PER_STEP_AND_RPM if self._turned_steps else None
 
     def check(self, chunk: DataChunk) -> None:
-        """Check one chunk."""
-        steps = _Steps(chunk)
-        is_regular = self._check_time(chunk, steps)
-        is_still = self._check_still(chunk, steps)
-        steps.is_odd[is_still] = False
-        self._check_speed(chunk, steps, is_regular)
-        judged = len(chunk.number) if chunk.ends else len(chunk.number) - 1
-        self._check_azimuth(chunk, steps, is_still, judged)
-        self._measure_speed(chunk, steps, is_regular, judged)
-
-    def _check_time(self, chunk: DataChunk, steps: _Steps) -> NDArray[np.bool_]:
-        """Check n - 1 time steps; returns which are regular and excuses azimuths where time explains them."""
-        period_ns = BLOCK_PERIOD_NS * steps.forward_cdeg.shape[1]
-        step_us = wrap_hour_us(np.diff(chunk.timestamp_us))
-        shortest_us = period_ns // US_NS
-        is_regular: NDArray[np.bool_] = (step_us == shortest_us) | (step_us == shortest_us + 1)
-        periods = np.rint(step_us * US_NS / period_ns).astype(np.int64)
-        off_us = np.abs(step_us - periods * period_ns / US_NS)
-        is_whole = (periods > 1) & (off_us <= 1 + step_us * _CLOCK_PPM / 1e6)
-
-        left_out_us, is_explained = _left_out(steps, step_us - period_ns / US_NS)
-        odd_inside = steps.is_odd[:-1, :-1].any(axis=1)
-        is_gap = ~is_regular & is_explained & (odd_inside | ~is_whole)
-        is_lost = ~is_regular & is_whole & ~is_gap
-        is_broken = ~(is_regular | is_gap | is_lost)
-
-        def found_gap(i: int) -> str:
-            return f"{left_out_us[i] / 1e3:.1f} ms of the revolution left out"
-
-        add, after = self._findings.add_where, chunk.number[1:]
-        usual = f"+{shortest_us} or +{shortest_us + 1} us"
-        add(Rule.LOST_PACKETS, is_lost, after, lambda i: f"{periods[i] - 1} data packets missing before it", "none")
-        add(Rule.TIME_STEP, is_broken, after, lambda i: f"time stamp {step_us[i]:+d} us", usual)
-        where = np.where(odd_inside, chunk.number[:-1], after)
-        add(Rule.AZIMUTH_GAP, is_gap, where, found_gap, "the whole revolution")
-        steps.is_odd[:-1][is_gap] = False
-        steps.is_odd[:-1, -1] &= is_regular
-        if is_broken.any():
+        """Check one chunk; the last packet of one that goes on is judged with the next, where its neighbour is known."""
+        apply = self._findings.apply
+        apply(_OF_PACKETS + _OF_PAIRS * chunk.dual, chunk, chunk.own)
+        apply(_OF_STEPS, chunk)
+        apply(_OF_AZIMUTHS, chunk, chunk.judged)
+        if chunk.is_broken.any():
             self._clock.restart()
         else:
-            self._watch_clock(chunk, np.append(is_gap & odd_inside, False))
-        missing = int((periods[is_lost] - 1).sum())
-        self.lost_packets += missing
-        self.left_out_us += float(left_out_us[is_gap].sum())
-        self.covered_us += float(missing + len(step_us)) * period_ns / US_NS
-        return is_regular
-
-    def _watch_clock(self, chunk: DataChunk, takes_longer: NDArray[np.bool_]) -> None:
-        """Compare time stamps with capture stamps by the chunk's median, which no burst can move.
-
-        Packets (n,) that take longer are those within which a part of the revolution is left out.
-        """
-        offset_us = chunk.stamp_ns // US_NS - chunk.timestamp_us
-        moved_us = wrap_hour_us(offset_us - offset_us[0])
-        after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
-        late_us = moved_us - np.maximum(np.minimum.accumulate(moved_us), after_us)
-        is_late = (late_us > JITTER_US) & ~takes_longer
-        expected = f"within {JITTER_US / 1e3:.0f} ms"
-        self._findings.add_where(
-            Rule.LATENESS, is_late, chunk.number, lambda i: f"{late_us[i] / 1e3:.1f} ms later than others", expected
-        )
-        middle_us = int(offset_us[0]) + round(float(np.median(moved_us)))
-        self._clock.check(int(chunk.number[0]), int(chunk.stamp_ns[0]), middle_us)
-
-    def _check_still(self, chunk: DataChunk, steps: _Steps) -> NDArray[np.bool_]:
-        """Find packets (n,) in which the rotor stands, and report them."""
-        inside_cdeg = steps.signed_cdeg[:, :-1]
-        still: NDArray[np.bool_] = np.abs(inside_cdeg).max(axis=1) <= _STILL_CDEG
-        still &= np.abs(inside_cdeg.sum(axis=1)) <= _STILL_CDEG
-        reported = still.copy()
-        reported[0] &= not chunk.continues
-
-        def found(i: int) -> str:
-            return f"azimuth frozen at {chunk.azimuth_cdeg[i, 0] / 100:.2f} deg"
-
-        self._findings.add_where(Rule.AZIMUTH_STEP, reported, chunk.number, found, "a rotor that turns")
-        return still
-
-    def _check_speed(self, chunk: DataChunk, steps: _Steps, is_regular: NDArray[np.bool_]) -> None:
-        """Check the mean speed of each revolution, over which the error of the encoder goes out."""
-        turned_cdeg = steps.signed_cdeg[:-1].sum(axis=1)
-        middle_cdeg = float(np.median(turned_cdeg)) if len(turned_cdeg) else 0.0
-        if middle_cdeg < 1.0:
-            return
-        packets = max(round(AZIMUTH_CODES / middle_cdeg), 1)
-        rows = len(turned_cdeg) // packets * packets
-        whole = is_regular[:rows].reshape(-1, packets).all(axis=1)
-        revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
-        took_s = packets * steps.signed_cdeg.shape[1] * BLOCK_PERIOD_NS / S_NS
-        rpm = revolution_cdeg / AZIMUTH_CODES / took_s * 60.0
-        off_rpm = rpm - _SET_RPM * np.rint(rpm / _SET_RPM)
-        is_off, number = whole & (np.abs(off_rpm) > _HELD_RPM), chunk.number[:rows:packets]
-        expected = f"a multiple of {_SET_RPM} rpm within {_HELD_RPM:g}, held"
-        self._findings.add_where(Rule.SPEED, is_off, number, lambda i: f"a revolution at {rpm[i]:.1f} rpm", expected)
-
-    def _check_azimuth(self, chunk: DataChunk, steps: _Steps, is_still: NDArray[np.bool_], judged: int) -> None:
-        """Check the steps of the first `judged` packets."""
-        blocks = steps.forward_cdeg.shape[1]
-        is_odd = steps.is_odd[:judged]
-        if not chunk.dual:
-            is_twin = (steps.forward_cdeg[:judged, 0] == 0) & ~is_still[:judged]
-            found = "blocks 0 and 1 with one azimuth"
-            self._findings.add_where(Rule.SINGLE_AS_DUAL, is_twin, chunk.number, lambda _: found, "two azimuths")
-            is_odd[:, 0] &= ~is_twin
-        # A step belongs to the packet it leads to.
-        packets = np.repeat(chunk.number[:judged, None], blocks, axis=1)
-        packets[: len(chunk.number) - 1, -1] = chunk.number[1:]
-
-        def found_step(i: int) -> str:
-            row, column = divmod(i, blocks)
-            block = (column + 1) % blocks * (BLOCKS_PER_PACKET // blocks)
-            return f"azimuth {steps.signed_cdeg[row, column] / 100:+.2f} deg at block {block}"
-
-        usual_cdeg = float(np.median(steps.usual_cdeg))
-        expected = f"{usual_cdeg / 100:+.2f} deg within {_STEP_TOLERANCE_CDEG / 100:.2f}"
-        self._findings.add_where(Rule.AZIMUTH_STEP, is_odd.ravel(), packets.ravel(), found_step, expected)
-
-    def _measure_speed(self, chunk: DataChunk, steps: _Steps, is_regular: NDArray[np.bool_], judged: int) -> None:
-        """Take the mean of the even steps, and check it."""
-        is_even = steps.is_even[:judged]
-        is_even[: len(is_regular), -1] &= is_regular
-        is_even[len(is_regular) :, -1] = False
-        even_cdeg = steps.forward_cdeg[:judged][is_even]
-        self._turned_cdeg += int(even_cdeg.sum())
-        self._turned_steps += len(even_cdeg)
-        if len(even_cdeg) < _RPM_STEPS:
-            return
-        rpm = float(even_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
-        if not _RPM[0] * (1 - _RPM_TOLERANCE) <= rpm <= _RPM[1] * (1 + _RPM_TOLERANCE):
-            found, expected = f"{rpm:.1f} rpm from here", f"{_RPM[0]} to {_RPM[1]}"
-            self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)
-
-
-def _left_out(steps: _Steps, extra_us: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Time that odd azimuth steps of each packet stand for, and whether it explains the extra time (n - 1,) beyond a period."""
-    even_cdeg = steps.forward_cdeg[:, :-1][~steps.is_odd[:, :-1]]
-    # A mean, because the median of whole numbers is too coarse to turn a gap into time.
-    usual_cdeg = max(float(even_cdeg.mean()), 1.0) if len(even_cdeg) else 1.0
-    rate_cdeg_us = usual_cdeg / (BLOCK_PERIOD_NS / US_NS)
-    is_odd = steps.is_odd[:-1]
-    left_out_us = np.where(is_odd, steps.forward_cdeg[:-1] - usual_cdeg, 0.0).sum(axis=1) / rate_cdeg_us
-    tolerance_us = _GAP_TOLERANCE_CDEG / rate_cdeg_us + _GAP_TOLERANCE * left_out_us
-    return left_out_us, is_odd.any(axis=1) & (np.abs(left_out_us - extra_us) <= tolerance_us)
+            self._clock.check(int(chunk.number[0]), int(chunk.stamp_ns[0]), chunk.offset_us)
+        lost = int(chunk.missing[chunk.is_lost].sum())
+        self.lost_packets += lost
+        self.left_out_us += float(chunk.gap_ms[chunk.is_gap].sum()) * 1e3
+        self.covered_us += float(lost + len(chunk.step_us)) * chunk.period_ns / US_NS
+        self._turned_cdeg += int(chunk.even_cdeg.sum())
+        self._turned_steps += len(chunk.even_cdeg)
+        if len(chunk.even_cdeg) >= _RPM_STEPS:
+            rpm = float(chunk.even_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
+            if not _RPM[0] * (1 - _RPM_TOLERANCE) <= rpm <= _RPM[1] * (1 + _RPM_TOLERANCE):
+                found, expected = f"{rpm:.1f} rpm from here", f"{_RPM[0]} to {_RPM[1]}"
+                self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)
+        self._optics.check(chunk)
 
 
 class OpticsRules:

@@ -1,20 +1,18 @@
-"""Rules about frames: lengths, ports, headers, their order, and time stamps that keep pace with the capture's clock.
+"""Frames as columns: ports and headers, their order, and time stamps that keep pace with the capture's clock.
 
 The header fields were measured on frames of two real units, see `vlp16emu.packets.frames`.
 """
 
-import struct
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import dpkt
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.verify.rules import Findings, Level, Rule
+from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
 from vlp16emu.packets.capture import Datagram
-from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, HEADER_BYTES, POSITION_PORT, POSITION_TTL
+from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
 from vlp16emu.packets.layout import (
     BLOCK_FLAG,
     DATA_BYTES,
@@ -35,6 +33,30 @@ JITTER_US = 5 * MS_NS // US_NS
 """By how much a capturing host may be late with a stamp, bursts included; a quiet one stays below 0.1 ms."""
 _DRIFT_PPM = 150
 """Sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off."""
+_LAYOUTS = {PacketKind.DATA: DATA_PAYLOAD, PacketKind.POSITION: POSITION_PAYLOAD}
+_MODE_AT: int = DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
+_PERIODS_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
+_HELD = 128
+"""Packets among which one is put in its place: those of 0.17 s in single return."""
+_FLAG = BLOCK_FLAG.to_bytes(2, "little")
+SENTENCE_OFFSET: int = POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
+"""First character of the sentence in a position payload."""
+PORT = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
+"""Source port of each kind, and destination unless the user has set another (63-9243 Rev D, section 10.2.3.12)."""
+PAYLOAD_BYTES = {PacketKind.DATA: DATA_BYTES, PacketKind.POSITION: POSITION_BYTES}
+_TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
+_FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
+_VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
+"""From the source MAC to the source address: the one header of its old versions for all packets. Source: Kitware/VeloView,
+LidarPlugin/Common/Network/NetworkPacket.cxx; so has a capture of 2014."""
+_HEADER = np.dtype(
+    [
+        *(("version", "u1"), ("tos", "u1"), ("total", ">u2"), ("identification", ">u2"), ("fragment", ">u2")),
+        *(("ttl", "u1"), ("protocol", "u1"), ("ip_sum", ">u2"), ("addresses", "V8")),
+        *(("source_port", ">u2"), ("destination_port", ">u2"), ("udp_bytes", ">u2"), ("udp_sum", ">u2")),
+    ]
+)
+"""IPv4 header without options and UDP header (RFC 791, RFC 768)."""
 
 
 def wrap_hour_us(difference_us: Microseconds) -> Microseconds:
@@ -68,29 +90,10 @@ class ClockWatch:
             self._reference = stamp_ns, offset_us
 
 
-_LAYOUTS = {PacketKind.DATA: DATA_PAYLOAD, PacketKind.POSITION: POSITION_PAYLOAD}
-_MODE_AT: int = DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
-_PERIODS_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
-_HELD = 128
-"""Packets among which one is put in its place: those of 0.17 s in single return."""
-_FLAG = BLOCK_FLAG.to_bytes(2, "little")
-SENTENCE_OFFSET: int = POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
-"""First character of the sentence in a position payload."""
-_PORT = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
-"""From which both are sent, and to which unless the user has set others."""
-_PAYLOAD_BYTES = {PacketKind.DATA: DATA_BYTES, PacketKind.POSITION: POSITION_BYTES}
-_TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
-_FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
-_HEADER_FAULTS_CACHED = 64
-_VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
-"""From the source MAC to the source address: the one header of its old versions for all packets. Source: Kitware/VeloView,
-LidarPlugin/Common/Network/NetworkPacket.cxx; so has a capture of 2014."""
-
-
 def kind_of(datagram: Datagram) -> PacketKind | None:
     """Say what a datagram is meant to be, by the port that it comes from, or else goes to, or by length and first mark."""
     for port in (datagram.source_port, datagram.destination_port):
-        for kind, usual in _PORT.items():
+        for kind, usual in PORT.items():
             if port == usual:
                 return kind
     payload = datagram.payload
@@ -100,77 +103,60 @@ def kind_of(datagram: Datagram) -> PacketKind | None:
     return PacketKind.POSITION if has_sentence else None
 
 
-def check_frame(datagram: Datagram, kind: PacketKind, findings: Findings) -> bool:
-    """Check lengths, ports and headers; returns whether the payload can be read.
-
-    Users may send packets to any port (63-9243 Rev D, section 10.2.3.12); that they come from stays.
-    """
-    payload_bytes = _PAYLOAD_BYTES[kind]
-    if len(datagram.payload) != payload_bytes:
-        found = f"a {kind} payload of {len(datagram.payload)} bytes"
-        findings.add(Rule.FRAMING, datagram.number, found, f"{payload_bytes} bytes")
-        return False
-    whole = len(datagram.header) + payload_bytes
-    if not datagram.captured_bytes == datagram.wire_bytes == whole:
-        found = f"{datagram.captured_bytes} of {datagram.wire_bytes} bytes captured"
-        findings.add(Rule.FRAMING, datagram.number, found, f"a frame of {whole} bytes, whole")
-    if datagram.source_port != _PORT[kind]:
-        found = f"a {kind} packet from {datagram.source_port}"
-        findings.add(Rule.PORTS, datagram.number, found, f"from {_PORT[kind]}")
-    if kind is PacketKind.POSITION and is_rewritten(datagram):
-        found = "position header that VeloView writes, that of data packets"
-        findings.add(Rule.HEADER, datagram.number, found, "the sensor's own", Level.NOTE)
-        return True
-    faults = _header_faults(datagram.header, datagram.ip_offset, kind)
-    for found, expected in faults + (_udp_checksum_faults(datagram) if kind is PacketKind.POSITION else ()):
-        findings.add(Rule.HEADER, datagram.number, f"{kind} {found}", expected)
-    return True
-
-
 def is_rewritten(datagram: Datagram) -> bool:
-    """Whether VeloView has put its own header around a packet: nothing is known of that of the sensor."""
+    """Return whether VeloView has put its own header around a packet, which leaves nothing of the sensor's."""
     return datagram.header[6:30] == _VELOVIEW
 
 
-@lru_cache(_HEADER_FAULTS_CACHED)
-def _header_faults(header: bytes, ip_offset: int, kind: PacketKind) -> tuple[tuple[str, str], ...]:
-    """Check the fields; real sensors put one and the same header in front of all data packets, so it is looked at once."""
-    ip, payload_bytes, is_data = header[ip_offset:-8], _PAYLOAD_BYTES[kind], kind is PacketKind.DATA
-    tos, total, identification, fragment, ttl = struct.unpack_from(">xBHHHB", ip)
-    checksum = int.from_bytes(header[-2:])
-    checks = (
-        ("header bytes", len(header), HEADER_BYTES),
-        ("type of service", tos, 0),
-        ("IP length", total, len(ip) + 8 + payload_bytes),
-        ("flags and offset", fragment, _FLAGS[kind]),
-        ("TTL", ttl, _TTL[kind]),
-        ("UDP length", int.from_bytes(header[-4:-2]), 8 + payload_bytes),
-        ("remainder of the IP header's sum", _remainder(ip), 0),
-        ("identification", is_data and identification, 0),
-    )
-    faults = [(f"{name} {value}", f"{want}") for name, value, want in checks if value != want]
-    if is_data and checksum:
-        faults.append((f"UDP checksum 0x{checksum:04x}", "0, for none"))
-    return tuple(faults)
+class _Frames:
+    """Columns of n frames of one kind whose payloads have the right length; header fields (n, c) beside their right values."""
+
+    def __init__(self, datagrams: Sequence[Datagram], kind: PacketKind) -> None:
+        self.kind, is_data, payload_bytes = kind, kind is PacketKind.DATA, PAYLOAD_BYTES[kind]
+        self.number = np.array([each.number for each in datagrams])
+        self.captured, self.wire, self.whole = np.array(
+            [(each.captured_bytes, each.wire_bytes, len(each.header) + payload_bytes) for each in datagrams]
+        ).T
+        self.is_cut = (self.captured != self.whole) | (self.wire != self.whole)
+        self.is_rewritten = np.array([not is_data and is_rewritten(each) for each in datagrams])
+        raw = np.frombuffer(b"".join(each.ip[:20] + each.header[-8:] for each in datagrams), _HEADER)
+        words, sent = (
+            np.frombuffer(part, ">u2").reshape(len(raw), -1).astype(np.int64)
+            for part in (raw.tobytes(), b"".join(each.payload for each in datagrams))
+        )
+        # Addresses, protocol and length stand before the UDP header in its sum (RFC 768).
+        udp = words[:, 6:].sum(axis=1) + sent.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
+        # The words of what holds its own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
+        fields = [
+            ("header bytes", np.array([len(each.ip) + 8 for each in datagrams]), 28),
+            ("type of service", raw["tos"], 0),
+            ("IP length", raw["total"], 28 + payload_bytes),
+            ("flags and offset", raw["fragment"], _FLAGS[kind]),
+            ("TTL", raw["ttl"], _TTL[kind]),
+            ("UDP length", raw["udp_bytes"], 8 + payload_bytes),
+            ("remainder of the IP header's sum", words[:, :10].sum(axis=1) % 0xFFFF, 0),
+            ("identification", raw["identification"] * is_data, 0),
+            ("UDP checksum", raw["udp_sum"] * is_data, 0),
+            ("remainder of the UDP sum (-1: none sent)", np.where(raw["udp_sum"], udp % 0xFFFF, -1) * (not is_data), 0),
+        ]
+        names, values, wanted = zip(*fields, strict=True)
+        self.value = np.stack([np.asarray(column, np.int64) for column in values], axis=1)
+        self.field, self.wanted = (np.broadcast_to(of, self.value.shape) for of in (names, wanted))
+        self.is_other = (self.value != self.wanted) & ~self.is_rewritten[:, None]
+        self.field_number = np.broadcast_to(self.number[:, None], self.value.shape)
 
 
-def _udp_checksum_faults(datagram: Datagram) -> tuple[tuple[str, str], ...]:
-    """Position packets carry a checksum, and a valid one."""
-    if datagram.udp_checksum == 0:
-        return (("UDP checksum 0", "a checksum"),)
-    udp = datagram.header[-8:] + datagram.payload
-    pseudo_header = datagram.ip[12:20] + struct.pack(">2H", dpkt.ip.IP_PROTO_UDP, len(udp))
-    is_valid = _remainder(pseudo_header + udp) == 0
-    return () if is_valid else ((f"UDP checksum 0x{datagram.udp_checksum:04x}", "the sum of the packet"),)
+_TABLE = (
+    Row(Rule.FRAMING, "is_cut", "{captured} of {wire} bytes captured", "a frame of {whole} bytes, whole"),
+    Row(Rule.HEADER, "is_rewritten", "header that VeloView writes, of data packets", "the sensor's own", Level.NOTE),
+    Row(Rule.HEADER, "is_other", "{kind} {field} {value}", "{wanted}", at="field_number"),
+)
 
 
-def _remainder(summed: bytes) -> int:
-    """Checksum over bytes that hold their own checksum, 0 where it is valid.
-
-    As 2**16 is 1 modulo 2**16 - 1, the sum of 16-bit words in ones' complement (RFC 1071) is that of the
-    whole number; an even length is needed.
-    """
-    return int.from_bytes(summed) % 0xFFFF
+def check_frames(datagrams: Sequence[Datagram], kind: PacketKind, findings: Findings) -> None:
+    """Check lengths and headers of frames whose payloads have the right length."""
+    if datagrams:
+        findings.apply(_TABLE, _Frames(datagrams, kind))
 
 
 class InOrder:

@@ -1,12 +1,16 @@
-"""Rules about position packets. Source: 63-9243 Rev D, section 9.3.3, p. 60, and captures of real units."""
+"""Position packets as columns, and their rules. Source: 63-9243 Rev D, section 9.3.3, p. 60, and captures of real units."""
 
+import math
 import re
-from functools import lru_cache
+from collections.abc import Sequence
+from functools import lru_cache, reduce
+from operator import xor
+from typing import NamedTuple
 
 import numpy as np
 
 from vlp16emu.extras.verify.frames import HOUR_US, SENTENCE_OFFSET, ClockWatch, is_rewritten
-from vlp16emu.extras.verify.rules import Findings, Rule
+from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.layout import POSITION_PAYLOAD
 from vlp16emu.types import PpsState
@@ -22,131 +26,155 @@ _UNEVEN_S = 0.25
 """By which receivers may be later with one sentence than with another."""
 _NEXT_NS = 50 * MS_NS
 """Position packets farther apart than this do not show when a sentence came."""
-_STATES = {PpsState.ABSENT: "absent", PpsState.SYNCHRONIZING: "synchronizing", PpsState.ERROR: "error"}
 _SENTENCE_CHARACTERS = 82
 """Longest sentence of NMEA 0183."""
 _SENTENCE = re.compile(
-    rb"\$GPRMC,"
-    rb"(?P<hour>[01]\d|2[0-3])(?P<minute>[0-5]\d)(?P<second>[0-5]\d)(\.\d{1,3})?,"
+    rb"\$(?P<talker>[A-Z]{2})RMC,"
+    rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d)(\.\d*)?)?,"
     rb"(?=(?P<status>[AV]),)"
-    rb"(A,\d{4}\.\d+,[NS],\d{5}\.\d+,[EW]|V,(\d{4}\.\d+)?,[NS]?,(\d{5}\.\d+)?,[EW]?),"
+    rb"(A,\d{4}(\.\d*)?,[NS],\d{5}(\.\d*)?,[EW]|V,(\d{4}(\.\d*)?)?,[NS]?,(\d{5}(\.\d*)?)?,[EW]?),"
     rb"(\d+(\.\d*)?)?,(\d+(\.\d*)?)?,"  # speed, course
-    rb"([0-3]\d[01]\d\d\d),"
+    rb"([0-3]\d[01]\d\d\d)?,"
     rb"(\d+(\.\d*)?)?,[EW]?"  # magnetic variation
-    rb"(,[ADEFMNPRS])?"  # mode, since NMEA 0183 version 2.3
+    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?"  # mode since NMEA 0183 version 2.3, navigational status since 4.1
 )
-_Fault = tuple[Rule, str, str]
+
+
+class _Sentence(NamedTuple):
+    """What one sentence says, and the words of its faults, empty without one."""
+
+    second: int = -1
+    """Past the hour; -1 unless the sentence names a time."""
+    status: str = ""
+    malformed: str = ""
+    end: str = ""
+    checksum: str = ""
+    right: str = ""
+    """The checksum that it should have."""
+    talker: str = ""
+    """Of a receiver other than GPS alone, whose sentences the manual does not name."""
+
+
+class PositionChunk:
+    """Columns of n consecutive position packets; the first is the last one of the chunk `before`, which has judged it."""
+
+    def __init__(self, datagrams: Sequence[Datagram], before: "PositionChunk | None") -> None:
+        self.last = datagrams[-1]
+        every = [before.last, *datagrams] if before else list(datagrams)
+        self.own = slice(1 if before else 0, None)
+        self.number, self.stamp_ns, self.identification = np.array(
+            [(each.number, each.stamp_ns, each.identification) for each in every]
+        ).T
+        payload = np.frombuffer(b"".join(each.payload for each in every), np.uint8).reshape(len(every), -1)
+        fields = payload.view(POSITION_PAYLOAD)[:, 0]
+        self.head = payload[:, :_HEAD_BYTES].max(axis=1)
+        self.has_head = self.head > 0
+        self.timestamp_us, self.pps = fields["timestamp_us"].astype(np.int64), fields["pps"]
+        self.clock_s, self.is_past_hour = self.timestamp_us * US_NS / S_NS, self.timestamp_us >= HOUR_US
+        self.state = np.array([*map(str.lower, PpsState.__members__), ""])[self.pps.clip(0, len(PpsState))]
+        self.is_no_state, is_error = self.pps >= len(PpsState), self.pps == PpsState.ERROR
+        was = np.append(PpsState.ABSENT, self.pps[:-1])
+        self.is_lost_lock = (was == PpsState.LOCKED) & (self.pps != was) & ~self.is_no_state
+        self.is_error = is_error & (was != PpsState.ERROR) & ~self.is_lost_lock
+        self._count(every)
+        self._read_sentences(every, before)
+
+    def _count(self, every: Sequence[Datagram]) -> None:
+        """Hold the identifications to their count of position packets."""
+        self.due = np.append(self.identification[0], (self.identification[:-1] + 1) % 0x10000)
+        self.missing = (self.identification - self.due) % 0x10000
+        most = np.diff(self.stamp_ns, prepend=self.stamp_ns[0]).clip(0) // _SHORTEST_INTERVAL_NS
+        is_own = np.array([not is_rewritten(each) for each in every])
+        self.is_lost = (self.missing > 0) & (self.missing <= most) & is_own
+        self.is_no_count = (self.missing > most) & is_own
+
+    def _read_sentences(self, every: Sequence[Datagram], before: "PositionChunk | None") -> None:
+        """Read the sentences, and hold their seconds against the clock and against the sentences before."""
+        areas = [each.payload[SENTENCE_OFFSET:] for each in every]
+        columns = zip(*map(_read_sentence, areas), strict=True)
+        self.second, self.status, self.malformed, self.end, self.checksum, self.right, talker = map(np.array, columns)
+        self.talker = np.where(talker == np.append("", talker[:-1]), "", talker)
+        self.named = np.array([f"{second // 60:02d}:{second % 60:02d}" for second in self.second.tolist()])
+        is_locked, is_known = self.pps == PpsState.LOCKED, self.second >= 0
+        self.is_missing = is_locked & np.array([not any(area) for area in areas])
+        place = np.maximum.accumulate(np.where(is_known, np.arange(len(every)), -1))
+        said = np.where(place >= 0, self.second[place], before.said if before else -1)
+        earlier = np.append(before.said if before else -1, said[:-1])
+        self.said: int = said[-1]
+        self.is_void = is_known & (self.status == "V") & (self.second != earlier)
+        self.late_s = (self.clock_s - self.second) % 3600
+        is_old = is_known & (self.late_s >= _LATEST_S)
+        self.is_old, self.is_off = (
+            of & ~np.append(False, of[:-1]) for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
+        )
+        """First of packets in a row whose sentence and clock disagree, with lock and without."""
+        is_next = is_locked & is_known & ~is_old & (earlier >= 0) & (self.second == (earlier + 1) % 3600)
+        is_next[1:] &= np.diff(self.stamp_ns) < _NEXT_NS
+        came_s = self.late_s[self.own][is_next[self.own]]
+        self.comes_s: float = before.comes_s if before else math.nan
+        if math.isnan(self.comes_s) and len(came_s):
+            self.comes_s = float(came_s[0])
+        self.is_uneven = is_next & (np.abs(self.late_s - self.comes_s) > _UNEVEN_S)
 
 
 class PositionRules:
-    """Checks position packets one by one."""
+    """Checks position packets, chunk by chunk."""
 
     def __init__(self, findings: Findings) -> None:
-        self._findings = findings
-        self._clock = ClockWatch(findings)
-        self._before: Datagram | None = None
-        self._pps = int(PpsState.ABSENT)
-        self._second: int | None = None
-        self._comes_s: float | None = None
+        self._findings, self._clock = findings, ClockWatch(findings)
+        self._before: PositionChunk | None = None
         self.void_sentences = 0
         """Seconds whose sentence has the status V."""
         self.lost_packets = 0
 
-    def check(self, datagram: Datagram) -> None:
-        """Check one packet of 512 bytes."""
-        number = datagram.number
-        fields = np.frombuffer(datagram.payload, POSITION_PAYLOAD)[0]
-        timestamp_us, pps = int(fields["timestamp_us"]), int(fields["pps"])
-        if any(datagram.payload[:_HEAD_BYTES]):
-            found = f"bytes {datagram.payload[:_HEAD_BYTES].hex(' ')}"
-            self._findings.add(Rule.POSITION_HEAD, number, found, f"{_HEAD_BYTES} zeros")
-        self._check_pps(number, pps)
-        if timestamp_us >= HOUR_US:
-            found = f"time stamp {timestamp_us} us"
-            self._findings.add(Rule.TIME_RANGE, number, found, f"0 .. {HOUR_US - 1}")
-        self._clock.check(number, datagram.stamp_ns, datagram.stamp_ns // US_NS - timestamp_us)
-        self._check_counter(datagram)
-        self._check_sentence(datagram, timestamp_us, is_locked=pps == PpsState.LOCKED)
-        self._before = datagram
+    def check(self, datagrams: Sequence[Datagram]) -> None:
+        """Check packets of 512 bytes."""
+        chunk = self._before = PositionChunk(datagrams, self._before)
+        self._findings.apply(_TABLE, chunk, chunk.own)
+        for datagram, timestamp_us in zip(datagrams, chunk.timestamp_us[chunk.own].tolist(), strict=True):
+            self._clock.check(datagram.number, datagram.stamp_ns, datagram.stamp_ns // US_NS - timestamp_us)
+        self.void_sentences += int(chunk.is_void[chunk.own].sum())
+        self.lost_packets += int(chunk.missing[chunk.own][chunk.is_lost[chunk.own]].sum())
 
-    def _check_pps(self, number: int, pps: int) -> None:
-        """Check the state of the pulse where it changes."""
-        before, self._pps = self._pps, pps
-        if pps not in set(PpsState):
-            self._findings.add(Rule.PPS, number, f"state {pps}", "0 .. 3")
-        elif pps != before and (pps == PpsState.ERROR or before == PpsState.LOCKED):
-            found = f"state {pps}, {_STATES[PpsState(pps)]}, from here on"
-            self._findings.add(Rule.PPS, number, found, "2, locked, as before" if before == 2 else "0 .. 2")
 
-    def _check_counter(self, datagram: Datagram) -> None:
-        """Hold the identification to its count of position packets."""
-        if self._before is None or is_rewritten(datagram):
-            return
-        ahead = (datagram.identification - self._before.identification) % 0x10000
-        most = 1 + max(datagram.stamp_ns - self._before.stamp_ns, 0) // _SHORTEST_INTERVAL_NS
-        if 1 < ahead <= most:
-            self.lost_packets += ahead - 1
-            found = f"{ahead - 1} position packets missing before it"
-            self._findings.add(Rule.LOST_PACKETS, datagram.number, found, "none")
-        elif ahead != 1:
-            found = f"position identification {datagram.identification}"
-            expected = f"{(self._before.identification + 1) % 0x10000}, one more than before"
-            self._findings.add(Rule.HEADER, datagram.number, found, expected)
-
-    def _check_sentence(self, datagram: Datagram, timestamp_us: int, *, is_locked: bool) -> None:
-        """Check the sentence, and its time where it is bound to the clock."""
-        area = datagram.payload[SENTENCE_OFFSET:]
-        if not any(area):
-            if is_locked:
-                self._findings.add(Rule.NMEA_FORMAT, datagram.number, "no sentence", "one when locked")
-            return
-        faults, second, is_void = _read_sentence(area)
-        for rule, found, expected in faults:
-            self._findings.add(rule, datagram.number, found, expected)
-        if second is None:
-            return
-        before, self._second = self._second, second
-        self.void_sentences += is_void and second != before
-        if not is_locked:
-            return
-        late_s = (timestamp_us * US_NS / S_NS - second) % 3600
-        named = f"{second // 60:02d}:{second % 60:02d}"
-        if late_s >= _LATEST_S:
-            found = f"no sentence after that of {named} at {timestamp_us / 1e6:.3f} s"
-            expected = f"one less than {_LATEST_S} s old"
-            self._findings.add(Rule.NMEA_SECOND, datagram.number, found, expected)
-        elif (
-            before is not None
-            and second == (before + 1) % 3600
-            and self._before
-            and datagram.stamp_ns - self._before.stamp_ns < _NEXT_NS
-        ):
-            self._comes_s = late_s if self._comes_s is None else self._comes_s
-            if abs(late_s - self._comes_s) > _UNEVEN_S:
-                found = f"the sentence of {named} {late_s:.2f} s after its second"
-                self._findings.add(Rule.NMEA_TIME, datagram.number, found, f"{self._comes_s:.2f} s, as before")
+_OLD = "no sentence after that of {named} at {clock_s:.3f} s"
+_TABLE = (
+    Row(Rule.POSITION_HEAD, "has_head", "a byte 0x{head:02x} among the first", f"{_HEAD_BYTES} zeros"),
+    Row(Rule.PPS, "is_no_state", "state {pps}", "0 .. 3"),
+    Row(Rule.PPS, "is_lost_lock", "state {pps}, {state}, from here on", "2, locked, as before"),
+    Row(Rule.PPS, "is_error", "state {pps}, {state}, from here on", "0 .. 2"),
+    Row(Rule.TIME_RANGE, "is_past_hour", "time stamp {timestamp_us} us", f"0 .. {HOUR_US - 1}"),
+    Row(Rule.LOST_PACKETS, "is_lost", "{missing} position packets missing before it", "none"),
+    Row(Rule.HEADER, "is_no_count", "position identification {identification}", "{due}, one more than before"),
+    Row(Rule.NMEA_FORMAT, "is_missing", "no sentence", "one when locked"),
+    Row(Rule.NMEA_FORMAT, "malformed", "{malformed}", "$GPRMC,time,status,... with 12 to 14 fields"),
+    Row(Rule.NMEA_FORMAT, "talker", "${talker}RMC, which some units ignore", "$GPRMC, as in the manual", Level.NOTE),
+    Row(Rule.NMEA_END, "end", "{end}", "CR LF, then NUL to the end"),
+    Row(Rule.NMEA_CHECKSUM, "checksum", "checksum {checksum}", "{right}"),
+    Row(Rule.NMEA_SECOND, "is_old", _OLD, f"one less than {_LATEST_S} s old"),
+    Row(Rule.NMEA_SECOND, "is_off", _OLD, "a clock that follows the sentences", Level.NOTE),
+    Row(Rule.NMEA_TIME, "is_uneven", "sentence {named} {late_s:.2f} s after its second", "{comes_s:.2f} s, as before"),
+)
 
 
 @lru_cache(16)
-def _read_sentence(area: bytes) -> tuple[tuple[_Fault, ...], int | None, bool]:
-    """Faults of the sentence, its second past the hour, and whether it is void; one sentence fills some 146 packets.
-
-    Parameters
-    ----------
-    area : from the first character to the end of the payload
-    """
+def _read_sentence(area: bytes) -> _Sentence:
+    """Read the characters from the first of a sentence to the end of the payload; one sentence fills some 146 packets."""
+    if not any(area):
+        return _Sentence()
     text, _, rest = area.partition(b"\0")
-    faults: list[_Fault] = []
-    if not text.endswith(b"\r\n") or any(rest):
-        found = "characters after a NUL" if any(rest) else f"an end of {text[-4:]!r}"
-        faults.append((Rule.NMEA_END, found, "CR LF, then NUL to the end"))
+    end = "characters after a NUL" if any(rest) else "" if text.endswith(b"\r\n") else f"an end of {text[-4:]!r}"
     body, star, checksum = text.rstrip(b"\r\n").rpartition(b"*")
     match = _SENTENCE.fullmatch(body)
     if match is None or not star:
-        expected = "$GPRMC,time,status,... with 12 or 13 fields"
-        faults.append((Rule.NMEA_FORMAT, repr(text[:_SENTENCE_CHARACTERS]), expected))
-        return tuple(faults), None, False
-    wanted = f"{int(np.bitwise_xor.reduce(np.frombuffer(body[1:], np.uint8))):02X}"
-    if checksum != wanted.encode():
-        faults.append((Rule.NMEA_CHECKSUM, f"checksum {checksum.decode('ascii', 'replace')}", wanted))
-    return tuple(faults), 60 * int(match["minute"]) + int(match["second"]), match["status"] == b"V"
+        return _Sentence(malformed=repr(text[:_SENTENCE_CHARACTERS]), end=end)
+    time, talker = match["time"], match["talker"].decode()
+    right, found = f"{reduce(xor, body[1:]):02X}", checksum.decode("ascii", "replace")
+    return _Sentence(
+        second=60 * int(time[2:4]) + int(time[4:]) if time else -1,
+        status=match["status"].decode(),
+        end=end,
+        checksum="" if found == right else found or "of no digits",
+        right=right,
+        talker="" if talker == "GP" else talker,
+    )

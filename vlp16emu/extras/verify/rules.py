@@ -1,9 +1,10 @@
-"""The rules, and the findings where they are broken."""
+"""The rules of VLP-16 traffic, a row of the table that checks them, and the findings where they are broken."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ class Level(StrEnum):
     ERROR = "error"
     """No sensor sends it."""
     NOTE = "note"
-    """Real units or recorders have sent it, but no unit with firmware 3 does."""
+    """Settings of the user, receivers, old firmware or recorders cause it; the sensor is sound."""
 
 
 class Rule(StrEnum):
@@ -35,7 +36,7 @@ class Rule(StrEnum):
     FLAG = "flag"
     """Every block begins with FF EE."""
     FACTORY = "factory"
-    """Return mode and product are known and do not change."""
+    """Return mode and product are known and the product does not change; a change of mode is a note."""
     TIME_RANGE = "time-range"
     """Time stamps lie within the hour."""
     TIME_STEP = "time-step"
@@ -59,7 +60,7 @@ class Rule(StrEnum):
     AZIMUTH_STEP = "azimuth-step"
     """Azimuths grow evenly from block to block, over 0 as well."""
     AZIMUTH_GAP = "azimuth-gap"
-    """No part of the revolution is left out, as a limited field of view does."""
+    """The whole revolution is sent; a limited field of view, a setting of the manual's section 10.1, is a note."""
     SINGLE_AS_DUAL = "single-as-dual"
     """In single return the first two blocks differ in azimuth, which some software takes for dual."""
     RPM = "rpm"
@@ -83,13 +84,13 @@ class Rule(StrEnum):
     PPS = "pps"
     """The state of the pulse per second is 0 .. 2; 3 is an error. Once locked it stays locked."""
     NMEA_FORMAT = "nmea-format"
-    """The sentence is $GPRMC with its fields; there is one when the state is locked."""
+    """The sentence is RMC as NMEA 0183 has it, by a talker GP, else a note; there is one when the state is locked."""
     NMEA_CHECKSUM = "nmea-checksum"
     """The sentence's checksum is right."""
     NMEA_END = "nmea-end"
     """The sentence ends with CR LF, and only NUL follows."""
     NMEA_SECOND = "nmea-second"
-    """When locked, the sentence names the second before the time stamp, or the one before that."""
+    """The sentence names the second before the time stamp, or the one before that; unless locked, a disagreement is a note."""
     NMEA_TIME = "nmea-time"
     """When locked, sentences come at one time after their second, within 0.25 s."""
     DATA_RATE = "data-rate"
@@ -114,13 +115,33 @@ class Finding:
         return f"packet {self.packet}: {rule}: {self.found}; expected {self.expected}"
 
 
-class Findings:
-    """Counts all findings and keeps the first ones of each rule.
+class Row(NamedTuple):
+    """One row of a table of rules: what breaks a rule in the columns of a chunk, and the words for it."""
 
-    Parameters
-    ----------
-    limit_per_rule : findings kept of each rule
-    """
+    rule: Rule
+    broken: str
+    """Column of truth values, (n,) or of more axes."""
+    found: str
+    """Format of the words, with names of columns of the same shape, or of single values."""
+    expected: str
+    level: Level = Level.ERROR
+    at: str = "number"
+    """Column of the frame numbers to which the findings belong."""
+
+
+class _Element:
+    """Element `i` of each column, by name."""
+
+    def __init__(self, columns: object, i: int) -> None:
+        self._columns, self._i = columns, i
+
+    def __getitem__(self, name: str) -> Any:
+        value = getattr(self._columns, name)
+        return value.flat[self._i] if isinstance(value, np.ndarray) else value
+
+
+class Findings:
+    """Counts all findings and keeps the first `limit_per_rule` of each rule."""
 
     def __init__(self, limit_per_rule: int) -> None:
         self._limit = limit_per_rule
@@ -129,27 +150,21 @@ class Findings:
 
     def add(self, rule: Rule, packet: int, found: str, expected: str, level: Level = Level.ERROR) -> None:
         """Add one finding."""
-        self.add_where(rule, np.array([True]), np.array([packet]), lambda _: found, expected, level)
+        if self.counts[level][rule] < self._limit:
+            self.kept.append(Finding(rule, packet, found, expected, level))
+        self.counts[level][rule] += 1
 
-    def add_where(
-        self,
-        rule: Rule,
-        broken: NDArray[np.bool_],
-        packets: NDArray[np.int64],
-        found: Callable[[int], str],
-        expected: str,
-        level: Level = Level.ERROR,
-    ) -> None:
-        """Add a finding for each element that is true.
-
-        Parameters
-        ----------
-        broken : (n,)
-        packets : (n,) frame numbers
-        found : says what stands at an index of `broken`; asked for the findings that are kept
-        """
-        where, counts = np.flatnonzero(broken), self.counts[level]
-        room = max(self._limit - counts[rule], 0)
-        if len(where):
-            counts[rule] += len(where)
-        self.kept.extend(Finding(rule, int(packets[i]), found(int(i)), expected, level) for i in where[:room])
+    def apply(self, table: Iterable[Row], columns: object, where: slice = slice(None)) -> None:
+        """Add a finding for each true element in the columns that a table names; `where` limits the rows of a chunk."""
+        for row in table:
+            broken: NDArray[np.bool_] = getattr(columns, row.broken)
+            inside = np.zeros_like(broken)
+            inside[where] = broken[where]
+            if not (places := np.flatnonzero(inside)).size:
+                continue
+            number = getattr(columns, row.at).ravel()
+            for i in places[: max(self._limit - self.counts[row.level][row.rule], 0)].tolist():
+                element = _Element(columns, i)
+                found, expected = (text.format_map(element) for text in (row.found, row.expected))
+                self.kept.append(Finding(row.rule, int(number[i]), found, expected, row.level))
+            self.counts[row.level][row.rule] += len(places)

@@ -1,13 +1,13 @@
 """From a capture file to the findings."""
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.extras.verify.data import DataChunk, OpticsRules, SweepRules, check_codes, check_factory
-from vlp16emu.extras.verify.frames import InOrder, check_frame, kind_of
+from vlp16emu.extras.verify.data import DataChunk, DataRules
+from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, InOrder, check_frames, kind_of
 from vlp16emu.extras.verify.position import PositionRules
 from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
 from vlp16emu.packets.capture import Capture, Datagram
@@ -21,7 +21,8 @@ _CHUNK_PACKETS = 512
 """Data packets looked at together: 0.6 MB, 0.7 s of single return."""
 _HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
 """Of several units their chunks together are so long, but no chunk is shorter than this."""
-_FACTORY_BYTES = 2
+_MODE_AT = -2
+"""Return mode and product end a data payload."""
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
 _SHORTEST_S = 2.0
 """A shorter piece says too little about rates: position packets come at irregular intervals."""
@@ -53,7 +54,7 @@ class Verification:
     counts: Mapping[Rule, int]
     """Errors of each broken rule."""
     notes: Mapping[Rule, int]
-    """Findings of each rule that units before firmware 3, or programs that record them, do not keep."""
+    """Findings of each rule that settings, receivers, old firmware or recorders account for."""
     findings: tuple[Finding, ...]
     """The first findings of each rule, by packet number."""
 
@@ -85,128 +86,122 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
 
 
 def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_rule: int = 10) -> Verification:
-    """Check a capture against all rules, in one pass and with little memory.
-
-    Parameters
-    ----------
-    path : classic pcap file
-    unit : whose packets are looked at where there are several; None for those of all
-    limit_per_rule : findings kept of each rule; all are counted
-
-    Raises
-    ------
-    CaptureError
-        If the file cannot be read, or holds no VLP-16 packets at all.
-    """
+    """Check the packets of one unit, or without one all VLP-16 packets, as `verify`."""
     return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
 
 
 def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10) -> list[Verification]:
-    """Check each of several units by itself against all rules, all of them in one pass; as `verify_capture`."""
+    """Check each of several units by itself against all rules, all of them in one pass and with little memory."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
-    checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
-    checks_of = defaultdict[tuple[bytes, int, bytes], list[_Check]](list)
-    of_all = [check for unit, check in zip(units, checks, strict=True) if unit is None]
-    for unit, check in zip(units, checks, strict=True):
-        if unit is not None:
-            for port in {unit.data_port, *unit.position_ports}:
-                checks_of[unit.source, port, unit.mac].append(check)
+    checks = [(unit, _Check(Findings(limit_per_rule), chunk_packets)) for unit in units]
     with Capture(path, repeats=True) as capture:
         for datagram in capture:
-            source, port = datagram.source, datagram.destination_port
-            known = checks_of.get((source, port, b"")) or checks_of.get((source, port, datagram.mac)) or []
-            for check in of_all or known:
-                check.take(datagram)
-        return [check.finish(path, capture) for check in checks]
+            for unit, check in checks:
+                if unit is None or unit.owns(datagram):
+                    check.take(datagram)
+        return [check.finish(path, capture) for _, check in checks]
 
 
 class _Check:
-    """Sorts datagrams by kind, counts them, and hands data packets on in chunks."""
+    """Sorts datagrams by kind, counts them, and hands them on in chunks."""
 
     def __init__(self, findings: Findings, chunk_packets: int) -> None:
         self._findings, self._chunk_packets = findings, chunk_packets
-        self._sweep = SweepRules(findings)
-        self._position = PositionRules(findings)
-        self._optics = OpticsRules(findings)
-        self._in_order = {kind: InOrder(kind, findings) for kind in (PacketKind.DATA, PacketKind.POSITION)}
-        self._chunk: list[Datagram] = []
-        self._continues = False
+        self._data, self._position = DataRules(findings), PositionRules(findings)
+        self._in_order = {kind: InOrder(kind, findings) for kind in PORT}
+        self._chunk: dict[PacketKind, list[Datagram]] = {kind: [] for kind in PORT}
+        self._before: Datagram | None = None
+        """Last data packet of the chunk before, if this one goes on from it."""
         self._factory = b""
         self._packets = Counter[PacketKind]()
         self._first: dict[PacketKind, Datagram] = {}
         self._last: dict[PacketKind, Datagram] = {}
+        self._ports = set[tuple[PacketKind, int]]()
         self._stamp_ns: int | None = None
 
     def take(self, datagram: Datagram) -> None:
         """Check one datagram, or keep it for its chunk."""
-        kind = kind_of(datagram)
+        kind, number = kind_of(datagram), datagram.number
         if kind is None:
             return
         since_ns = 0 if self._stamp_ns is None else datagram.stamp_ns - self._stamp_ns
         if since_ns < 0:
             found = f"{-since_ns / US_NS:.0f} us before the packet in front of it"
-            self._findings.add(Rule.STAMP_ORDER, datagram.number, found, "stamps that do not decrease")
+            self._findings.add(Rule.STAMP_ORDER, number, found, "stamps that do not decrease")
         elif since_ns > _SILENCE_NS:
             found = f"no packet for {since_ns / S_NS:.2f} s before it"
-            self._findings.add(Rule.SILENCE, datagram.number, found, "data or position packets all the time")
+            self._findings.add(Rule.SILENCE, number, found, "data or position packets all the time")
         self._stamp_ns = datagram.stamp_ns
         self._packets[kind] += 1
         self._first.setdefault(kind, datagram)
         self._last[kind] = datagram
-        if check_frame(datagram, kind, self._findings):
-            self._take_ordered(kind, self._in_order[kind].take(datagram))
-        elif kind is PacketKind.DATA:
-            self._take_ordered(kind, self._in_order[kind].rest())
-            self._flush(ends=True)
+        if len(datagram.payload) != PAYLOAD_BYTES[kind]:
+            found = f"a {kind} payload of {len(datagram.payload)} bytes"
+            self._findings.add(Rule.FRAMING, number, found, f"{PAYLOAD_BYTES[kind]} bytes")
+            if kind is PacketKind.DATA:
+                self._finish_data()
+            return
+        stream = kind, datagram.source_port
+        if datagram.source_port != PORT[kind] and stream not in self._ports:
+            self._ports.add(stream)
+            found = f"{kind} packets from {datagram.source_port}, as a relay sends them"
+            self._findings.add(Rule.PORTS, number, found, f"from {PORT[kind]}")
+        self._collect(kind, self._in_order[kind].take(datagram))
 
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check what is left, and sum up."""
         if not self._packets:
             raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
-        for kind, in_order in self._in_order.items():
-            self._take_ordered(kind, in_order.rest())
-        self._flush(ends=True)
+        self._finish_data()
+        self._collect(PacketKind.POSITION, self._in_order[PacketKind.POSITION].rest())
+        self._check_position()
         self._check_rates()
         stamps_ns = [d.stamp_ns for ends in (self._first, self._last) for d in ends.values()]
         return Verification(
             data_packets=self._packets[PacketKind.DATA],
             position_packets=self._packets[PacketKind.POSITION],
             other_frames=capture.frames - self._packets.total(),
-            lost_packets=self._sweep.lost_packets + self._position.lost_packets,
+            lost_packets=self._data.lost_packets + self._position.lost_packets,
             void_sentences=self._position.void_sentences,
             span_s=(max(stamps_ns) - min(stamps_ns)) / S_NS,
-            rpm=self._sweep.rpm,
+            rpm=self._data.rpm,
             is_cut=capture.cut,
             counts=dict(self._findings.counts[Level.ERROR]),
             notes=dict(self._findings.counts[Level.NOTE]),
             findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
         )
 
-    def _take_ordered(self, kind: PacketKind, datagrams: Iterable[Datagram]) -> None:
-        """Check position packets, or collect data packets; a chunk ends where the return mode changes."""
+    def _collect(self, kind: PacketKind, datagrams: Iterable[Datagram]) -> None:
+        """Gather packets in order; a chunk of data packets ends where the return mode changes."""
         for datagram in datagrams:
-            if kind is PacketKind.POSITION:
-                self._position.check(datagram)
-                continue
-            factory = datagram.payload[-_FACTORY_BYTES:]
-            if factory != self._factory:
-                check_factory(datagram.number, factory, self._factory, self._findings)
-                before, self._factory = self._factory, factory
-                if before and before[0] != factory[0]:
-                    self._flush(ends=True)
-            self._chunk.append(datagram)
-            if len(self._chunk) >= self._chunk_packets:
-                self._flush(ends=False)
+            held = self._chunk[kind]
+            if kind is PacketKind.DATA and held and held[-1].payload[_MODE_AT] != datagram.payload[_MODE_AT]:
+                self._check_data(ends=True)
+            self._chunk[kind].append(datagram)
+            if len(self._chunk[kind]) >= self._chunk_packets:
+                if kind is PacketKind.DATA:
+                    self._check_data(ends=False)
+                self._check_position()
 
-    def _flush(self, *, ends: bool) -> None:
+    def _finish_data(self) -> None:
+        self._collect(PacketKind.DATA, self._in_order[PacketKind.DATA].rest())
+        self._check_data(ends=True)
+
+    def _check_data(self, *, ends: bool) -> None:
         """Check the packets collected; the last one stays as the neighbour of those to come."""
-        if self._chunk:
-            chunk = DataChunk(self._chunk, continues=self._continues, ends=ends)
-            check_codes(chunk, self._findings)
-            self._sweep.check(chunk)
-            self._optics.check(chunk)
-        self._chunk = [] if ends else self._chunk[-1:]
-        self._continues = not ends
+        chunk = self._chunk[PacketKind.DATA]
+        if chunk:
+            continues = chunk[0] is self._before
+            check_frames(chunk[continues:], PacketKind.DATA, self._findings)
+            self._data.check(DataChunk(chunk, self._factory, continues=continues, ends=ends))
+            self._before, self._factory = chunk[-1], chunk[-1].payload[_MODE_AT:]
+        self._chunk[PacketKind.DATA] = [] if ends else chunk[-1:]
+
+    def _check_position(self) -> None:
+        if chunk := self._chunk[PacketKind.POSITION]:
+            check_frames(chunk, PacketKind.POSITION, self._findings)
+            self._position.check(chunk)
+        self._chunk[PacketKind.POSITION] = []
 
     def _check_rates(self) -> None:
         """Check packets per second, those lost included: position packets, and the time that data packets cover."""
@@ -216,8 +211,8 @@ class _Check:
         )
         mode = ReturnMode.DUAL if self._factory[:1] == bytes([_DUAL_BYTE]) else ReturnMode.STRONGEST
         nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
-        covered = self._sweep.covered_us * US_NS / S_NS * nominal_hz
-        data_s -= self._sweep.left_out_us * US_NS / S_NS
+        covered = self._data.covered_us * US_NS / S_NS * nominal_hz
+        data_s -= self._data.left_out_us * US_NS / S_NS
         sent = self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets
         for kind, rule, count, span_s, usual_hz in (
             (PacketKind.DATA, Rule.DATA_RATE, covered, data_s, (nominal_hz,)),

@@ -1,21 +1,21 @@
-"""A way between two processes of this machine that holds little, and that nobody waits for who writes to it."""
+"""A bounded channel between two processes of this machine, whose writer never waits."""
 
 import pickle
 import socket
 from typing import Self
 
 CHANNEL_BYTES = 150_000
-"""Of a message at most; a socket of Linux holds 212 992 at a time unless net.core.wmem_default is less."""
+"""Limit of a message; a socket of Linux holds 212 992 at a time unless net.core.wmem_default is less."""
 
 
 class Channel:
-    """One end of a pair; may be given to a process that is started.
+    """One end of a pair, which may be given to a process that is started.
 
-    Whatever is written while the other end is slow, hangs, or is gone is lost. Messages come whole, and in order.
+    What is written while the other end is slow, hangs, or is gone is lost. Messages come whole, and in order.
     """
 
-    def __init__(self, way: socket.socket) -> None:
-        self._way = way
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
 
     @classmethod
     def pair(cls) -> tuple[Self, Self]:
@@ -25,18 +25,18 @@ class Channel:
         return cls(one), cls(other)
 
     def offer(self, message: object) -> bool:
-        """Send a message if there is room for it now, and say whether there was."""
+        """Send a message if there is room for it now, and return whether there was."""
         try:
-            self._way.send(pickle.dumps(message), socket.MSG_DONTWAIT)
+            self._end.send(pickle.dumps(message), socket.MSG_DONTWAIT)
         except OSError:
             return False
         return True
 
     def take(self, timeout_s: float | None = None) -> object:
-        """Wait for the next message; TimeoutError where none comes in time, EOFError where the other end is gone."""
-        self._way.settimeout(timeout_s)
+        """Return the next message; raise TimeoutError if none comes in time, EOFError if the other end is gone."""
+        self._end.settimeout(timeout_s)
         try:
-            data = self._way.recv(CHANNEL_BYTES)
+            data = self._end.recv(CHANNEL_BYTES)
         except ConnectionError:
             data = b""
         if not data:
@@ -45,4 +45,4 @@ class Channel:
 
     def close(self) -> None:
         """Close this end."""
-        self._way.close()
+        self._end.close()

@@ -1,4 +1,4 @@
-"""A path that is being drawn: its steps, what they lead to, and the scene file with it."""
+"""A path that is being drawn: its versions, what they lead to, and the scene file with it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
@@ -28,70 +28,65 @@ from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
-"""x and y in the world, and how long the person stops there."""
-
-
-def _like_a_mm(length_m: float) -> float:
-    return round(length_m, 3)
+"""x and y in the world (m), and how long the person stops there (s)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What a person is to walk, and how."""
+    """A path, and how a person walks it."""
 
     points: tuple[Point, ...]
     speed_m_s: float
     laps: int
     gait: str | None
-    """Preset; None for that of the scene."""
+    """Preset; None for the gait of the scene."""
     harness: bool
     """Whether the pack hangs loose."""
 
     def moved(self, number: int, x_m: float, y_m: float) -> "Course":
-        """Give it with one way point elsewhere; the stop there goes with it."""
-        return self._with(number, (_like_a_mm(x_m), _like_a_mm(y_m), self.points[number][2]))
+        """Return the course with a way point elsewhere, to the mm; the stop there goes with it."""
+        return self._with(number, (round(x_m, 3), round(y_m, 3), self.points[number][2]))
 
     def stopped(self, number: int, pause_s: float) -> "Course":
-        """Give it with a stop at a way point."""
+        """Return the course with a stop at a way point."""
         return self._with(number, (*self.points[number][:2], pause_s))
 
     def added(self, number: int) -> "Course":
-        """Give it with a way point after one: half-way to the next, or as far beyond the last as that is from the one before."""
+        """Return the course with a way point after one: half-way to the next, or beyond the last by the length of the last leg."""
         (x_m, y_m, _), is_last = self.points[number], number == len(self.points) - 1
         other, part = (self.points[number - 1], -1.0) if is_last else (self.points[number + 1], 0.5)
-        there = _like_a_mm(x_m + part * (other[0] - x_m)), _like_a_mm(y_m + part * (other[1] - y_m)), 0.0
+        there = round(x_m + part * (other[0] - x_m), 3), round(y_m + part * (other[1] - y_m), 3), 0.0
         return self._with(number, self.points[number], there)
 
     def removed(self, number: int) -> "Course":
-        """Give it without a way point; two are left at least."""
+        """Return the course without a way point, if more than two are left."""
         return self._with(number) if len(self.points) > 2 else self
 
     def _with(self, number: int, *points: Point) -> "Course":
-        """Give it with way points in place of one."""
         return replace(self, points=(*self.points[:number], *points, *self.points[number + 1 :]))
 
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What a course leads to."""
+    """Result of a course, computed without growing anything."""
 
     run_time_s: float = 0.0
     length_m: float = 0.0
     revolutions: float = 0.0
     packets: int = 0
-    """Of data, by the first sensor."""
+    """Data packets of the first sensor."""
     path_m: Array | None = None
-    """(n, 3) on the ground; None where nobody can walk so."""
+    """(n, 3) on the ground; None if nobody can walk it."""
     in_the_way_m: Array | None = None
-    """(m, 3) feet of stems that are nearer than `path_clearance_m`."""
+    """(m, 3) feet of stems nearer than `path_clearance_m`."""
     fault: str = ""
-    """Why nobody can walk so."""
+    """Why nobody can walk it."""
     fault_m: Array | None = None
-    """(1, 3) where that is, on the ground."""
+    """(1, 3) place of the fault on the ground."""
 
 
 class Draft:
-    """Courses one after another in a scene, by name or path, with undo and redo; InputError where it is no walk."""
+    """The courses drawn in a scene, with undo and redo; InputError if the scene's motion is no walk."""
 
     def __init__(self, scene: str, scenario: Scenario, seen: Survey) -> None:
         walk = scenario.motion
@@ -107,30 +102,30 @@ class Draft:
         self._at = 0
 
     def height_m(self, x_m: float, y_m: float) -> float:
-        """Give the height of the ground at a place."""
+        """Return the height of the ground."""
         return float(self._ground.height_m(np.array([x_m]), np.array([y_m]))[0])
 
     @property
     def course(self) -> Course:
-        """The present one."""
+        """The current course."""
         return self._courses[self._at]
 
     def change(self, course: Course) -> None:
-        """Go on with another course; what was undone is forgotten."""
+        """Take another course; undone ones are forgotten."""
         if course != self.course:
             self._courses[self._at + 1 :] = [course]
             self._at += 1
 
     def undo(self) -> None:
-        """Take the course before, where there is one."""
+        """Return to the course before, if there is one."""
         self._at = max(self._at - 1, 0)
 
     def redo(self) -> None:
-        """Take the course after, where there is one."""
+        """Return to the course after, if there is one."""
         self._at = min(self._at + 1, len(self._courses) - 1)
 
     def changes(self, course: Course) -> dict[str, Any]:
-        """Keys of `[motion]` that a course changes; None for one that it leaves out."""
+        """Return the keys of `[motion]` that a course changes, None for one that it removes."""
         first, changed = self._courses[0], dict[str, Any]()
         if course.points != first.points:
             changed["way_points_m"] = [[x, y] for x, y, _ in course.points]
@@ -151,14 +146,14 @@ class Draft:
         return changed
 
     def scenario(self, course: Course) -> Scenario:
-        """Give the scene with a course; ScenarioError where its values are no walk."""
+        """Return the scene with a course; ScenarioError if its values are no walk."""
         changes = self.changes(course)
         dropped = {key: Walk.model_fields[key].get_default(call_default_factory=True) for key in changes}
         base = self._scenario.model_copy(update={"motion": self._walk.model_copy(update=dropped)})
         return load(base, {f"motion.{key}": value for key, value in changes.items() if value is not None})
 
     def outlook(self, course: Course) -> Outlook:
-        """Find out what a course leads to, without growing anything."""
+        """Return what a course leads to."""
         try:
             return self._outlook(self.scenario(course))
         except InputError as error:
@@ -166,7 +161,6 @@ class Draft:
             return Outlook(fault=str(error), fault_m=place)
 
     def _outlook(self, scenario: Scenario) -> Outlook:
-        """Lay the path, and look at what is near it."""
         walk, ground = scenario.motion, self._ground
         assert isinstance(walk, Walk)
         points = way_points(walk, scenario.gps, self._origin_m)
@@ -198,9 +192,14 @@ class Draft:
         return places_m(near)
 
     def save(self, to: FilePath) -> None:
-        """Write the scene file with the present course; comments and all else stay as the user wrote them.
+        """Write the scene file with the current course; comments and other keys stay as the user wrote them.
 
-        InputError where the course is no walk; OutputError where the file cannot be written, or would not find the scene's files.
+        Raises
+        ------
+        InputError
+            If the course is no walk
+        OutputError
+            If the file cannot be written, or would not find the scene's files
         """
         import tomlkit
 
@@ -224,7 +223,7 @@ class Draft:
 
 
 def _written(value: Any) -> Any:
-    """Write a list of tables line by line, each on its own; anything else as it is."""
+    """Return a list of tables as TOML with one table to a line; anything else as it is."""
     import tomlkit
 
     if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
@@ -234,17 +233,4 @@ def _written(value: Any) -> Any:
         table = tomlkit.inline_table()
         table.update(row)
         rows.append(table)
-    return rows
-
-
-def summary_of(outlook: Outlook, duration_s: float) -> dict[str, str]:
-    """Rows for people."""
-    rows = {
-        "path": f"{outlook.length_m:.1f} m",
-        "run time": f"{outlook.run_time_s:.1f} s",
-        "revolutions": f"{outlook.revolutions:.0f}",
-        "data packets": f"{outlook.packets}",
-    }
-    if outlook.run_time_s > duration_s:
-        rows["of that"] = f"the first {duration_s:g} s, which is the scene's duration"
     return rows

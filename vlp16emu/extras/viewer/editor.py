@@ -1,4 +1,4 @@
-"""The path under the hand: a gizmo for each way point, and a panel for how it is walked."""
+"""Path editor of the page: a gizmo for each way point, and a panel for how it is walked."""
 
 import math
 from collections.abc import Callable
@@ -11,21 +11,21 @@ import numpy as np
 import viser
 
 from vlp16emu.errors import Vlp16emuError
-from vlp16emu.extras.viewer.draft import Course, Draft, Outlook, summary_of
+from vlp16emu.extras.viewer.draft import Course, Draft, Outlook
 
 _FARTHEST_M = 10_000.0
-"""Of a way point from the scene's origin: farther no hand drags it."""
+"""Limit of a way point from the scene's origin: no hand drags it farther."""
 _GAITS = ("as in the scene", "none", "paper", "natural", "strong")
 _RAISED_M = 0.15
 _GOOD, _BAD = (30, 90, 220), (220, 30, 30)
 
 
 class Editor:
-    """Gizmos and panel of a draft, saved `to` a file; `step` does what they were asked, on the thread that draws."""
+    """Gizmos and panel of a draft that is saved `to` a file; `step` executes their requests on the thread that draws."""
 
     def __init__(self, server: viser.ViserServer, draft: Draft, duration_s: float, to: Path | None) -> None:
         self.wake = Event()
-        """Set when something was asked."""
+        """Set when there is a request."""
         self._server, self._draft = server, draft
         self._duration_s, self._to = duration_s, to
         self._asked: list[Callable[[], Course | None]] = []
@@ -55,7 +55,7 @@ class Editor:
             self._text = gui.add_markdown("")
 
     def _ask_on(self, event: Callable[[Any], Any], make: Callable[[Course, int], Course]) -> None:
-        """Make another course of the present one when somebody does something, and not when the panel follows."""
+        """Request a new course when a user acts, and not when the panel follows a change."""
 
         def done(by: viser.GuiEvent[Any]) -> None:
             if by.client is not None:
@@ -64,25 +64,25 @@ class Editor:
         event(done)
 
     def ask(self, what: Callable[[], Course | None]) -> None:
-        """Have something done by the thread that draws: it may give another course."""
+        """Request something of the thread that draws: it may return another course."""
         self._asked.append(what)
         self.wake.set()
 
     def _chosen(self) -> int:
-        """Way point that the panel is about, from 0."""
+        """Return the way point that the panel shows, from 0."""
         number = self._number.value
         last = len(self._draft.course.points) - 1
         return min(max(int(number) - 1, 0), last) if math.isfinite(number) else 0
 
     def _as_in_panel(self, course: Course, number: int) -> Course:
-        """Take speed, laps, gait, harness and the stop from the panel."""
+        """Return the course with speed, laps, gait, harness and stop of the panel."""
         gait = None if self._gait.value == _GAITS[0] else str(self._gait.value)
         speed_m_s, laps = float(self._speed.value), int(self._laps.value)
         walked = replace(course, speed_m_s=speed_m_s, laps=laps, gait=gait, harness=self._harness.value is True)
         return walked.stopped(number, float(self._pause.value))
 
     def step(self) -> bool:
-        """Do what was asked, and show what comes of it; whether there was anything."""
+        """Execute the requests and show their result; return whether there was any."""
         asked, self._asked = self._asked, []
         if not asked:
             return False
@@ -94,7 +94,7 @@ class Editor:
                 self._note = str(error)
                 continue
             except (TypeError, ValueError, OverflowError, AttributeError):
-                continue  # a stranger's message may say anything
+                continue  # a hostile message may hold anything
             if course is not None:
                 self._draft.change(course)
         self._show()
@@ -107,7 +107,7 @@ class Editor:
         self._note = f"saved {self._to.name}"
 
     def _show(self) -> None:
-        """Draw the course, and say what it leads to."""
+        """Draw the course, and report what it leads to."""
         course = self._draft.course
         outlook = self._draft.outlook(course)
         with self._server.atomic():
@@ -116,14 +116,19 @@ class Editor:
         self._speed.value, self._laps.value = course.speed_m_s, course.laps
         self._gait.value, self._harness.value = course.gait or _GAITS[0], course.harness
         self._pause.value = course.points[self._chosen()][2]
-        rows = summary_of(outlook, self._duration_s)
-        stems = 0 if outlook.in_the_way_m is None else len(outlook.in_the_way_m)
-        lines = [outlook.fault] if outlook.fault else [f"{name}: {text}" for name, text in rows.items()]
-        lines += [f"**{stems} stems in the way**"] if stems else []
+        lines = [outlook.fault] if outlook.fault else self._figures(outlook)
+        if outlook.in_the_way_m is not None and (stems := len(outlook.in_the_way_m)):
+            lines.append(f"**{stems} stems in the way**")
         self._text.content = "  \n".join([*lines, self._note])
 
+    def _figures(self, outlook: Outlook) -> list[str]:
+        lines = [f"path: {outlook.length_m:.1f} m", f"run time: {outlook.run_time_s:.1f} s"]
+        lines += [f"revolutions: {outlook.revolutions:.0f}", f"data packets: {outlook.packets}"]
+        if outlook.run_time_s > self._duration_s:
+            lines.append(f"recorded: the first {self._duration_s:g} s, which is the scene's duration")
+        return lines
+
     def _show_points(self, course: Course) -> None:
-        """Put a gizmo on each way point."""
         while len(self._gizmos) > len(course.points):
             self._gizmos.pop().remove()
         for number, (x_m, y_m, _) in enumerate(course.points):
@@ -133,7 +138,7 @@ class Editor:
             self._gizmos[number].position = place_m
 
     def _gizmo(self, number: int) -> viser.TransformControlsHandle:
-        """Make the gizmo of a way point; it slides level, and goes to the ground where it is let go."""
+        """Add the gizmo of a way point; it slides level, and goes to the ground when it is let go."""
         look: dict[str, Any] = {"scale": 1.6, "line_width": 4.0, "disable_rotations": True, "depth_test": False}
         level = (True, True, False)
         gizmo = self._server.scene.add_transform_controls(f"/way_points/{number + 1}", active_axes=level, **look)
@@ -150,7 +155,7 @@ class Editor:
         return gizmo
 
     def _show_path(self, outlook: Outlook) -> None:
-        """Draw the path on the ground, the stems that are in its way, and where nobody can walk."""
+        """Draw the path on the ground, the stems in its way, and the place of a fault."""
         scene = self._server.scene
         if outlook.path_m is not None:
             line_m = outlook.path_m + np.array([0.0, 0.0, _RAISED_M])

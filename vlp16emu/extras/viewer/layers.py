@@ -1,4 +1,4 @@
-"""Colours of points by what is known of them, and their legend."""
+"""Colours of points by label or measurement, and their legend."""
 
 import colorsys
 from collections.abc import Callable, Iterable, Mapping
@@ -16,7 +16,7 @@ from vlp16emu.units import S_NS
 Rgb = NDArray[np.uint8]
 
 Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
-"""Legend of a layer: colours by name, or the ends of a scale with their unit; None of what has no names."""
+"""Legend of a layer: colours by name, or the ends of a scale with their unit; None for instances, which have no names."""
 
 _Labelled = tuple[NDArray[Any], Callable[[int], tuple[int, int, int]], Callable[[int], str | None]]
 _LABELLED = ("natural", "class", "part", "species", "instance")
@@ -36,23 +36,23 @@ PART_RGB: dict[PlantPart, tuple[int, int, int]] = {
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
-"""Of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that shows on white."""
+"""Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that shows on white."""
 _ERROR_CM = 6.0
 """End of the scale of range errors: twice the +-3 cm of the data sheet."""
 _GOLDEN = 0.618034
-"""Turn of the hue from one instance to the next: neighbours in number differ most."""
+"""Step of the hue between instances: neighbours in number differ most."""
 _STOPS = 9
 """Colours of a gradient."""
 _DOT = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.5em;border-radius:2px"
 
 
 def layers_of_scan(scan: Scan) -> tuple[str, ...]:
-    """Layers that a sweep has; a capture has no labels."""
+    """Return the layers of a sweep; a capture without ground truth has no labels."""
     return MEASURED if scan.labels is None else LAYERS
 
 
 def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
-    """Colours (n, 3) of the points of a sweep by a layer that it has, and the names of species by number."""
+    """Return the colours (n, 3) of the points of a sweep by one of its layers; `species` are names by number."""
     if layer == "natural" and scan.labels is not None:
         return surface_colours(_surfaces(scan), species)
     if (labelled := _labelled(scan, layer, species)) is not None:
@@ -64,14 +64,14 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
 
 
 def colours_of_scale(values: NDArray[np.float64], least: float, most: float) -> Rgb:
-    """Colours (n, 3) of values (n,) on a scale between two ends, about its middle where it begins below 0."""
+    """Return colours (n, 3) of values (n,) on a scale, which diverges from its middle if it begins below 0."""
     scale = _EITHER_WAY if least < 0 else _SCALE
     place = np.clip((values - least) / max(most - least, 1e-9), 0.0, 1.0) * (len(scale) - 1)
     return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
 
 
 def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
-    """Give the legend of a layer, as far as a sweep shows it."""
+    """Return the legend of a layer, of what a sweep shows."""
     if (labelled := _labelled(scan, layer, species)) is None:
         return _measured(scan, layer)[1]
     values, colour, name = labelled
@@ -81,7 +81,7 @@ def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
 
 
 def _labelled(scan: Scan, layer: str, species: Mapping[int, str]) -> _Labelled | None:
-    """Labels (n,) of a layer with the colours and names of each; None of a layer that is measured."""
+    """Return labels (n,) of a layer and the functions of their colours and names; None for a measured layer."""
     if layer not in _LABELLED or (labels := scan.labels) is None:
         return None
     none = colour_of_kind("ground")
@@ -89,17 +89,13 @@ def _labelled(scan: Scan, layer: str, species: Mapping[int, str]) -> _Labelled |
         "class": (labels.semantic, _of_class, lambda one: Semantic(one).name.lower()),
         "part": (labels.part, lambda one: PART_RGB[PlantPart(one)], lambda one: PlantPart(one).name.lower()),
         "instance": (labels.instance, _of_instance, str),
-        "species": (
-            labels.species,
-            lambda one: colour_of_species(species[one]) if one in species else none,
-            species.get,
-        ),
+        "species": (labels.species, lambda n: colour_of_species(species[n]) if n in species else none, species.get),
     }
     return table.get(layer, table["species"])  # the legend of "natural" is that of the species
 
 
 def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float, float, str]]:
-    """Values (n,) of a layer, and the ends of its scale with their unit."""
+    """Return values (n,) of a layer, and the ends of its scale with their unit."""
     if layer == "range error" and scan.labels is not None:
         error_cm = 100.0 * (scan.distance_m.astype(np.float64) - scan.labels.range_m)
         return error_cm, (-_ERROR_CM, _ERROR_CM, "cm")
@@ -116,7 +112,6 @@ def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float,
 
 
 def _surfaces(scan: Scan) -> NDArray[np.void]:
-    """(n,) `SURFACE` of the labels of a sweep."""
     assert scan.labels is not None
     surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
     for name in ("semantic", "part", "species"):
@@ -125,13 +120,13 @@ def _surfaces(scan: Scan) -> NDArray[np.void]:
 
 
 def _of_class(value: int) -> tuple[int, int, int]:
-    """Colour of a semantic class; a tree is green as a beech is."""
+    """Return the colour of a semantic class; trees have the green of a beech."""
     kind = Semantic(value)
     return colour_of_species("european_beech") if kind is Semantic.TREE else colour_of_kind(kind.name.lower())
 
 
 def _of_instance(number: int) -> tuple[int, int, int]:
-    """Colour of a plant or thing; what is none is grey."""
+    """Return the colour of a plant or thing; grey for points of neither."""
     if not number:
         return (140, 140, 140)
     red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (number % 2))
@@ -139,9 +134,9 @@ def _of_instance(number: int) -> tuple[int, int, int]:
 
 
 def legend_of(entries: Entries) -> str:
-    """Write the legend of a layer as HTML."""
+    """Return the legend of a layer as HTML."""
     if entries is None:
-        return boxed(["each plant or thing in its own colour, what is none in grey"])
+        return boxed(["each plant or thing in its own colour, the rest in grey"])
     if isinstance(entries, Mapping):
         rows = (
             f'<span style="{_DOT};background:rgb{rgb}"></span>{escape(name.replace("_", " "))}'
@@ -157,5 +152,5 @@ def legend_of(entries: Entries) -> str:
 
 
 def boxed(lines: Iterable[str]) -> str:
-    """Write lines of HTML beside the page."""
+    """Return lines of HTML in a box of the panel."""
     return f'<div style="margin:0.3em 1em;font-size:0.85em;line-height:1.5">{"<br>".join(lines)}</div>'

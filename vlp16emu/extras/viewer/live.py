@@ -1,4 +1,4 @@
-"""A stream that is looked on: what leaves goes, without a wait, to a page in a process of its own."""
+"""The page of a running stream, in a process of its own: packets go there without a wait."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ import viser
 from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.errors import OutputError, PacketError, RunError, Vlp16emuError
+from vlp16emu.errors import OutputError, PacketError, RunError
 from vlp16emu.extras.sheets.survey import survey
 from vlp16emu.extras.viewer.channel import Channel
 from vlp16emu.extras.viewer.guard import guarded_server
@@ -31,50 +31,50 @@ from vlp16emu.types import HeightField, Packet, PacketKind
 from vlp16emu.units import S_NS
 
 _HOST, _PORT = "127.0.0.1", 8016
-"""The port of `vlp16emu view`; another one where that is in use."""
+"""Port of `vlp16emu view`; any other if it is in use."""
 _NICE = 10
-"""By how much the page is nicer than the stream, which then gets nine tenths of a core that both want."""
+"""Added to the niceness of the page: the stream then gets nine tenths of a core that both want."""
 _RADIUS_M, _LIVE_RADIUS_M = 25.0, 35.0
-"""How far from the path the stand is drawn; of a live scene as far as the body may go."""
+"""How far from the path the stand is drawn; in a live scene as far as the body may go."""
 _EVERY_NS = 50_000_000
-"""From one glimpse to the next: some 40 packets, half a revolution at 600 rpm."""
+"""Time between glimpses: some 40 packets, half a revolution at 600 rpm."""
 _MOST = 100
-"""Packets of a glimpse: with their poses they fit into a message of the channel."""
+"""Most packets of a glimpse: with their poses they fit into a message of the channel."""
 _DRAW_S = 0.1
-"""From picture to picture."""
+"""Time between pictures."""
 _BEHIND_M, _OVER_M = 9.0, 5.0
-"""Of the camera at first."""
+"""Place of the camera at first."""
 _NEAR_M = 0.05
-"""The camera follows a walker that is farther from where it looks."""
+"""The camera follows a sensor that is farther from the point that it looks at."""
 _PERSON_RADIUS_M, _PERSON_RGB = 0.2, (40, 70, 160)
 
 
 class Backdrop(NamedTuple):
-    """What the page knows before the first packet leaves."""
+    """What the page knows before the first packet is sent."""
 
     pieces: list[Piece]
     path_m: NDArray[np.float64]
-    """(n, 3) of the sensor, or where a live scene expects it; one where it stands."""
+    """(n, 3) of the sensor, in a live scene the expected one; one if the sensor stands still."""
     hall: bool
     turn_s: float
-    """Of the rotor."""
+    """Time of a revolution."""
     walks: bool
-    """A person carries the sensor."""
+    """Whether a person carries the sensor."""
     height_m: HeightField
-    """Of the ground."""
+    """Ground."""
 
 
 class Glimpse(NamedTuple):
     """What a sensor sent in some 50 ms, and how punctual the stream is."""
 
     payloads: bytes
-    """(n, 1206) of its data packets."""
+    """(n, 1206) bytes of its data packets."""
     since_ns: NDArray[np.int64]
-    """(n,) of each from the first pulse of the run to its own first pulse."""
+    """(n,) time of each packet's first pulse, since the first pulse of the run."""
     world_T_sensor: NDArray[np.float64]
-    """(n, 4, 4) then."""
+    """(n, 4, 4) poses at these times."""
     late: Lateness
-    """Of all packets so far."""
+    """Lateness of all packets so far."""
     worst_ns: int
     """Greatest lateness since the last glimpse."""
     delay_ns: int
@@ -82,9 +82,9 @@ class Glimpse(NamedTuple):
 
 
 class WatchedSink(PacketSink):
-    """Passes packets on, and offers glimpses of those of the first sensor that have left.
+    """A sink that passes packets on, and offers glimpses of the first sensor's packets once they are sent.
 
-    A glimpse is made by the thread that sends, once a packet has left: it has then a millisecond until the next one.
+    The sending thread makes a glimpse after a packet: it then has a millisecond until the next one.
     """
 
     def __init__(self, sink: PacketSink, pacer: Pacer, emulator: Emulator, channel: Channel) -> None:
@@ -100,7 +100,7 @@ class WatchedSink(PacketSink):
         self._worst_ns = max(self._worst_ns, late_ns)
         if packet.unit or packet.kind is not PacketKind.DATA or len(packet.payload) != DATA_BYTES:
             return
-        # Of a capture that a run was prepared in, first pulses are not known: 1 ms more or less is not seen.
+        # A run prepared in a capture does not know first pulses: 1 ms more or less is not seen.
         self._held.append((packet.payload, packet.fired_ns or packet.due_ns))
         if (now_ns := time.monotonic_ns()) - self._offered_ns >= _EVERY_NS or len(self._held) == _MOST:
             self._offered_ns = now_ns
@@ -121,23 +121,23 @@ class Watch(NamedTuple):
 
     url: str
     sink: Callable[[PacketSink, Pacer], PacketSink]
-    """Makes the sink that the page looks at."""
+    """Wrap a sink so that the page sees its packets."""
 
 
 def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
-    """Grow what stands near the path of a stream's duration, as few faces; InputError where a part cannot be made."""
+    """Grow what stands near the path of a stream's duration, with few faces; InputError if a part cannot be made."""
     scenario, motion = emulator.scenario, emulator.scenario.motion
     expected_m = np.array(motion.path_m) if isinstance(motion, Live) and takes_poses(motion) else None
     radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
     walked = scenario.model_copy(update={"duration_s": duration_s})
     seen = survey(walked, min(radius_m, scenario.sensor.max_range_m), emulator.parts, expected_m)
     hall, turn_s, walks = seen.hall is not None, 60.0 / scenario.sensor.rpm, isinstance(motion, Walk)
-    return Backdrop(list(pieces_of(seen)), seen.path_m, hall, turn_s, walks, seen.height_m)
+    return Backdrop(list(pieces_of(seen)), seen.path_m, hall, turn_s, walks, seen.bare.height_m)
 
 
 @contextmanager
 def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
-    """Start the page, and end it with the context; OutputError or RunError where it cannot be served."""
+    """Start the page, and end it with the context; OutputError or RunError if it cannot be served."""
     ours, theirs = Channel.pair()
     page = get_context("spawn").Process(target=serve, args=(backdrop, theirs), name="page", daemon=True)
     # What is blocked here is blocked there too, for good: Ctrl-C is for the stream, and the page ends with it.
@@ -152,8 +152,6 @@ def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
             answer = ours.take()
         except EOFError:
             raise RunError("the page in the browser has ended before it began") from None
-        if isinstance(answer, Vlp16emuError):
-            raise answer
         yield Watch(str(answer), partial(WatchedSink, emulator=emulator, channel=ours))
     finally:
         ours.close()
@@ -162,7 +160,7 @@ def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
 
 
 def serve(backdrop: Backdrop, channel: Channel) -> None:
-    """Serve the page until the stream is over, and say where it is when it is there."""
+    """Serve the page until the stream is over, and send its address when it is there."""
     os.nice(_NICE)
     with ExitStack() as stack:
         try:
@@ -175,7 +173,7 @@ def serve(backdrop: Backdrop, channel: Channel) -> None:
 
 
 class LivePage:
-    """The stand, and what a stream sends just now."""
+    """The stand, and what a stream is sending."""
 
     def __init__(self, server: viser.ViserServer, backdrop: Backdrop) -> None:
         self._server, self._backdrop = server, backdrop
@@ -190,7 +188,7 @@ class LivePage:
             self._follow = server.gui.add_checkbox("follow the sensor", initial_value=True)
 
     def run(self, channel: Channel) -> None:
-        """Show what comes, as often as there is time for it, until the stream is over."""
+        """Draw glimpses, as often as there is time for it, until the stream is over."""
         draw_s = 0.0
         while True:
             try:
@@ -206,7 +204,7 @@ class LivePage:
                 self._draw(glimpse)
 
     def _add(self, glimpse: Glimpse) -> None:
-        """Put points into the world, and forget those that are more than a turn old."""
+        """Place points in the world, and forget those older than a revolution."""
         payloads = np.frombuffer(glimpse.payloads, np.uint8).reshape(-1, DATA_BYTES)
         try:
             points = decode_data(payloads, keep_no_returns=False)
@@ -225,7 +223,7 @@ class LivePage:
         self._parts = [part for part in self._parts if part.scan.start_ns >= oldest_ns] + [sweep]
 
     def _draw(self, glimpse: Glimpse) -> None:
-        """Draw the last turn, the sensor and the person, and say how punctual the stream is."""
+        """Draw the last revolution, the sensor and the person, and report how punctual the stream is."""
         if not self._parts:
             return
         place_m = glimpse.world_T_sensor[-1][:3, 3]
@@ -244,7 +242,7 @@ class LivePage:
         self._server.scene.add_cylinder("/person", _PERSON_RADIUS_M, tall_m, _PERSON_RGB, **look)
 
     def _look_at(self, place_m: NDArray[np.float64]) -> None:
-        """Let cameras go with the sensor, as they are turned and as near as they are."""
+        """Move cameras with the sensor, with their direction and distance kept."""
         if self._follow.value is not True:
             return
         for client in self._server.get_clients().values():

@@ -29,30 +29,25 @@ from vlp16emu.sensor.beams import BeamTable
 _MOST_KEPT = 50
 """Sweeps drawn together: 1.2 million points."""
 _LISTED = 6
-"""Faults of a sweep, line by line."""
+"""Most faults of a sweep that are listed."""
 _LOST_M = 30.0
-"""How far a beam that meets nothing is drawn."""
+"""Length of a beam that meets nothing."""
 _SECTOR_M, _STEP_DEG = 8.0, 1.0
-"""Radius of a sector, and the width of its triangles."""
+"""Radius of a sector of faults, and the width of its triangles."""
 _PATH, _HIT, _LOST, _WRONG = (220, 60, 40), (255, 70, 50), (150, 160, 175), (230, 0, 60)
 
 
 def draw_stand(
     server: viser.ViserServer, pieces: Iterable[Piece], way_m: NDArray[np.float64], *, hall: bool
 ) -> viser.FrameHandle:
-    """Draw what stands along a path (n, 3), look at it from behind the start, and give the node above it."""
+    """Draw what stands along a path (n, 3), look at it from behind the start, and return the node above it."""
     scene = server.scene
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
     scene.configure_environment_map(None)  # light of its own on each pixel, where a stand needs two lamps
     # A hall is looked into through its ceiling.
-    look: dict[str, Any] = {
-        "lod": "off",
-        "flat_shading": True,
-        "material": "toon5",
-        "side": "front" if hall else "double",
-    }
-    look |= {"cast_shadow": False, "receive_shadow": False}
+    look: dict[str, Any] = {"lod": "off", "flat_shading": True, "material": "toon5"}
+    look |= {"cast_shadow": False, "receive_shadow": False, "side": "front" if hall else "double"}
     for piece in pieces:
         mesh = piece.vertices_m, piece.faces, piece.wxyz, piece.position_m
         own: dict[str, Any] = {"batched_scales": piece.scale, "batched_colors": piece.colour}
@@ -64,7 +59,7 @@ def draw_stand(
 
 
 def look_from(server: viser.ViserServer, place_m: NDArray[np.float64], ahead_m: NDArray[np.float64]) -> None:
-    """Put the camera of whoever comes behind a place, and over it."""
+    """Put the initial camera behind a place and over it."""
     away_m = math.hypot(*ahead_m[:2])
     east, north = ahead_m[:2] / away_m if away_m > 0 else (1.0, 0.0)
     camera = server.initial_camera
@@ -82,9 +77,16 @@ def scene_page(
     save: Path | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> "Page":
-    """Grow and draw a scene to a radius from its path; the path of one that walks can be drawn anew, and saved to a file.
+    """Grow and draw a scene to a radius from its path; a walk's path can be drawn anew, and saved to a file.
 
-    `progress` has the share of the stand that has grown. InputError where there is no such unit, or the stand cannot be grown.
+    Parameters
+    ----------
+    progress : called with the share of the stand that has grown
+
+    Raises
+    ------
+    InputError
+        If there is no such unit, or the stand cannot be grown
     """
     text, scenario, parts = server.gui.add_markdown("growing the world"), emulator.scenario, emulator.parts
     bare = getattr(parts.world, "bare", parts.world)
@@ -100,7 +102,7 @@ def scene_page(
 
 
 class SweepView:
-    """Points of sweeps by `layers`, and the axes of their sensor, with the controls of how they look; `root` is what stands there."""
+    """Points of sweeps by `layers` and the axes of their sensor, with their controls; `root` is the node of the stand."""
 
     def __init__(
         self,
@@ -119,18 +121,18 @@ class SweepView:
         self.controls = self._layer, self._size, self._stand
 
     def draw(self, sweeps: Sequence[Sweep]) -> str:
-        """Draw sweeps, with the sensor where the last one has it, and say what is drawn.
+        """Draw sweeps and the sensor's pose in the last one, and return what is drawn, in words.
 
-        A control with a value that it cannot have leaves what was there.
+        A value that a control cannot have, which only a hostile message sets, leaves the picture as it was.
         """
-        size_cm, layer, scan = self._size.value, self._layer.value, sweeps[-1].scan
-        if not is_number(size_cm) or layer not in self._layers:
+        size_cm, layer, scan = within(self._size.value, 0.1, 100.0), self._layer.value, sweeps[-1].scan
+        if size_cm is None or layer not in self._layers:
             return ""
         points_m = np.concatenate([sweep.world_m for sweep in sweeps])
         middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
         rgb = np.concatenate([colours_of(sweep.scan, layer, self._species) for sweep in sweeps])
         look: dict[str, Any] = {"precision": "float32", "point_shape": "circle", "point_shading": "flat"}
-        look |= {"point_size": max(float(size_cm), 0.1) / 100, "position": middle_m}
+        look |= {"point_size": size_cm / 100, "position": middle_m}
         self._scene.add_point_cloud("/sweep", (points_m - middle_m).astype(np.float32), rgb, **look)
         if (world_T_sensor := scan.world_T_sensor) is not None:
             self._frame.position = world_T_sensor[:3, 3]
@@ -144,7 +146,7 @@ class SweepView:
 
 
 class Page:
-    """Controls over sweeps, and the points of the present one; `root` is the node of what stands there."""
+    """Controls of sweeps, and the points of the current one; `root` is the node of the stand."""
 
     def __init__(
         self,
@@ -173,7 +175,7 @@ class Page:
             control.on_update(lambda _: self._wake.set())
 
     def run(self) -> None:
-        """Draw what is wanted, for ever."""
+        """Draw what the controls ask for, for ever."""
         while self._wake.wait():
             self._wake.clear()
             began_s = time.monotonic()
@@ -185,16 +187,16 @@ class Page:
                 self._go_on(began_s)
 
     def _draw(self) -> None:
-        """Draw the sweeps at the cursor, if the controls have values that they can have."""
-        time_s, together = self._slider.value, self._together.value
-        if not is_number(time_s) or not is_number(together):
+        time_s = within(self._slider.value, 0.0, self._slider.max)
+        together = within(self._together.value, 1, _MOST_KEPT)
+        if time_s is None or together is None:
             return
         if time_s != self._time_s:
             if not 0.0 < time_s - self._time_s < 1.5 * self._sweeps.step_s:
                 self._kept.clear()
-            self._kept.append(self._sweeps.at(float(time_s)))
+            self._kept.append(self._sweeps.at(time_s))
             self._time_s = time_s
-        shown = list(self._kept)[-max(int(together), 1) :]
+        shown = list(self._kept)[-int(together) :]
         with self._server.atomic():
             text = self._view.draw(shown)
             self._draw_beams(shown[-1])
@@ -203,7 +205,7 @@ class Page:
         self._faults.content = boxed(escape(mark.what) for mark in shown[-1].marks[:_LISTED])
 
     def _draw_beams(self, sweep: Sweep) -> None:
-        """Draw the first beams of a sweep, and the sectors in which packets are at fault."""
+        """Draw the first beams of a sweep, and the sectors of faulty packets."""
         ends_m, is_hit = beams_of(sweep.scan, self._sweeps.beams)
         lines_m = np.stack([np.zeros_like(ends_m), ends_m], axis=1)
         rgb, shown = np.where(is_hit[:, None, None], _HIT, _LOST).repeat(2, axis=1), self._beams.value is True
@@ -218,7 +220,7 @@ class Page:
             self._marked = scene.add_mesh_simple("/sensor/faults", vertices_m, faces, **look)
 
     def _go_on(self, began_s: float) -> None:
-        """Set the cursor to the next sweep, no faster than in real time."""
+        """Move the cursor to the next sweep, no faster than in real time."""
         time_s = self._time_s + self._sweeps.step_s
         if time_s > self._sweeps.last_s:
             self._play.value = False
@@ -228,13 +230,13 @@ class Page:
         self._wake.set()
 
 
-def is_number(value: object) -> bool:
-    """Whether a value is a finite number; a stranger's message may say anything."""
-    return isinstance(value, int | float) and math.isfinite(value)
+def within(value: object, low: float, high: float) -> float | None:
+    """Return a control's value clipped to its range, or None if it is no finite number: a hostile message may set anything."""
+    return min(max(float(value), low), high) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def beams_of(scan: Scan, beams: BeamTable) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Give the ends (L, 3) in the sensor of a scan's first beams, by rising elevation, and (L,) which of them met something."""
+    """Return the ends (L, 3) of a scan's first beams in the sensor's frame, by rising elevation, and which (L,) have a return."""
     rising = np.sort(beams.elevation_deg)
     first = scan.t_ns < scan.start_ns + beams.sequence_ns
     azimuth = np.radians(scan.azimuth_deg[first][0] if first.any() else 0.0)
@@ -246,7 +248,7 @@ def beams_of(scan: Scan, beams: BeamTable) -> tuple[NDArray[np.float64], NDArray
 
 
 def sectors_of(marks: tuple[Mark, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Vertices (v, 3) in the sensor and triangles (f, 3) of level sectors between the azimuths of marks."""
+    """Return vertices (v, 3) in the sensor's frame and triangles (f, 3) of level sectors between the azimuths of marks."""
     corners = []
     for begin_deg, end_deg, _ in marks:
         width_deg = (end_deg - begin_deg) % 360.0

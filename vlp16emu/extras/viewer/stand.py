@@ -1,4 +1,4 @@
-"""What stands along the path as a browser can draw it: few faces for each thing, and what is there often only once."""
+"""The stand along the path as a browser can draw it: few faces per thing, and instances of repeated shapes."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.extras.palette import colour_of_kind, surface_colours
 from vlp16emu.extras.sheets.survey import Survey
-from vlp16emu.forest.plants.sapling import SaplingKey
+from vlp16emu.forest.plants.undergrowth import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import Mesh, PlantPart, ShapeKey
@@ -21,28 +21,28 @@ Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
 _FACES = 300_000
-"""Triangles of all plants and things together without stems, about: crowns look like crowns, and a browser without a graphics card draws one every second or two."""
+"""Triangles of all plants and things without stems, about: crowns look like crowns, and a browser without a graphics card draws a picture every second or two."""
 _FEWEST, _MOST = 6, 3_000
-"""Faces of one mesh of one thing; in between as its size has it."""
+"""Faces of one mesh of one thing; between these limits in proportion to its size."""
 _MOST_GROWN = 3.5
-"""Of a leaf, in length: larger ones are seen as what they are; a crown that would need them is drawn less dense."""
+"""Limit of the growth of a leaf in length: larger ones look wrong; a crown that would need them is drawn less dense."""
 _BRANCHES = 0.25
-"""Of the faces of leaves: branches are largely behind them."""
+"""Faces of branches, as a share of those of leaves, which largely hide them."""
 _SIDES, _RINGS = 6, 7
-"""Of a stem."""
+"""Sides and rings of a stem."""
 _DENSE_M = 6.0
-"""What covers the ground is drawn whole so far from the path, and beyond it thins out with the square of the distance."""
+"""Ground cover is complete up to this distance from the path; beyond it thins out with the square of the distance."""
 _GOLDEN = 0.618034
 _CELL_M = 1.0
-"""Of the ground."""
+"""Cell of the ground mesh."""
 _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
-"""Too fine to be seen among leaves."""
+"""Parts too fine to be seen among leaves."""
 _ONE = np.eye(3, 4)[None]
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A mesh of one colour, at one place or at many."""
+    """A mesh of one colour with its instances."""
 
     name: str
     vertices_m: NDArray[np.float32]
@@ -58,7 +58,7 @@ class Piece:
 
 
 def pieces_of(seen: Survey) -> Iterator[Piece]:
-    """Draw the ground, the plants and the things within the radius of a survey."""
+    """Yield the ground, the plants and the things within the radius of a survey."""
     if seen.hall is None:
         yield _piece("ground", _ground(seen), colour_of_kind("ground"), _ONE)
     window, colours = seen.window, surface_colours(seen.window.surfaces, seen.species)
@@ -73,7 +73,7 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
         alike, key = near[index], window.shapes[which]
         most = int(np.clip(per_m * size_m[index].mean(), _FEWEST, _MOST))
         row = int(window.first_surface[alike[0]])
-        for number, mesh in enumerate(seen.grow(key)):
+        for number, mesh in enumerate(seen.world.shape(key)):
             part = PlantPart(window.surfaces["part"][row + number])
             is_ground = isinstance(key, TileKey) and number == 0
             if is_ground or part in _LEFT_OUT or not len(mesh.faces):
@@ -92,7 +92,7 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
 
 
 def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], Array]:
-    """Find the placements (n,) that are drawn, and the size (n,) of each, in metres; 0 of tiles, whose stems have faces of their own."""
+    """Return the placements (n,) that are drawn, and the size (n,) of each in metres: 0 for tiles, whose stems have faces of their own."""
     window = seen.window
     is_tile, is_floor = (
         np.array([isinstance(key, kind) for key in window.shapes], np.bool_)[window.shape]
@@ -109,13 +109,13 @@ def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], Array]:
         if not isinstance(window.shapes[which], TileKey):
             alike = window.shape[near] == which
             scale = np.linalg.norm(window.world_T_shape[near[alike], :, :3], axis=1).mean(axis=1)
-            drawn = (mesh.vertices_m for mesh in seen.grow(window.shapes[which]) if len(mesh.faces))
+            drawn = (mesh.vertices_m for mesh in seen.world.shape(window.shapes[which]) if len(mesh.faces))
             size_m[alike] = scale * max((float(np.ptp(of_m, axis=0).max()) for of_m in drawn), default=0.0)
     return near, size_m
 
 
 def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
-    """Leave few faces of a mesh, in the way that suits what it is."""
+    """Simplify a mesh in the way that suits its kind."""
     if part is PlantPart.STEM and isinstance(key, TileKey | SaplingKey):
         return slim_stem(mesh)
     if part is PlantPart.LEAF:
@@ -129,7 +129,7 @@ def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
 
 
 def slim_stem(mesh: Mesh) -> Mesh:
-    """Draw an upright stem with few sides and rings: each vertex goes to that of its sector which is nearest to a ring's height."""
+    """Simplify an upright stem to few sides and rings: a vertex moves to the one of its sector nearest to a ring's height."""
     place_m = mesh.vertices_m.astype(np.float64)
     along = (place_m[:, 2] - place_m[:, 2].min()) / max(float(np.ptp(place_m[:, 2])), 1e-6)
     axis_m = np.stack([np.polyval(np.polyfit(along, place_m[:, k], 3), along) for k in (0, 1)], axis=1)
@@ -140,7 +140,7 @@ def slim_stem(mesh: Mesh) -> Mesh:
 
 
 def lump(mesh: Mesh) -> Mesh:
-    """Draw a small solid thing by the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
+    """Simplify a small solid thing to the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
     low_m, size_m = mesh.vertices_m.min(axis=0), np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
     place = (mesh.vertices_m - low_m) / size_m
     x, y, z = np.minimum(place * 3, 2).astype(np.int64).T
@@ -148,7 +148,7 @@ def lump(mesh: Mesh) -> Mesh:
 
 
 def _gathered(mesh: Mesh, cluster: NDArray[np.int64], cost: NDArray[np.floating]) -> Mesh:
-    """Put all vertices (n,) of a cluster where the cheapest is, and leave out faces that have no area then."""
+    """Move all vertices (n,) of a cluster to its cheapest, and remove faces that then have no area."""
     order = np.lexsort([cost, cluster])
     _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)
     at = np.empty(len(order), np.uint32)
@@ -160,7 +160,7 @@ def _gathered(mesh: Mesh, cluster: NDArray[np.int64], cost: NDArray[np.floating]
 
 
 def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
-    """Leave as many faces of a mesh as are wanted: of leaves any, `grown` so that their area stays as far as that goes; of others the largest.
+    """Keep `most` faces of a mesh: the largest, or with `grown` any, enlarged to keep the area of all.
 
     R. L. Cook et al., "Stochastic simplification of aggregate detail", SIGGRAPH 2007.
     """
@@ -181,14 +181,13 @@ def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
 
 
 def _ground(seen: Survey) -> Mesh:
-    """Ground within the radius, in squares."""
-    low = np.floor(seen.path_m[:, :2].min(axis=0) - seen.radius_m)
-    high = np.ceil(seen.path_m[:, :2].max(axis=0) + seen.radius_m)
-    x_m, y_m = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
+    """Return the ground within the radius, in squares."""
+    low, high = seen.bounds_m
+    x_m, y_m = (np.arange(np.floor(a), np.ceil(b) + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
     x, y = (grid.ravel() for grid in np.meshgrid(x_m, y_m, indexing="ij"))
     inside = seen.inside(np.column_stack([x, y]))
     z = np.zeros_like(x)
-    z[inside] = seen.height_m(x[inside], y[inside])
+    z[inside] = seen.bare.height_m(x[inside], y[inside])
     corner = np.arange(len(x)).reshape(len(x_m), len(y_m))
     quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1)
     quads = quads.reshape(-1, 4)
@@ -210,13 +209,13 @@ def _joined(meshes: list[Mesh]) -> Mesh:
 
 
 def _triangles(mesh: Mesh) -> NDArray[np.uint32]:
-    """Cut quads (a, b, c, d) into (a, b, d) and (c, d, b), as casters do."""
+    """Return triangles; quads (a, b, c, d) become (a, b, d) and (c, d, b), as in casters."""
     faces = mesh.faces
     return faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
 
 
 def _piece(name: str, mesh: Mesh, colour: tuple[int, ...], world_T_shape: Array) -> Piece:
-    """Place a mesh; a shear, which a browser's instances do not have, is left out."""
+    """Return a mesh with its placements (n, 3, 4), without shear, which instances in a browser cannot have."""
     scale = np.linalg.norm(world_T_shape[:, :, :3], axis=1)
     turn = Rotation.from_matrix(world_T_shape[:, :, :3] / scale[:, None, :])
     red, green, blue = colour

@@ -1,4 +1,4 @@
-"""Sweeps at a time: of a scene, computed when they are asked for, and of a capture, with what is wrong with its packets."""
+"""Sweeps by time: of a scene, computed on demand, and of a capture, with the faults of its packets."""
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
@@ -14,29 +14,29 @@ from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, TrajectoryErrors
 from vlp16emu.extras.verify import Finding, Rule, verify_capture
 from vlp16emu.forest.plants.flora import flora
-from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
-from vlp16emu.scan import Labels, LabelsOf, Scan, clock_zero_ns, scans_in
+from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.scan import Labels, LabelsOf, Scan, scans_in
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable
 
 _TURNS = 2.2
-"""Of the rotor: so long a span holds a whole revolution wherever it begins, also of a motor that is off its speed."""
+"""Span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed."""
 _KEPT = 300
-"""Sweeps of a capture that are kept, some 300 MB; one before them is read from the file's begin again."""
+"""Sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file."""
 _MARKED = 10_000
-"""Findings of each rule that are marked; all are counted."""
+"""Most findings of a rule that are marked; all are counted."""
 _PASSED_OVER = Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE
-"""For these a packet is not read."""
+"""Rules for which a packet is not read."""
 _ABOUT_POINTS = (
     *_PASSED_OVER,
     *(Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE, Rule.FROZEN, Rule.AZIMUTH_STEP),
     *(Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
 )
-"""What is marked; of the others, such as late packets, points are right."""
+"""Rules whose findings are marked; with the others, such as late packets, points are right."""
 
 
 class Mark(NamedTuple):
-    """Something wrong between two azimuths of a sweep."""
+    """A fault between two azimuths of a sweep."""
 
     begin_deg: float
     end_deg: float
@@ -48,24 +48,24 @@ class Sweep(NamedTuple):
 
     scan: Scan
     world_m: NDArray[np.float64]
-    """(n, 3) its points in the world."""
+    """(n, 3) points in the world."""
     marks: tuple[Mark, ...] = ()
 
 
 def placed(xyz_m: NDArray[np.floating], world_T_sensor: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (n, 3) in the world, each by a pose of its own (n, 4, 4)."""
+    """Return points (n, 3) in the world, each by a pose of its own (n, 4, 4)."""
     world_m: NDArray[np.float64] = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
     return world_m + world_T_sensor[:, :3, 3]
 
 
 def sweeps_of_scene(emulator: Emulator, start_s: float, duration_s: float | None, unit: int = 1) -> Iterator[Sweep]:
-    """Yield the revolutions of a scene's sensor, with labels."""
+    """Yield the revolutions of a scene's sensor with labels."""
     for scan in emulator.scans(start_s=start_s, duration_s=duration_s, unit=unit, truth=True):
         yield Sweep(scan, placed(scan.xyz_m, emulator.world_T_sensor(scan.t_ns, unit=unit)))
 
 
 def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
-    """Place a scan by a trajectory that covers it; without one its points stay as they are in the sensor."""
+    """Place a scan by a trajectory that covers it; without one its points stay in the sensor's frame."""
     if way is None:
         return Sweep(scan, scan.xyz_m.astype(np.float64))
     world_T_sensor = np.tile(np.eye(4), (len(scan.t_ns) + 1, 1, 1))
@@ -75,26 +75,20 @@ def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
 
 
 class Sweeps(Protocol):
-    """Where sweeps come from."""
+    """Source of sweeps."""
 
-    @property
-    def beams(self) -> BeamTable:
-        """Of the sensor."""
-
-    @property
-    def last_s(self) -> float:
-        """Start of the last sweep, since the first."""
-
-    @property
-    def step_s(self) -> float:
-        """Nominal time between sweeps, in seconds."""
+    beams: BeamTable
+    last_s: float
+    """Start of the last sweep since the first, in seconds."""
+    step_s: float
+    """Nominal time between sweeps, in seconds."""
 
     def at(self, time_s: float) -> Sweep:
-        """Sweep that begins first after a time."""
+        """Return the first sweep that begins after a time."""
 
 
 class SceneSweeps:
-    """Sweeps of a scene's sensor, with labels; InputError where there is no such unit."""
+    """Sweeps of a scene's sensor, with labels; InputError if there is no such unit."""
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
         units = emulator.parts.units
@@ -107,7 +101,7 @@ class SceneSweeps:
         self.last_s = end_s - self._span_s
 
     def at(self, time_s: float) -> Sweep:
-        """See `Sweeps`; InputError where the run is shorter than a revolution."""
+        """See `Sweeps`; InputError if the run is shorter than a revolution."""
         begin_s = float(np.clip(time_s, 0.0, self.last_s))
         sweep = next(sweeps_of_scene(self._emulator, begin_s, self._span_s, self._unit), None)
         if sweep is None:
@@ -116,13 +110,18 @@ class SceneSweeps:
 
 
 class CaptureSweeps:
-    """Sweeps of a capture one after another; all of one place, unless the truth of the run has the poses.
+    """Sweeps of a capture, in the sensor's frame or, with the ground truth of the run, in the world.
 
     Parameters
     ----------
-    path : of the capture; packets at fault are passed over
-    truth : folder that `record --truth --truth-returns` has written
-    unit : of several, from 1; InputError where there is no such unit or no whole revolution
+    path : capture; faulty packets are passed over
+    truth : folder written by `record --truth --truth-returns`
+    unit : number of the sensor, from 1
+
+    Raises
+    ------
+    InputError
+        If there is no such unit or no whole revolution
     """
 
     def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:
@@ -131,19 +130,15 @@ class CaptureSweeps:
         self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
         found = verify_capture(path, self._unit, limit_per_rule=_MARKED)
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
-        """Which rules of `vlp16emu verify` are broken, how often, and why the file cannot be read to its end."""
+        """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
         self.species = {} if truth is None else _species(truth)
-        """Names by number."""
+        """Names of species by number."""
         reader, packets, self._starts_ns = self._reader(), list[NDArray[np.int64]](), list[int]()
-        zero_ns = 0
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
-            """Keep frame, time and azimuths of the packets; labels of points are none."""
-            nonlocal zero_ns
-            if not packets:
-                zero_ns = clock_zero_ns(reader, chunk)
+            """Keep frame, time and azimuths of the packets; return no labels."""
             azimuth_cdeg = chunk.fields["blocks"]["azimuth_cdeg"][:, [0, -1]]
-            packets.append(np.column_stack([chunk.number, chunk.packet_ns + zero_ns, azimuth_cdeg]))
+            packets.append(np.column_stack([chunk.number, chunk.utc_ns, azimuth_cdeg]))
             return {}
 
         try:
@@ -177,13 +172,14 @@ class CaptureSweeps:
         return by_trajectory(scan, self._way)._replace(marks=marks)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the capture."""
         if self._reading is not None:
             self._reading.close()
             self._reading = None
 
     def _reader(self) -> CaptureReader:
-        return CaptureReader(self._path, self._unit, passes_over=True)
+        clock = packet_clock(self._path, self._unit)
+        return CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
 
     def _scans(self, reader: CaptureReader, labels_of: LabelsOf) -> Generator[Scan]:
         for scan in scans_in(reader, labels_of):
@@ -197,7 +193,7 @@ def _species(folder: Path) -> dict[int, str]:
 
 
 def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
-    """Give the arrays of `Labels` of the points of packets."""
+    """Return the arrays of `Labels` of the points of packets."""
     if truth is None:
         return {}
     rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
@@ -205,7 +201,7 @@ def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDAr
 
 
 def _marks(packets: NDArray[np.int64], findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
-    """Give the marks of findings with their times, UTC in ns, by frame, time and azimuths (n, 4) of the packets read."""
+    """Return the marks of findings with their times (UTC in ns), by frame, time and azimuths (n, 4) of the packets read."""
     frame, t_ns, first_cdeg, last_cdeg = packets.T
     marks = list[tuple[int, Mark]]()
     for finding in findings:

@@ -29,8 +29,7 @@ class Wall:
 
 
 def draw(into_m, overhang_m=3.0, ground_m=0.0):
-    ground = {"colours": COLOURS, "height_m": lambda x, _: np.full_like(x, ground_m)}
-    return draw_section(Wall(into_m), SECTION, overhang_m, pixels_per_m=10.0, **ground)
+    return draw_section(Wall(into_m), SECTION, overhang_m, COLOURS, lambda x, _: np.full_like(x, ground_m), 10.0)
 
 
 def test_what_stands_there_is_drawn_at_its_height_in_its_colour():

@@ -2,6 +2,7 @@
 
 import io
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,28 +12,31 @@ from PIL import Image
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.palette import colour_of_species
 from vlp16emu.extras.plots import check_matplotlib
-from vlp16emu.extras.sheets.plan import PlanView, legend_entries
+from vlp16emu.extras.sheets.plan import legend_entries
 from vlp16emu.extras.sheets.section import StandSection
-from vlp16emu.extras.sheets.sheet import _draw_side, draw_sheet
+from vlp16emu.extras.sheets.sheet import draw_sheet, draw_side
 
 TREE = [("x_m", "f8"), ("y_m", "f8"), ("dbh_m", "f8"), ("crown_width_m", "f8"), ("species", "u2")]
 SECTION = StandSection(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 20.0, 8.0, -1.0, 9.0)
 
 
-def plan(**changes):
+def survey(**changes):
+    """A walk of 20 m past two birches, a spruce and a stone."""
+    stone = SimpleNamespace(kind="stone", instance=1, place_m=np.array([2.0, -6.0, 0.0]))
+    stone.outline_m = np.array([[1.0, -7], [3.0, -7], [2.0, -5]])
     values = {
-        "low_m": np.array([-10.0, -10.0]),
-        "high_m": np.array([30.0, 10.0]),
+        "bounds_m": (np.array([-8.0, -8.0]), np.array([28.0, 8.0])),
         "path_m": np.column_stack([np.linspace(0, 20, 50), np.zeros(50), np.full(50, 2.0)]),
         "field_of_view_deg": (-15.0, 15.0),
         "radius_m": 9.0,
-        "trees": np.array([(5.0, 5.0, 0.3, 6.0, 3), (15.0, 5.0, 0.3, 4.0, 3), (10.0, -6.0, 0.4, 5.0, 1)], TREE),
+        "hall": None,
+        "near": np.array([(5.0, 5.0, 0.3, 6.0, 3), (15.0, 5.0, 0.3, 4.0, 3), (10.0, -6.0, 0.4, 5.0, 1)], TREE),
         "species": {1: "norway_spruce", 3: "silver_birch"},
-        "outlines_m": {"stone": [np.array([[1.0, -7], [3.0, -7], [2.0, -5]])], "log": []},
-        "names": [],
-        "height_m": lambda x, y: 0.1 * x + 0.0 * y,
+        "things": [stone],
+        "names": {},
+        "bare": SimpleNamespace(height_m=lambda x, y: 0.1 * x + 0.0 * y),
     }
-    return PlanView(**(values | changes))
+    return SimpleNamespace(**(values | changes))
 
 
 def sheet(of):
@@ -49,7 +53,7 @@ def share(picture, colour, tolerance=14):
 
 @pytest.fixture(scope="module")
 def picture():
-    return sheet(plan())
+    return sheet(survey())
 
 
 def test_a_sheet_is_a_png_with_a_palette(picture):
@@ -70,13 +74,13 @@ def test_crowns_have_the_colour_of_their_species_and_their_size(picture):
 def test_the_way_is_red(picture):
     """The path keeps its colour in spite of the palette, and without a path there is less of it."""
     red = np.array([200, 55, 45])
-    assert share(picture, red) > 1.5 * share(sheet(plan(path_m=np.array([[0.0, 0.0, 2.0]]))), red) > 0
+    assert share(picture, red) > 1.5 * share(sheet(survey(path_m=np.array([[0.0, 0.0, 2.0]]))), red) > 0
 
 
 def test_the_field_of_view_is_that_of_the_sensor():
     """From the sensor four thin lines lead 12 m to both sides at the elevations of its lowest and highest beam."""
     axes = Figure().add_subplot()
-    _draw_side(axes, plan(field_of_view_deg=(-40.0, 20.0)), SECTION, np.zeros((480, 960, 3), np.uint8))
+    draw_side(axes, survey(field_of_view_deg=(-40.0, 20.0)), SECTION, np.zeros((480, 960, 3), np.uint8))
     rays = [line.get_xydata() for line in axes.lines if np.ptp(line.get_xdata()) == pytest.approx(12.0)]
     slopes_deg = [np.degrees(np.arctan2(b[1] - a[1], abs(b[0] - a[0]))) for a, b in rays]
     assert sorted(slopes_deg) == pytest.approx([-40, -40, 20, 20])
@@ -86,14 +90,14 @@ def test_the_field_of_view_is_that_of_the_sensor():
 
 def test_the_legend_names_what_is_there_and_nothing_else():
     """Species come first, the most frequent at the top, then things of which there are any, then the path."""
-    labels = [entry.get_label() for entry in legend_entries(plan())]
+    labels = [entry.get_label() for entry in legend_entries(survey())]
     assert labels == ["silver birch", "norway spruce", "stone", "path of the sensor"]
 
 
 def test_an_empty_plain_can_be_drawn():
     """No trees, no things, no relief: the sheet is drawn all the same."""
-    bare = plan(trees=np.zeros(0, TREE), outlines_m={}, height_m=lambda x, _: np.zeros_like(x), radius_m=None)
-    assert sheet(bare).width == 1008
+    plain = SimpleNamespace(height_m=lambda x, _: np.zeros_like(x))
+    assert sheet(survey(near=np.zeros(0, TREE), things=[], bare=plain)).width == 1008
 
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch):
@@ -103,7 +107,7 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch):
         check_matplotlib()
 
 
-def test_a_section_and_its_marks_stay_within_a_small_plan():
+def test_a_section_and_its_marks_stay_within_a_small_survey():
     """A strip longer than the plan is shortened about its middle, with room for the marks; a shorter one stays."""
     low_m, high_m = np.array([-5.0, -5.0]), np.array([25.0, 5.0])
     long = StandSection(np.array([-20.0, 0.0]), np.array([1.0, 0.0]), 60.0, 8.0, -1.0, 9.0).within(low_m, high_m)
@@ -118,5 +122,5 @@ def test_the_line_of_the_sensor_has_no_gaps():
     axes = Figure().add_subplot()
     along_m = np.linspace(0, 20, 50)
     path_m = np.column_stack([along_m, 6 * np.sin(along_m / 4), np.full(50, 2.0)])
-    _draw_side(axes, plan(path_m=path_m), SECTION, np.zeros((480, 960, 3), np.uint8))
+    draw_side(axes, survey(path_m=path_m), SECTION, np.zeros((480, 960, 3), np.uint8))
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), path_m[:, 2])

@@ -1,0 +1,206 @@
+"""The tables `[[events]]` of a scene: what is set on a sensor while it runs, and what goes wrong."""
+
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Union
+
+from pydantic import Field, TypeAdapter, create_model, model_validator
+
+from vlp16emu.sensor.settings import FreeSensor
+from vlp16emu.settings import Fraction, NonNegative, Positive, Section
+from vlp16emu.units import seconds_to_ns
+
+FOREVER_NS = 2**62
+"""End of an event that lasts until the run ends."""
+_MOST = 10_000
+
+
+class Event(Section):
+    """Something that happens to a sensor at a time; the keys beside these are those of its row in `KINDS`."""
+
+    kind: str
+    """What happens."""
+    at_s: NonNegative
+    """When it begins, since the first pulse."""
+    unit: Annotated[int, Field(ge=1)] = 1
+    """Sensor of the rig that it happens to, from 1."""
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, key: str) -> Any: ...
+
+    @property
+    def effect(self) -> str:
+        """What it changes, as in `KINDS`."""
+        return KINDS[self.kind].effect
+
+    @property
+    def begin_ns(self) -> int:
+        """Begin, since the first pulse."""
+        return seconds_to_ns(self.at_s)
+
+    @property
+    def end_ns(self) -> int:
+        """End, since the first pulse; `begin_ns` of what takes no time."""
+        lasts_s = getattr(self, "off_s", getattr(self, "duration_s", 0.0))
+        return FOREVER_NS if lasts_s is None else seconds_to_ns(self.at_s + lasts_s)
+
+    @property
+    def is_random(self) -> bool:
+        """Whether it happens to each packet with a probability below one."""
+        return bool(getattr(self, "share", 1.0) < 1.0)
+
+    @model_validator(mode="after")
+    def _says_what_and_how_long(self) -> Self:
+        if self.kind == "setting" and not self.model_fields_set - {"kind", "at_s", "unit"}:
+            raise ValueError("at least one of rpm, return_mode, laser, fov_deg and phase_lock_deg in it")
+        if getattr(self, "count", None) is not None and self.duration_s is not None:
+            raise ValueError("duration_s or count in it, not both")
+        return self
+
+
+def _from(kind: type, **bounds: float) -> Any:
+    return Annotated[kind, Field(**bounds)]
+
+
+_Sector = Annotated[tuple[_from(int, ge=0, le=359), _from(int, ge=0, le=359)], Field(strict=False)]  # type: ignore[misc]
+_LAW = "False: no data packets; position packets go on (63-9243 Rev D, section 10.1.2)."
+_PHASE = "Rotor angle at each UTC second, which the rotor is turned to; `off` lets it run on."
+_COUNT = "Number of packets of a kind, one after the other, that it may befall, in place of `duration_s`."
+KEYS: dict[str, tuple[Any, Any, str]] = {
+    "duration_s": (Positive | None, None, "How long it lasts; until the end of the run where it is left out."),
+    "rpm": (_from(int, ge=300, le=1200, multiple_of=60) | None, None, "Rotor speed, which takes its time to change."),
+    "return_mode": (Literal["strongest", "last", "dual"] | None, None, "Echoes that are sent."),
+    "laser": (bool | None, None, _LAW),
+    "fov_deg": (_Sector | None, None, "First and last azimuth that is sent, whole degrees; (0, 359) is all around."),
+    "phase_lock_deg": (_from(float, ge=0, lt=360) | Literal["off"] | None, None, _PHASE),
+    "amplitude_rpm": (_from(float, gt=0, le=100), 6.0, "Greatest difference from the speed that is set."),
+    "period_s": (_from(float, ge=0.05, le=1000), 1.0, "Time from one greatest speed to the next."),
+    "off_s": (_from(float, gt=0, le=3600), 5.0, "How long nothing is sent: power off, and start of the sensor."),
+    "dead_laser.laser": (_from(int, ge=0, le=15), ..., "Its number in order of firing, from 0."),
+    "sector_deg": (_Sector, ..., "Azimuths from which and to which it is dirty, clockwise."),
+    "transmission": (Fraction, 0.3, "Share of the light that passes, on each of its two ways."),
+    "offset_us": (_from(float, ge=-1e9, le=1e9), 0.0, "By which the clock is fast from then on."),
+    "drift_ppm": (_from(float, ge=-1000, le=1000), 0.0, "By which it runs fast from then on."),
+    "characters": (_from(int, ge=1, le=60), 1, "Number of characters that are replaced."),
+    "late_sentence.by_s": (_from(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
+    "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it befalls."),
+    "count": (_from(int, ge=1) | None, None, _COUNT),
+    "share": (_from(float, gt=0, le=1), 1.0, "Probability with which it befalls each of them."),
+    "after_s": (_from(float, ge=0, le=10), 0.0, "From the first one to the second."),
+    "by": (_from(int, ge=1, le=100), 1, "Number of packets of its kind behind which one arrives."),
+    "by_s": (_from(float, gt=0, le=10), 0.05, "How late they are."),
+    "up_to_s": (_from(float, gt=0, le=10), 0.02, "How late they are at most; all delays up to it are equally likely."),
+    "bits": (_from(int, ge=1, le=4096), 8, "Number of bits that are flipped in a packet."),
+    "to_bytes": (_from(int, ge=0, le=1205), 600, "Bytes of the payload that are left."),
+    "status": (_from(int, ge=400, le=599) | None, None, "Status of the answers; no answer where it is left out."),
+}
+"""Type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ."""
+
+
+class Kind(NamedTuple):
+    """A row of `KINDS`."""
+
+    effect: Literal["settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"]
+    """What it changes; a sensor without packets takes `optics` alone, and `gps` needs `gps.connected`."""
+    keys: str
+    """Names of `KEYS`, beside those of `Event`."""
+    selects: str
+    meaning: str
+
+
+_SET = "A change of settings, as the web interface of the sensor makes it; keys that are left out stay as they are."
+_LATE = "Sentences that come late; one that comes after the next pulse names the wrong second."
+_HELD = "Packets that are late by the same time, each by itself: those that are not delayed overtake them."
+_HTTP = "A web interface that answers every request with an error, or not at all; only of a stream that has one."
+_PART = "duration_s packets count share"
+KINDS = {
+    "setting": Kind("settings", "rpm return_mode laser fov_deg phase_lock_deg", "a change of settings", _SET),
+    "rpm_wobble": Kind(
+        *("rotor", "duration_s amplitude_rpm period_s"),
+        *("a wobbling rotor", "A speed that is not held: a sine on top of it."),
+    ),
+    "motor_stop": Kind("rotor", "duration_s", "a stopping rotor", "A rotor that runs down, and up again afterwards."),
+    "power_cycle": Kind(
+        "power", "off_s", "a loss of power", "Power that is lost and comes back; unsaved settings are lost."
+    ),
+    "dead_laser": Kind("optics", "duration_s laser", "a dead laser", "A laser that emits nothing."),
+    "dirty_window": Kind(
+        "optics", "duration_s sector_deg transmission", "a dirty window", "Dirt on a sector of the window."
+    ),
+    "oscillator": Kind(
+        *("clock", "offset_us drift_ppm"),
+        *("an error of the oscillator", "A step and a drift of the clock that runs without GPS."),
+    ),
+    "pps_loss": Kind("gps", "duration_s", "a loss of the pulse per second", "Pulses that do not come."),
+    "void_sentence": Kind(
+        "gps", "duration_s", "void sentences", "Sentences of status V, as of a receiver without a fix."
+    ),
+    "wrong_sentence": Kind(
+        *("gps", "duration_s characters", "garbled sentences"),
+        "Sentences that are garbled on the line, so that their checksum is wrong.",
+    ),
+    "late_sentence": Kind("gps", "duration_s by_s", "late sentences", _LATE),
+    "missing_sentence": Kind("gps", "duration_s", "missing sentences", "Sentences that do not come."),
+    "drop": Kind("packets", _PART, "a loss of packets", "Packets that are lost."),
+    "duplicate": Kind("packets", f"{_PART} after_s", "a repetition of packets", "Packets that arrive twice."),
+    "reorder": Kind("packets", f"{_PART} by", "a change of order", "Packets that later ones overtake."),
+    "delay": Kind("packets", f"{_PART} by_s", "a constant delay", _HELD),
+    "jitter": Kind(
+        *("packets", f"{_PART} up_to_s", "a random delay"),
+        "Packets that are late by a random time, in a queue: none overtakes another of its kind.",
+    ),
+    "corrupt": Kind(
+        *("packets", f"{_PART} bits", "flipped bits"),
+        "Packets with flipped bits, in the sensor: checksums are those of the wrong bytes.",
+    ),
+    "truncate": Kind("packets", f"{_PART} to_bytes", "cut packets", "Packets whose payload is cut."),
+    "freeze": Kind(
+        *("packets", "duration_s packets count", "a hanging sensor"),
+        "A sensor that hangs: it sends the same payload again and again.",
+    ),
+    "http_error": Kind("web", "duration_s status", "an error of the web interface", _HTTP),
+}
+"""What can happen, by the word that selects it."""
+
+
+@cache
+def tables() -> TypeAdapter[list[Event]]:
+    """Return the type of `[[events]]`, a class for each row of `KINDS`."""
+    classes = []
+    for name, kind in KINDS.items():
+        keys: dict[str, Any] = {"kind": (Literal[name], Field(description=f"Selects {kind.selects}."))}
+        for key in kind.keys.split():
+            of, default, meaning = KEYS.get(f"{name}.{key}") or KEYS[key]
+            keys[key] = of, Field(default, description=meaning)
+        classes.append(create_model(name, __base__=Event, __doc__=kind.meaning, **keys))
+    one = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # as many as the table has
+    return TypeAdapter(Annotated[list[one], Field(max_length=_MOST)])  # type: ignore[valid-type]  # made just now
+
+
+def checked(given: object, scene: dict[str, Any]) -> list[Event]:
+    """Check the events of a scene.
+
+    Parameters
+    ----------
+    scene : the tables `sensor`, `rig` and `gps`, as far as they are sound
+
+    Raises
+    ------
+    ValueError
+        If one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene
+    """
+    events = tables().validate_python(given)
+    sensor, rig, gps = (scene.get(key) for key in ("sensor", "rig", "gps"))
+    for place, event in enumerate(events):
+        if rig is not None and event.unit > len(rig) + 1:
+            raise ValueError(f"events[{place}].unit of at most {len(rig) + 1}, the units of the scene")
+        if isinstance(sensor, FreeSensor) and event.effect != "optics":
+            raise ValueError(f'no {event.kind} (events[{place}]) beside sensor.model = "free"')
+        if gps is not None and not gps.connected and event.effect == "gps":
+            raise ValueError(f"gps.connected = true beside {event.kind} (events[{place}])")
+    return events
+
+
+def event(kind: str, at_s: float, unit: int, **keys: object) -> Event:
+    """Return an event of a unit, from 1."""
+    return tables().validate_python([{"kind": kind, "at_s": at_s, "unit": unit, **keys}])[0]

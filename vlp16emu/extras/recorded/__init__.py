@@ -1,0 +1,1 @@
+"""Recorded poses: a motion among others, and the trajectories that other extras read."""

@@ -1,0 +1,176 @@
+"""A body that moves as was recorded."""
+
+import math
+
+import numba
+import numpy as np
+
+from vlp16emu.elementary import acos, cos, norm, sin
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.extras.recorded.files import RecordedPoses
+from vlp16emu.extras.recorded.settings import Recorded
+from vlp16emu.motion.pose import Kinematics
+from vlp16emu.motion.splines import interpolant
+from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.units import S_NS
+
+_MOST_TURN_DEG = 90.0  # between one pose and the next: half of what would leave the sense of the turn open
+_LEAST_NORM = 0.5
+"""Least norm of the quaternion spline: it is 1 at each pose, and bends the turn in between the more the more it sinks."""
+_LOOKS = 8  # between two poses, for that norm
+
+
+class RecordedMotion:
+    """Recorded poses, interpolated with two continuous derivatives in position and rotation.
+
+    Positions are a cubic spline. So are the quaternions, each taken with the sign that is nearer to the
+    one before; scaled to unit length they are the rotation. On a steady turn of 10 degrees from pose to
+    pose the rotation is right within 1e-6 rad.
+
+    Before its first and after its last pose the body is at rest.
+
+    Raises TrajectoryError if poses are farther apart in time than the greatest gap, turn by more than 90 degrees from
+    one to the next, or are spaced too unevenly for a smooth turn.
+
+    Parameters
+    ----------
+    recorded : greatest gap between poses, place and axes of the recording
+    poses : as recorded
+    start_ns : UTC of the first pose
+    """
+
+    moves = True
+
+    def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
+        self._start_ns = start_ns
+        self._knots_ns = poses.t_ns - poses.t_ns[0]
+        self.run_time_s = float(self._knots_ns[-1] / S_NS)
+        quaternion = _continuous(poses.quaternion)
+        _check_steps(poses, self._knots_ns, quaternion, recorded.max_gap_s)
+        position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
+        knots_s = self._knots_ns / S_NS
+        # (4, n - 1, 7): powers of the time into the piece, highest first.
+        powers = interpolant(knots_s, np.column_stack([position_m, quaternion])).powers[::-1]
+        self._coefficients = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
+        self._check_norm(poses)
+        self.position_m = np.ascontiguousarray(self._coefficients[3, :, :3])
+        """(n - 1, 3) of all poses but the last, in the world."""
+
+    def poses_at(self, t_ns: IntArray) -> Poses:
+        """Poses at UTC instants (n,)."""
+        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
+        fill_poses(self._knots_ns, self._coefficients, t_ns - self._start_ns, position_m, turn)
+        return Poses(t_ns, turn, position_m)
+
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
+        poses = self.poses_at(t_ns)
+        rates = np.empty((4, len(t_ns), 3))
+        fill_rates(self._knots_ns, self._coefficients, t_ns - self._start_ns, rates)
+        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
+
+    def _check_norm(self, poses: RecordedPoses) -> None:
+        steps_s, c = np.diff(self._knots_ns) / S_NS, self._coefficients[:, :, 3:]
+        found = "no smooth turn leads here from the pose before: times are too uneven"
+        for look in range(1, _LOOKS):
+            d = (look / _LOOKS * steps_s)[:, None]
+            off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
+            _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
+
+
+def _refuse(poses: RecordedPoses, values: Array, most: float, found: str, expected: str) -> None:
+    """Refuse the first step (n - 1,) from pose to pose whose value, which may stand in `found`, is above the most."""
+    if (values > most).any():
+        i = int((values > most).argmax())
+        raise TrajectoryError(poses.where[i + 1], found.format(values[i]), expected)
+
+
+def _continuous(quaternion: Array) -> Array:
+    """Return the same rotations (n, 4), each with the sign that is nearer to the one before."""
+    flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
+    sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
+    return quaternion * sign[:, None]
+
+
+def _check_steps(poses: RecordedPoses, knots_ns: IntArray, quaternion: Array, max_gap_s: float) -> None:
+    _refuse(poses, np.diff(knots_ns) / S_NS, max_gap_s, "found a gap of {:g} s", f"at most {max_gap_s:g} s")
+    turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
+    expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
+    _refuse(poses, turn_deg, _MOST_TURN_DEG + 1e-6, "turns by {:.1f} degrees from the pose before", expected)
+
+
+def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[Array, Array]:
+    """Positions (n, 3) and quaternions (n, 4) in axes of the world, about the recording's origin."""
+    if recorded.axes == "camera":
+        # Forward is the camera's z, left its -x, up its -y, in the recording's frame and in the body's:
+        # the same turn before and after, which for a quaternion permutes its vector part.
+        position_m = position_m[:, [2, 0, 1]] * [1.0, -1.0, -1.0]
+        quaternion = quaternion[:, [2, 0, 1, 3]] * [1.0, -1.0, -1.0, 1.0]
+    yaw_rad = math.radians(recorded.yaw_deg)
+    cosine, sine = cos(yaw_rad), sin(yaw_rad)
+    x, y, z = position_m.T
+    position_m = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z])
+    position_m += [recorded.x_m, recorded.y_m, recorded.z_m]
+    cosine, sine = cos(yaw_rad / 2), sin(yaw_rad / 2)
+    x, y, z, w = quaternion.T
+    return position_m, np.column_stack(
+        [cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w, cosine * w - sine * z]
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _piece(knots_ns: IntArray, elapsed_ns: int) -> tuple[int, float]:
+    """Piece that holds an instant, and seconds into it; instants beyond the ends fall on them."""
+    t = min(max(elapsed_ns, 0), knots_ns[-1])
+    piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
+    return piece, (t - knots_ns[piece]) * 1e-9
+
+
+@numba.njit(cache=True, nogil=True)
+def fill_poses(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, position_m: Array, turn: Array) -> None:
+    """Evaluate the pieces, each instant alone."""
+    value = np.empty(7)
+    for i in range(elapsed_ns.size):
+        piece, d = _piece(knots_ns, elapsed_ns[i])
+        for a in range(7):
+            c0, c1 = coefficients[0, piece, a], coefficients[1, piece, a]
+            value[a] = ((c0 * d + c1) * d + coefficients[2, piece, a]) * d + coefficients[3, piece, a]
+        for a in range(3):
+            position_m[i, a] = value[a]
+        x, y, z, w = value[3], value[4], value[5], value[6]
+        # The rotation of a quaternion of any length.
+        two = 2.0 / (x * x + y * y + z * z + w * w)
+        turn[i, 0, 0], turn[i, 1, 1] = 1.0 - two * (y * y + z * z), 1.0 - two * (x * x + z * z)
+        turn[i, 2, 2] = 1.0 - two * (x * x + y * y)
+        turn[i, 0, 1], turn[i, 1, 0] = two * (x * y - z * w), two * (x * y + z * w)
+        turn[i, 0, 2], turn[i, 2, 0] = two * (x * z + y * w), two * (x * z - y * w)
+        turn[i, 1, 2], turn[i, 2, 1] = two * (y * z - x * w), two * (y * z + x * w)
+
+
+@numba.njit(cache=True, nogil=True)
+def fill_rates(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, rates: Array) -> None:
+    """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.
+
+    With Q of any length and N = |Q|^2, the rate is w = 2 vec(Q* Q') / N, and as Q'* Q' has no vector part,
+    its derivative is 2 vec(Q* Q'') / N - (N' / N) w.
+    """
+    q, q1, q2 = np.empty(4), np.empty(4), np.empty(4)
+    for i in range(elapsed_ns.size):
+        if elapsed_ns[i] < 0 or elapsed_ns[i] > knots_ns[-1]:
+            rates[:, i] = 0.0
+            continue
+        piece, d = _piece(knots_ns, elapsed_ns[i])
+        for a in range(7):
+            c = coefficients[:, piece, a]
+            first, second = (3.0 * c[0] * d + 2.0 * c[1]) * d + c[2], 6.0 * c[0] * d + 2.0 * c[1]
+            if a < 3:
+                rates[0, i, a], rates[1, i, a] = first, second
+            else:
+                q[a - 3], q1[a - 3], q2[a - 3] = ((c[0] * d + c[1]) * d + c[2]) * d + c[3], first, second
+        norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+        fading = 2.0 * (q[0] * q1[0] + q[1] * q1[1] + q[2] * q1[2] + q[3] * q1[3]) / norm2
+        for a in range(3):
+            j, k = (a + 1) % 3, (a + 2) % 3
+            w = 2.0 * (q[3] * q1[a] - q[a] * q1[3] - q[j] * q1[k] + q[k] * q1[j]) / norm2
+            alpha = 2.0 * (q[3] * q2[a] - q[a] * q2[3] - q[j] * q2[k] + q[k] * q2[j]) / norm2
+            rates[2, i, a], rates[3, i, a] = w, alpha - fading * w

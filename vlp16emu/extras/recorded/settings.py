@@ -1,0 +1,55 @@
+"""The table `[motion]` of a scene whose poses are in a file."""
+
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from vlp16emu.motion.settings import MotionSection
+from vlp16emu.settings import Angle, Place, Positive, SceneFile
+
+if TYPE_CHECKING:  # scenes are read without numpy
+    from vlp16emu.motion.pose import Motion
+    from vlp16emu.types import Array, HeightField
+
+
+class Recorded(MotionSection):
+    """Poses in a file, with the first at the start of the run."""
+
+    kind: Literal["recorded"]
+    """Selects recorded poses."""
+    file: SceneFile
+    """Path of the file, from the folder of the scene file."""
+    format: Literal["tum", "csv", "kitti"]
+    """t x y z qx qy qz qw; CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz, qw; 12 numbers of a matrix."""
+    times_file: SceneFile | None = None
+    """Time of each KITTI pose in seconds, one to a line."""
+    rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = None
+    """Rate of KITTI poses, where no file gives their times."""
+    max_gap_s: Positive = 1.0
+    """Poses farther apart in time are refused."""
+    axes: Literal["body", "camera"] = "body"
+    """body: x forward, z up, in the file's poses and in their world; camera: z forward, y down, in both (KITTI)."""
+    x_m: Place = 0.0
+    """Place in the world of the file's origin, with `y_m` and `z_m`; of poses in map coordinates the world's `origin_m` with
+    its signs turned, for that is not taken off them."""
+    y_m: Place = 0.0
+    """See `x_m`."""
+    z_m: Place = 0.0
+    """See `x_m`."""
+    yaw_deg: Angle = 0.0
+    """Where the file's x axis points, counter-clockwise from east."""
+
+    @model_validator(mode="after")
+    def _times_of_kitti(self) -> Self:
+        given = sum(times is not None for times in (self.times_file, self.rate_hz))
+        if given != (self.format == "kitti"):
+            raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")
+        return self
+
+    def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
+        """Return the recorded motion and the places (n, 2) of its poses."""
+        from vlp16emu.extras.recorded.files import read_poses
+        from vlp16emu.extras.recorded.motion import RecordedMotion
+
+        motion = RecordedMotion(self, read_poses(self), start_ns=start_ns)
+        return motion, motion.position_m[:, :2].copy()

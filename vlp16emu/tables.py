@@ -1,0 +1,244 @@
+"""Tables that users bring: lists of stems, waypoints and poses, as spreadsheets and statistics programs write them.
+
+Semicolons, tabs, commas or blanks stand between columns, and quotation marks may stand around cells. Between all but commas
+a decimal comma is read as well as a point.
+"""
+
+import csv
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
+from difflib import get_close_matches
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from vlp16emu.errors import InputError, readable
+from vlp16emu.types import Array
+from vlp16emu.units import S_NS
+
+LARGEST = 1e8
+"""No coordinate of a map is larger (EPSG:4647, with the zone in front, has 3.4e7 m), and squares are far from overflow."""
+_LARGEST_NS = 2**62
+_MARKS = (";", "\t", ",", " ")
+"""Between columns; if two of them fit equally well, the first is taken."""
+_MISSING = frozenset(("", "na", "n/a", "#n/a", "<na>", "nan", "null", "none", "#nv"))
+"""Cells without a value, in lower case, as R, pandas and Excel write them (`#NV` in German)."""
+_ALIKE = 0.8
+"""From this ratio of `difflib` on, an unknown name is taken for a slip of a known one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column that a table may have."""
+
+    units: Mapping[str, float]
+    """Names that it may go by, in lower case, each with the factor to the unit of what is returned."""
+    low: float = -LARGEST
+    high: float = LARGEST
+    """Limits in the unit of what is returned: beyond them a value is more likely a slip of the unit."""
+    is_needed: bool = True
+    """True if the table must have it."""
+    is_filled: bool = True
+    """True if each row must have a value."""
+
+
+def optional(*names: str) -> Column:
+    """Column that a table need not have, and whose cells may be empty."""
+    return Column(dict.fromkeys(names, 1.0), is_needed=False, is_filled=False)
+
+
+@dataclass(slots=True)
+class Table:
+    """Cells of a file by column; errors name file, line and column.
+
+    Parameters
+    ----------
+    path : of the file, for messages
+    error : kind of error that is raised for a wrong cell
+    columns : by the name that the caller gives them
+    names : what columns are called in the file; those that it does not have are missing
+    lines : (n,) line of each row, from 1
+    cells : (n,) texts of each column in `names`; empty if a value is missing
+    """
+
+    path: Path
+    error: type[InputError]
+    columns: Mapping[str, Column]
+    names: Mapping[str, str]
+    lines: list[int]
+    cells: Mapping[str, list[str]]
+    _has_commas: bool
+    _decimal: str = field(default="", init=False)
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def where(self, row: int, column: str = "") -> str:
+        """Name a row, or a cell of it, in messages."""
+        name = self.names.get(column)
+        return f"{self.path}, line {self.lines[row]}" + (f", column {name}" if name else "")
+
+    def texts(self, column: str) -> list[str]:
+        """Return the cells of a column (n,); empty if a value is missing."""
+        cells = ["" if cell.lower() in _MISSING else cell for cell in self.cells.get(column, [""] * len(self))]
+        if self.columns[column].is_filled and "" in cells:
+            found = self.cells[column][row := cells.index("")]
+            raise self.error(self.where(row, column), f"found {found}" if found else "nothing", "a value")
+        return cells
+
+    def numbers(self, *columns: str) -> Array:
+        """Return columns of numbers (n, c), or a single one (n,); NaN if a value is missing."""
+        table = np.full((len(self), len(columns)), np.nan)
+        for place, column in enumerate(columns):
+            for row, cell in enumerate(self.cells.get(column, ())):
+                table[row, place] = self._number(row, column, cell)
+        return table if len(columns) > 1 else table[:, 0]
+
+    def times_ns(self, column: str) -> list[int]:
+        """Return times in seconds as nanoseconds (n,), every digit of them: float64 keeps UTC to a microsecond only."""
+        times_ns = []
+        for row, cell in enumerate(self.cells[column]):
+            try:
+                t_ns = Decimal(self._pointed(row, column, cell)).scaleb(9)
+            except InvalidOperation:
+                raise self.error(self.where(row, column), f"found {cell!r}", "a time in seconds") from None
+            if not t_ns.is_finite() or abs(t_ns) > _LARGEST_NS:
+                raise self.error(self.where(row, column), f"found {cell}", f"at most {_LARGEST_NS // S_NS} s")
+            times_ns.append(int(t_ns.to_integral_value()))
+        return times_ns
+
+    def _number(self, row: int, column: str, cell: str) -> float:
+        units, low, high = self.columns[column].units, self.columns[column].low, self.columns[column].high
+        factor = units[self.names[column]]
+        expected = "a number" if high == LARGEST else f"a number from {low / factor:g} to {high / factor:g}"
+        if cell.lower() in _MISSING:
+            if self.columns[column].is_filled:
+                raise self.error(self.where(row, column), f"found {cell}" if cell else "nothing", expected)
+            return math.nan
+        number = _float(self._pointed(row, column, cell))
+        if math.isnan(number):
+            has_unit = not math.isnan(_float(cell.partition(" ")[0].replace(",", ".")))
+            raise self.error(self.where(row, column), f"found {cell!r}", expected + " without a unit" * has_unit)
+        if not low <= number * factor <= high:
+            meant = "".join(f"; is it {name}?" for name in units if low <= number * units[name] <= high)
+            limit = f" of at most {LARGEST:g}" if high == LARGEST else ""
+            raise self.error(self.where(row, column), f"found {cell}", expected + limit + meant)
+        return number * factor
+
+    def _pointed(self, row: int, column: str, cell: str) -> str:
+        """Write a number with a decimal point; a table has one decimal mark, for the other one may group thousands."""
+        marks = {mark for mark in ".," if mark in cell} | {*self._decimal}
+        if len(marks) > 1 or (self._has_commas and "," in marks):
+            raise self.error(self.where(row, column), f"found {cell!r}", "one decimal mark, and none between thousands")
+        self._decimal = "".join(marks)
+        return cell.replace(",", ".")
+
+
+def read_table(
+    path: Path, columns: Mapping[str, Column], expected: str, error: type[InputError], *, has_header: bool = True
+) -> Table:
+    """Read a table of UTF-8 text.
+
+    The header has the columns in any order and case; others beside them are left out. It may have a name less than rows have
+    cells, as R writes it before names of rows. Without a header, rows have all columns in their order. Lines that are empty
+    or begin with `#` are left out.
+
+    Parameters
+    ----------
+    columns : by the name that the caller gives them
+    expected : what the file should be, for messages
+    error : kind of error that is raised for a file, a header or a cell that is wrong
+    """
+    with readable(path, expected, error):
+        content = path.read_bytes()
+    lines = _decoded(path, content, error).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    records = partial(_records, path, lines, expected, error)
+    known = {name for column in columns.values() for name in column.units}
+
+    def header(mark: str) -> tuple[int, list[str]]:
+        for line, (first, *others) in records(mark):
+            names = [name.lower() for name in (first.lstrip("# "), *others)]  # of numpy.savetxt it begins with #
+            if known & {*names} or not first.lower().startswith(("#", "sep=")):
+                return line, names
+        return 0, []
+
+    if has_header:
+        mark = max(_MARKS, key=lambda mark: len(known & {*header(mark)[1]}))
+        first, names = header(mark)
+        if not known & {*names}:  # some other file; nothing of it is shown
+            raise error(f"{path}, line 1", "none of the columns", expected)
+        called = _columns_of(names, columns, f"{path}, line {first}", error)
+    else:
+        fits = (m for m in _MARKS if len(one := header(m)[1]) == len(columns) and not any(" " in cell for cell in one))
+        mark, first, names, called = next(fits, " "), 0, list(columns), {name: name for name in columns}
+    rows = [row for row in records(mark) if row[0] > first and not row[1][0].startswith("#")]
+    if rows and has_header and len(rows[0][1]) == len(names) + 1 and rows[0][1][-1]:
+        names = ["", *names]  # the names of the rows have none
+    needed = 1 + max(map(names.index, called.values()))
+    for line, cells in rows:
+        # Excel leaves out cells at the ends of rows that are empty for long (Microsoft KB 77295).
+        if len(cells) < needed or any(cells[len(names) :]):
+            hint = "; decimal commas need ; or a tab between columns" if mark == "," and len(cells) > needed else ""
+            as_in = f", as in line {first}" if first else f": {expected}"
+            raise error(f"{path}, line {line}", f"found {len(cells)} cells", f"{len(names)}{as_in}{hint}")
+    cells_of = {column: [cells[names.index(name)] for _, cells in rows] for column, name in called.items()}
+    return Table(path, error, columns, called, [line for line, _ in rows], cells_of, _has_commas=mark == ",")
+
+
+def _records(
+    path: Path, lines: Sequence[str], expected: str, error: type[InputError], mark: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield line and cells of each record that is not empty."""
+    if mark == " ":
+        lines = [" ".join(line.split()) for line in lines]
+    reader = csv.reader(lines, delimiter=mark, skipinitialspace=True)
+    try:
+        for cells in reader:
+            if any(stripped := [cell.strip() for cell in cells]):
+                yield reader.line_num, stripped
+    except csv.Error as fault:
+        where = f"{path}, line {reader.line_num}"
+        raise error(where, str(fault), f"{expected}, with each quotation mark closed") from None
+
+
+def _columns_of(
+    names: Sequence[str], columns: Mapping[str, Column], where: str, error: type[InputError]
+) -> dict[str, str]:
+    """Return the name of each column that a header has, from the caller's."""
+    called = dict[str, str]()
+    for column, of in columns.items():
+        found = [name for name in names if name in of.units]
+        if len(found) > 1:
+            raise error(where, f"found {' and '.join(found)}", f"one of {' or '.join(of.units)}")
+        if not found and of.is_needed:
+            raise error(where, f"no column {' or '.join(of.units)}", f"it among {', '.join(names)}")
+        if found:
+            called[column] = found[0]
+    absent = [name for column in columns.keys() - called.keys() for name in columns[column].units]
+    known = {name for of in columns.values() for name in of.units}
+    for name in names:
+        if name not in known and (alike := get_close_matches(name, absent, 1, _ALIKE)):
+            raise error(where, f"unknown column {name!r}", f"{alike[0]}, the nearest, or a name unlike it")
+    return called
+
+
+def _decoded(path: Path, content: bytes, error: type[InputError]) -> str:
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise error(str(path), "is UTF-16 text", "UTF-8 (in Excel: save as CSV UTF-8)")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as fault:
+        line, byte = content.count(b"\n", 0, fault.start) + 1, content[fault.start : fault.start + 1]
+        found = f"no UTF-8 text: byte {byte.hex()}, in Windows-1252 '{byte.decode('cp1252', 'replace')}'"
+        raise error(f"{path}, line {line}", found, "UTF-8 (in Excel: save as CSV UTF-8)") from None
+
+
+def _float(text: str) -> float:
+    """Read a number as files write it, NaN if it is none; Python's own may have underscores."""
+    try:
+        return math.nan if "_" in text else float(text)
+    except ValueError:
+        return math.nan
