@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.errors import CaptureError, InputError, PacketError, readable, spare
+from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages
 from vlp16emu.extras.bag.sink import BagSink, TrueSamples
+from vlp16emu.output import spare
 from vlp16emu.packets import DATA_BYTES, Capture, CapturedUnit, check_stamps, chosen_unit, unit_clocks, units_in
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
@@ -75,7 +76,7 @@ def write_bag(
     """
     spare([capture], out)
     check_bag(out)
-    stop, every = stop or Event(), units_in(capture)
+    stop, every = stop or Event(), units_in(capture, required=True)
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
     check_stamps(capture, clocks, LATEST_NS)
