@@ -20,20 +20,13 @@ from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.mesh_settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
-
 Faces = IntArray
-
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
-
 _KINDS = ".obj", ".ply", ".glb", ".stl"
-
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 """Nothing in a forest is taller, wider, or smaller as a whole."""
-
-_FLAT = 1e-7
-"""Height over longest side below which a triangle is a line: the resolution of single precision."""
-
+_FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
 _OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE)
 """A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
 
@@ -57,9 +50,9 @@ class UserMesh:
     parts: tuple[PartMesh, ...]
     """In alphabetical order."""
     radius_m: float
-    """Of a sphere about the centre that holds everything."""
+    """Radius of a sphere about the centre that holds everything."""
     findings: tuple[str, ...]
-    """What is not as it should be but was taken all the same, one line each."""
+    """Faults that the mesh was accepted with, one line each."""
 
 
 def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
@@ -68,16 +61,13 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     Each object or group of an OBJ file and each node of a GLB scene is a part of its own, with its own
     place; other files have one part, named like the file. Colours and textures are not read.
 
+    Raises GeometryError naming file, part and element of what cannot be scanned.
+
     Parameters
     ----------
     path : .obj, .ply, .glb or .stl
     unit : of its coordinates
     up : axis that points upwards; y turns to z, and z to -y
-
-    Raises
-    ------
-    GeometryError
-        naming file, part and element of what cannot be scanned
     """
     read, findings = _parts(path)
     parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in read]
@@ -119,7 +109,6 @@ def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]
 
 
 def _scene(path: Path) -> Any:
-    """Let trimesh read the file, and say what it stumbled over."""
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
@@ -165,8 +154,7 @@ def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Ar
         raise GeometryError(
             where, f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0", "finite coordinates"
         )
-    place: Array = matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
-    return place
+    return matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
 
 
 def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
@@ -202,7 +190,6 @@ def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
 
 
 def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
-    """Say what is not as it should be about one part."""
     import trimesh
 
     found = [f"dropped {dropped} of {dropped + len(faces)} faces, which have no area"] if dropped else []

@@ -26,7 +26,7 @@ from vlp16emu.extras.clouds.cloud import (
 )
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels, label_scheme
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
-from vlp16emu.run.run import TruthPlace
+from vlp16emu.run.options import TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
