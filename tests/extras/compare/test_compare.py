@@ -142,7 +142,7 @@ def turning(path, rpm):
 @pytest.mark.parametrize("rpm", [0, 20, 1860])
 def test_a_rotor_that_no_vlp16_can_have_is_refused(tmp_path, rpm):
     """The manual (63-9243 Rev D, section 8.3) has 300 to 1200 rpm: a rotor that stands or runs up is one line."""
-    with pytest.raises(CaptureError, match="a rotor at .* rpm; expected 300 to 1200 rpm"):
+    with pytest.raises(CaptureError, match=r"a rotor at .* rpm; expected 300 to 1200 rpm"):
         read_sequences(turning(tmp_path / "a.pcap", rpm))
 
 
