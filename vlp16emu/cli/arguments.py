@@ -11,7 +11,9 @@ MOST_THREADS = 1024
 
 SceneName = Annotated[str, Option(f"{_SCENE}.", name="SCENE")]
 SceneOrCapture = Annotated[str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")]
-CaptureFile = Annotated[Path, Option("Capture with VLP-16 packets.", name="FILE.pcap")]
+CaptureFile = Annotated[
+    Path, Option("Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.", name="FILE.pcap")
+]
 Settings = Annotated[
     list[str] | None,
     Option(

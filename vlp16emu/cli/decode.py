@@ -53,14 +53,14 @@ def decode(
     product = SensorModel(model) if model else None
     stamps = packet_clock(file, chosen, clock, where="--clock")
     with CaptureReader(file, chosen, axes, product, stamps) as reader, stop_on_ctrl_c() as stop:
-        _read(reader, out, axes, stop)
+        _read(reader, file, out, axes, stop)
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
     tree = {"file": file, "out": out} if as_json else {"wrote": out}
     finish(tree | _tree(reader.summary) | {"interrupted": interrupted}, title, as_json=as_json)
 
 
-def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:
+def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFrame", stop: Event) -> None:
     """Read a capture to its end or until `stop`, and write its points if `out` is given."""
     with ExitStack() as stack:
         writer = None
@@ -68,7 +68,7 @@ def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: E
             from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
 
             about = CloudAbout(capture_comments(axes, f"{reader.clock.clock}'s"))
-            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}")
+            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
             writer = stack.enter_context(opened)
         for chunk in reader.points():
             if writer:
@@ -98,6 +98,7 @@ def _tree(summary: "Summary") -> dict[str, Any]:
         "host_ahead_s": round(summary.host_ahead_s, 6),
         "gps": gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
         "cut": summary.cut,
+        "repeats": summary.repeats,
     }
 
 

@@ -101,8 +101,10 @@ def points(
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
     A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
+    from vlp16emu.packets.capture import is_capture_name
+
     errors = {"--mount": mount, "--drift": drift, "--time-offset": time_offset_s}
-    if trajectory is not None or Path(scene).suffix == ".pcap":
+    if trajectory is not None or is_capture_name(scene):
         spans = {"--duration": span.duration_s, "--start": span.start_s}
         _refuse(spans | {"--set": settings, "--ideal": ideal, "--threads": threads}, f"the capture {scene}", "a scene")
         _deskew(

@@ -192,7 +192,7 @@ def write_deskewed(
         )
         columns = DESKEWED_COLUMNS + (truth.columns if truth else ())
         points = without_pose = last_ns = 0
-        with point_file(path, columns, about, where=str(path)) as writer:
+        with point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
             for chunk in chain([first], chunks):
                 for block, left_out in _blocks(chunk, way, truth, start_ns):
                     writer.write(block)

@@ -17,8 +17,8 @@ from vlp16emu.packets.layout import (
     DATA_PAYLOAD,
     RETURN_MODE_BYTE,
     SEQUENCES_PER_BLOCK,
-    CapturedUnit,
 )
+from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
