@@ -37,19 +37,17 @@ TrajectoryFile = Annotated[
         "DIR|FILE.tum",
     ),
 ]
-CaptureUnit = Annotated[
+UnitName = Annotated[
     str | None,
-    Option(
-        "One sensor of a capture with several: its number, or its address and data port.", "N|ADDRESS:PORT", "--unit"
-    ),
+    Option("Which sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
 ]
-CaptureClock = Annotated[
+WhichClock = Annotated[
     str | None,
     Option(
-        "Of a capture: the clock of all stamps. Left out it is the sensor's if that is locked to GPS or within a second of the host's, "
-        "else the host's.",
-        name="--clock",
+        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps or in the one that the GPS sentences name, "
+        "or the host's that captured. By default the sensor's if it is locked to GPS, else the host's.",
         words=("sensor", "gps", "host"),
+        shown=False,
     ),
 ]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]

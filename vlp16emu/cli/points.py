@@ -91,8 +91,8 @@ def points(
             shown=False,
         ),
     ] = 0.0,
+    clock: args.WhichClock = None,
     threads: args.Threads = 0,
-    clock: args.CaptureClock = None,
     as_json: args.AsJson = False,
 ) -> None:
     """Write the points of a scene, for a sensor of any beam table, or of a capture with a trajectory.
@@ -107,8 +107,9 @@ def points(
     if trajectory is not None or is_capture_name(scene):
         spans = {"--duration": span.duration_s, "--start": span.start_s}
         _refuse(spans | {"--set": settings, "--ideal": ideal, "--threads": threads}, f"the capture {scene}", "a scene")
-        wanted = truth, labels, truth_folder
-        _deskew(Path(scene), out, trajectory, errors, wanted, unit=unit, clock=clock, as_json=as_json)
+        _deskew(
+            Path(scene), out, trajectory, errors, (truth, labels, truth_folder), unit=unit, clock=clock, as_json=as_json
+        )
         return
     _refuse(errors | {"--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
