@@ -11,7 +11,7 @@ from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.output import OutputFile, write_json
 from vlp16emu.packets import DISTANCE_LSB_M
-from vlp16emu.types import Poses
+from vlp16emu.types import F4, U1, Poses
 
 LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.uint8, "species": np.uint16}
 """Folders of PNG files and the type of their pixels; depth is in steps of 2 mm, as in packets."""
@@ -21,17 +21,12 @@ _POSES = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; 
 class PictureFolder:
     """A folder for the images of one run: a context manager that writes the poses at its end.
 
+    OutputError if the folder cannot be made or is not empty; MissingExtraError if Pillow or OpenEXR is not installed.
+
     Parameters
     ----------
     path : new or empty folder
     cameras : content of `cameras.json`
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made or is not empty
-    MissingExtraError
-        If Pillow or OpenEXR is not installed
     """
 
     def __init__(self, path: Path, cameras: Mapping[str, Any]) -> None:
@@ -65,9 +60,7 @@ class PictureFolder:
         """Number of images written."""
         return len(self._poses) - 1
 
-    def add(
-        self, pose: Poses, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32], labels: Mapping[str, NDArray[Any]]
-    ) -> None:
+    def add(self, pose: Poses, rgb: U1, depth_m: F4, labels: Mapping[str, NDArray[Any]]) -> None:
         """Write one image, taken at a pose of the camera.
 
         Parameters
