@@ -60,7 +60,7 @@ class Scan:
     start_ns: int
     """UTC of the revolution's first pulse, whether or not it has a return."""
     t_ns: I8
-    """(n,) UTC of the pulse. Of a capture: by the clock that `decode` is told, in whole microseconds for each packet."""
+    """(n,) UTC of the pulse. Of a capture: by the clock that is chosen for `decode`, in whole microseconds for each packet."""
     xyz_m: F4
     """(n, 3) in the sensor: x forward at azimuth 0, y left, z up."""
     distance_m: F4

@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 from vlp16emu.extras.sheets.survey import survey
-from vlp16emu.forest.ground.grid import read_grid
+from vlp16emu.forest.ground.dem import read_grid
 from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")

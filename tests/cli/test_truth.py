@@ -56,8 +56,6 @@ def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
         assert (tmp_path / "b" / path.name).read_bytes() == path.read_bytes(), path.name
         assert report["files"].pop(path.name) == path.stat().st_size
     assert report["files"] == {}
-    out = cli("truth", "static_bench", tmp_path / "b", *options).out
-    assert out.startswith(f"wrote {tmp_path}/b\n  simulated       0.5 s\n  imu.csv ")
 
 
 def test_ctrl_c_ends_the_truth_alone(program, tmp_path):
@@ -142,7 +140,7 @@ def test_poses_of_packets_want_a_folder(cli, tmp_path, verb):
     out = [tmp_path / "x.pcap"] if verb == "record" else []
     outcome = cli(verb, "static_bench", *out, "--duration", "0.1", "--truth-packets")
     assert outcome.code == 2
-    assert outcome.err == "error: --truth-packets: found no --truth; expected --truth DIR, where packets.tum goes\n"
+    assert outcome.err == "error: --truth-packets: found no --truth; expected --truth DIR beside it\n"
     assert not list(tmp_path.iterdir())
 
 

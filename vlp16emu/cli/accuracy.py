@@ -1,15 +1,16 @@
 """`vlp16emu accuracy`: error against run time."""
 
 import json
-import math
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from vlp16emu.cli.arguments import AsJson, SceneName, Settings, number, option
+from vlp16emu.cli.arguments import AsJson, SceneName, Settings
+from vlp16emu.cli.printer import count, print_files, print_json, tree_of
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import Progress, count, make_folder, print_files, print_json
+from vlp16emu.cli.terminal import Progress, make_folder
+from vlp16emu.options import Option
 from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
@@ -30,10 +31,9 @@ def accuracy(
     scene: SceneName,
     *,
     settings: Settings = None,
-    pulses: Annotated[int, number("--pulses", "How many pulses to look at.", "N", 128, 1_000_000)] = 8192,
+    pulses: Annotated[int, Option("How many pulses to look at.", "N", ge=128, le=1_000_000)] = 8192,
     out: Annotated[
-        Path | None,
-        option("--out", "Write the report as JSON and a picture into a folder; needs the extra 'picture'.", "DIR"),
+        Path | None, Option("Write the report as JSON and a picture into a folder; needs the extra 'picture'.", "DIR")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -90,21 +90,13 @@ def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
 
 
 def _tree(measured: "Accuracy") -> dict[str, Any]:
-    """Put the report into the types of JSON, which has no NaN."""
+    """Return the report in the types of JSON."""
     from vlp16emu.extras.accuracy.curve import Kind, choices, fitted_order, front
 
-    def clean(value: Any) -> Any:
-        """JSON has no NaN: nothing stands for it."""
-        if isinstance(value, dict):
-            return {key: clean(one) for key, one in value.items()}
-        if isinstance(value, list | tuple):
-            return [clean(one) for one in value]
-        return None if isinstance(value, float) and math.isnan(value) else value
-
-    tree: dict[str, Any] = clean(asdict(measured))
+    tree: dict[str, Any] = tree_of(measured)
     return tree | {
         "front": [row.name for row in front(measured.rows)],
-        "fits": {kind: asdict(fit) for kind in Kind if (fit := fitted_order(measured.rows, kind))},
+        "fits": {kind: tree_of(fit) for kind in Kind if (fit := fitted_order(measured.rows, kind))},
         "choices": [{"wanted_m": one.wanted_m, "take": one.row.name} for one in choices(measured.rows)],
     }
 

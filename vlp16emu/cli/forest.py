@@ -5,10 +5,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli.arguments import AsJson, SceneName, Settings, number, option
+from vlp16emu.cli.arguments import AsJson, SceneName, Settings
+from vlp16emu.cli.printer import count, print_files, print_json, print_rows, tree_of
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import count, print_files, print_json, print_rows, tree_of
 from vlp16emu.errors import InputError
+from vlp16emu.options import Option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -26,19 +27,13 @@ def forest(
     scene: SceneName,
     *,
     settings: Settings = None,
-    radius: Annotated[
-        float,
-        number(
-            "--radius", "How far from the path things count, are drawn and go into the twin.", "M", 1.0, 300, shown="30"
-        ),
+    radius_m: Annotated[
+        float, Option("How far from the path things count, are drawn and go into the twin.", "M", ge=1, le=300)
     ] = 30.0,
-    inventory: Annotated[
-        Path | None, option("--inventory", "Write all trees in the sensor's reach, one per line.", "OUT.csv")
-    ] = None,
+    inventory: Annotated[Path | None, Option("Write all trees in the sensor's reach, one per line.", "OUT.csv")] = None,
     seen: Annotated[
         Path | None,
-        option(
-            "--seen",
+        Option(
             "With --inventory, for each tree the returns from its stem in a run with this truth"
             " (`record --truth DIR --truth-returns`), the share of the stem that has any, and the arc at breast height.",
             "DIR",
@@ -46,23 +41,17 @@ def forest(
     ] = None,
     stems: Annotated[
         Path | None,
-        option(
-            "--stems",
+        Option(
             "Write the stems of those trees, and the branches of those within the radius, as circles along their axes,"
             " with radii, for QSM and taper.",
             "OUT.csv",
         ),
     ] = None,
     ground: Annotated[
-        Path | None,
-        option("--ground", "Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc"),
+        Path | None, Option("Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc")
     ] = None,
-    glb: Annotated[
-        Path | None, option("--glb", "Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")
-    ] = None,
-    picture: Annotated[
-        Path | None, option("--picture", "Draw a plan and a section; needs the extra 'picture'.", "OUT.png")
-    ] = None,
+    glb: Annotated[Path | None, Option("Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")] = None,
+    picture: Annotated[Path | None, Option("Draw a plan and a section; needs the extra 'picture'.", "OUT.png")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Report what stands along the path of the sensor.
@@ -88,7 +77,7 @@ def forest(
 
         check_matplotlib()
     compile_first(scenario.world.kind)
-    summary = _surveyed(scene, scenario, radius, wanted, seen)
+    summary = _surveyed(scene, scenario, radius_m, wanted, seen)
     if as_json:
         written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.windows import window_of
 from vlp16emu.forest.plants.crown import CrownKey
-from vlp16emu.forest.plants.ivy import IvyKey
-from vlp16emu.forest.plants.sapling import SaplingKey
-from vlp16emu.forest.plants.shrub import ShrubKey
+from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.stem import StemKey
+from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
-from vlp16emu.forest.stand.models import ModelKey
+from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
 from vlp16emu.run.keeping_up import settings_that_keep_up, speed_beside_sender
@@ -33,6 +32,8 @@ _KINDS = {
     MeshKey: "meshes",
 }
 _LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "matplotlib", "rich", "serial")
+_SCARCE = 1.2
+"""Speed below which other programs, a driver on the same machine for instance, may make a stream late."""
 _SENT_S = 0.4
 """Of packets that are sent, to no other program, in order to measure what sending takes."""
 
@@ -70,7 +71,14 @@ class StreamOutlook:
     sender_share: float
     """Of a core, that sending takes."""
     keeps_up_with: tuple[str, ...]
-    """Options of `vlp16emu stream` that are enough, each by itself; none where it keeps up."""
+    """Options of `vlp16emu stream` that are enough, each by itself; none if it keeps up."""
+
+    @property
+    def verdict(self) -> str:
+        """Whether it keeps up, in words."""
+        if not self.keeps_up:
+            return "no, packets will be late"
+        return "yes" if self.real_time_factor >= _SCARCE else "yes, with next to nothing left for other programs"
 
 
 def needs(engine: Engine, *, audited: bool) -> list[Need]:

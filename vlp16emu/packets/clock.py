@@ -22,7 +22,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 _STEADY_NS = S_NS
 """Steps of the sensor's clock up to this leave its hour alone, whatever the host's clock does."""
 _CLOSE_NS = S_NS
-"""A clock so close to the host's is taken for one that follows UTC, if no position packet tells."""
+"""A clock so close to the host's is taken for one that follows UTC, if no position packet says it."""
 _LOOKED_AT = 10_000
 """Packets of a unit among which its first position packet is looked for: 7 s in dual return."""
 _PERIOD_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
@@ -79,6 +79,10 @@ class PacketClock:
         if self.host_ahead_ns is None:
             self.host_ahead_ns = fired_ns - sensor_ns
         return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
+
+    def position_ns(self, stamp_ns: int, timestamp_us: int) -> int:
+        """Return UTC of a position packet by the chosen clock."""
+        return stamp_ns if self.clock is Clock.HOST else self.sensor_ns(stamp_ns, timestamp_us)
 
 
 class UnitClock(NamedTuple):
@@ -158,7 +162,7 @@ class _Seen:
                 self.behind_ns = second_ns - datagram.stamp_ns
 
     def is_known(self, *, wants_sentence: bool) -> bool:
-        """Return whether more packets would tell no more."""
+        """Return whether more packets would change nothing."""
         if self.data is None:
             return False
         return self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT

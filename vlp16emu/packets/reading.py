@@ -77,7 +77,7 @@ class PacketChunk(NamedTuple):
     def columns(self) -> dict[str, NDArray[np.generic]]:
         """(n,) each of the points' arrays by name, and the clock."""
         arrays = {name: getattr(self.points, name) for name in Points.__slots__}
-        return {**arrays, "clock_ns": self.clock_ns}
+        return {**arrays, "clock_ns": self.clock_ns, "t_ns": self.t_ns}
 
 
 @dataclass(frozen=True, slots=True)

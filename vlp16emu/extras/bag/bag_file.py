@@ -24,6 +24,8 @@ _OWN_TYPES = {
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
 _HELD_NS = S_NS
 """For so long messages wait for earlier ones."""
+LATEST_NS = (2**31 - 1) * S_NS
+"""Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
 _METADATA_VERSION = 8
 """Of rosbag2: the last one whose quality of service is a text."""
 

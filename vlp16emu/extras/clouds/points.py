@@ -26,7 +26,7 @@ from vlp16emu.extras.clouds.cloud import (
 )
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels, label_scheme
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
-from vlp16emu.run.run import TruthPlace
+from vlp16emu.run.options import TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
@@ -150,7 +150,7 @@ def write_points(
 
 
 def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> CloudAbout:
-    comments = scene_comments(scenario.start_utc.isoformat())
+    comments = scene_comments()
     gps = scenario.gps
     return CloudAbout(
         comments=comments if labels is None else (*comments, f"label: {labels.name}, {labels.source}"),

@@ -1,5 +1,6 @@
 """Where poses of a live run come in: a UDP port, and the thread that reads it."""
 
+import select
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -11,6 +12,10 @@ from vlp16emu.packets.pose import POSE_BYTES, unpack_pose
 
 _POLL_S = 0.1
 """How often the thread looks whether it shall end."""
+_MERGED_S = 0.001
+"""Poses that come within this time are one; knots are 5 ms apart."""
+_MOST = 1000
+"""Datagrams that are looked at before a pose is handed on."""
 _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 
@@ -51,7 +56,7 @@ class PoseReceiver:
             self._socket.close()
             found = getattr(error, "strerror", None) or str(error)
             raise OutputError(where, found, "an address of this machine and a free port") from error
-        self._socket.settimeout(_POLL_S)
+        self._socket.setblocking(False)
         host, port = self._socket.getsockname()
         self.where = f"udp://{host}:{port}"
         """Address and port that are listened to."""
@@ -67,14 +72,22 @@ class PoseReceiver:
         self._socket.close()
 
     def _run(self) -> None:
-        """Body of the thread."""
+        """Body of the thread: of poses that are there at once the last one counts, so a flood costs no more than a few."""
         while not self._over.is_set():
-            with suppress(TimeoutError):
+            if select.select([self._socket], [], [], _POLL_S)[0]:
+                self._take()
+                self._over.wait(_MERGED_S)
+
+    def _take(self) -> None:
+        """Hand on the last pose among the datagrams that have come."""
+        pose = None
+        with suppress(BlockingIOError):
+            for _ in range(_MOST):
                 payload = self._socket.recv(POSE_BYTES + 1)
                 try:
                     pose = unpack_pose(payload)
                 except PacketError:
                     self.malformed += 1
-                    continue
-                with suppress(InputError):  # whoever takes poses counts what is none
-                    self._put(pose.position_m, pose.quaternion, pose.t_ns)
+        if pose is not None:
+            with suppress(InputError):  # `put` counts what is no pose
+                self._put(pose.position_m, pose.quaternion, pose.t_ns)

@@ -25,8 +25,8 @@ from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
-from vlp16emu.run.options import TruthTo
-from vlp16emu.run.run import HasEngine, TruthPlace
+from vlp16emu.run.options import TruthPlace, TruthTo
+from vlp16emu.run.run import HasEngine
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
@@ -360,7 +360,7 @@ def write_truth(
     RunError
         If the disk is full; the lines before are kept
     """
-    run = emulator.run.with_truth_in(to)
+    run = emulator.run.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
     run.engine.span_ns(*span_s)  # checks the span before the folder is touched
     done_s, stop = 0.0, stop or Event()
