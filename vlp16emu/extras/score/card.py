@@ -25,7 +25,7 @@ from vlp16emu.extras.score.trees import (
     stem_scores,
 )
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import F8, PlantPart, Semantic
 
 Cloud = Mapping[str, NDArray[Any]]
 
@@ -146,12 +146,7 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
 def make_card(inputs: ScoreInputs) -> ScoreCard:
     """Score everything that is given.
 
-    Raises
-    ------
-    InputError
-        If a file is wrong, or is given without its ground truth
-    MissingExtraError
-        If the library of a file is not installed
+    InputError if a file is wrong, or is given without its ground truth; MissingExtraError if the library of a file is not installed.
     """
     _check(inputs)
     card = ScoreCard(inputs)
@@ -188,7 +183,7 @@ def _need(true: Cloud, *names: str) -> None:
             raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
 
 
-def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) -> None:
+def _score_map(card: ScoreCard, found: F8, true: Cloud | None) -> None:
     """Score a map by itself, and against true points if they are given."""
     from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 

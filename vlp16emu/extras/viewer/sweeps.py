@@ -18,6 +18,7 @@ from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clo
 from vlp16emu.scan import Labels, LabelsOf, Scan, scans_in
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable
+from vlp16emu.types import F8, I8
 
 _TURNS = 2.2
 """Span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed."""
@@ -47,14 +48,14 @@ class Sweep(NamedTuple):
     """A revolution of the sensor."""
 
     scan: Scan
-    world_m: NDArray[np.float64]
+    world_m: F8
     """(n, 3) points in the world."""
     marks: tuple[Mark, ...] = ()
 
 
-def placed(xyz_m: NDArray[np.floating], world_T_sensor: NDArray[np.float64]) -> NDArray[np.float64]:
+def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
     """Return points (n, 3) in the world, each by a pose of its own (n, 4, 4)."""
-    world_m: NDArray[np.float64] = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
+    world_m: F8 = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
     return world_m + world_T_sensor[:, :3, 3]
 
 
@@ -112,16 +113,13 @@ class SceneSweeps:
 class CaptureSweeps:
     """Sweeps of a capture, in the sensor's frame or, with the ground truth of the run, in the world.
 
+    InputError if there is no such unit or no whole revolution.
+
     Parameters
     ----------
     path : capture; faulty packets are passed over
     truth : folder written by `record --truth --truth-returns`
     unit : number of the sensor, from 1
-
-    Raises
-    ------
-    InputError
-        If there is no such unit or no whole revolution
     """
 
     def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:
@@ -133,7 +131,7 @@ class CaptureSweeps:
         """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
         self.species = {} if truth is None else _species(truth)
         """Names of species by number."""
-        reader, packets, self._starts_ns = self._reader(), list[NDArray[np.int64]](), list[int]()
+        reader, packets, self._starts_ns = self._reader(), list[I8](), list[int]()
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
             """Keep frame, time and azimuths of the packets; return no labels."""
@@ -200,7 +198,7 @@ def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDAr
     return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}
 
 
-def _marks(packets: NDArray[np.int64], findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
+def _marks(packets: I8, findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
     """Return the marks of findings with their times (UTC in ns), by frame, time and azimuths (n, 4) of the packets read."""
     frame, t_ns, first_cdeg, last_cdeg = packets.T
     marks = list[tuple[int, Mark]]()
