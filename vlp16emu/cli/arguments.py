@@ -11,7 +11,9 @@ MOST_THREADS = 1024
 
 SceneName = Annotated[str, Option(f"{_SCENE}.", name="SCENE")]
 SceneOrCapture = Annotated[str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")]
-CaptureFile = Annotated[Path, Option("Capture with VLP-16 packets.", name="FILE.pcap")]
+CaptureFile = Annotated[
+    Path, Option("Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.", name="FILE.pcap")
+]
 Settings = Annotated[
     list[str] | None,
     Option(
@@ -33,6 +35,19 @@ TrajectoryFile = Annotated[
     Option(
         "Of a capture: the folder that `record --truth` has written, for the true trajectory, or any other in TUM format.",
         "DIR|FILE.tum",
+    ),
+]
+UnitName = Annotated[
+    str | None,
+    Option("Which sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
+]
+WhichClock = Annotated[
+    str | None,
+    Option(
+        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps or in the one that the GPS sentences name, "
+        "or the host's that captured. By default the sensor's if it is locked to GPS, else the host's.",
+        words=("sensor", "gps", "host"),
+        shown=False,
     ),
 ]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]

@@ -91,6 +91,7 @@ def points(
             shown=False,
         ),
     ] = 0.0,
+    clock: args.WhichClock = None,
     threads: args.Threads = 0,
     as_json: args.AsJson = False,
 ) -> None:
@@ -100,13 +101,17 @@ def points(
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
     A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
+    from vlp16emu.packets.capture import is_capture_name
+
     errors = {"--mount": mount, "--drift": drift, "--time-offset": time_offset_s}
-    if trajectory is not None or Path(scene).suffix == ".pcap":
+    if trajectory is not None or is_capture_name(scene):
         spans = {"--duration": span.duration_s, "--start": span.start_s}
         _refuse(spans | {"--set": settings, "--ideal": ideal, "--threads": threads}, f"the capture {scene}", "a scene")
-        _deskew(Path(scene), out, trajectory, errors, (truth, labels, truth_folder), unit=unit, as_json=as_json)
+        _deskew(
+            Path(scene), out, trajectory, errors, (truth, labels, truth_folder), unit=unit, clock=clock, as_json=as_json
+        )
         return
-    _refuse(errors, "a scene", "a capture and its --trajectory")
+    _refuse(errors | {"--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
     from vlp16emu.extras.clouds.points import write_points
@@ -132,6 +137,7 @@ def _deskew(
     wanted: tuple[bool, str | None, Path | None],
     *,
     unit: int,
+    clock: str | None,
     as_json: bool,
 ) -> None:
     """Write the points of a capture; `wanted` are truth, labels and the folder that they come from."""
@@ -150,5 +156,5 @@ def _deskew(
             raise InputError("--labels" if labels else "--truth", "found a trajectory alone", expected)
         truth = CaptureTruth(folder, unit, label_scheme(labels, where="--labels") if labels else None)
     with stop_on_ctrl_c() as stop:
-        cloud = write_deskewed(capture, out, way, truth, stop=stop)
+        cloud = write_deskewed(capture, out, way, truth, stop=stop, clock=clock)
     finish(cloud, as_json=as_json)

@@ -1,7 +1,7 @@
 """Pictures and films of what a sensor sees, without a browser."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -20,7 +20,7 @@ from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, spare
 from vlp16emu.scan import decode
 
 Array = NDArray[np.float64]
@@ -142,6 +142,7 @@ def draw_picture(
     rings: int,
     species: Mapping[int, str],
     stop: Event,
+    inputs: Collection[Path] = (),
 ) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
@@ -153,6 +154,7 @@ def draw_picture(
     rings : number of lasers of the sensor
     species : names by number
     stop : ends the picture between two revolutions
+    inputs : files that are read, which the picture may not replace
 
     Raises
     ------
@@ -161,6 +163,7 @@ def draw_picture(
     OutputError, MissingExtraError
         As `check_suffix`
     """
+    spare(inputs, path)
     check_suffix(path)
     suffix = path.suffix.lower()
     first = next(sweeps, None)
