@@ -50,7 +50,7 @@ DOORS: dict[str, dict[str, str]] = {
         "faults": "vlp16emu.extras.bench.faults:arriving",
         "forest_site": "vlp16emu.forest.make:ForestSite",
         "hall_site": "vlp16emu.world.hall:HallSite",
-        "live": "vlp16emu.extras.live.flight:flying",
+        "live": "vlp16emu.extras.live.flight:Flight",
         "live_motion": "vlp16emu.extras.live.motion:live_motion",
         "truth": "vlp16emu.extras.truth.truth:Truth",
         "truth_of_records": "vlp16emu.extras.truth.behind:slots_of",
