@@ -150,7 +150,7 @@ def test_it_is_not_for_streams_that_are_set_live(tmp_path):
     from vlp16emu.run.options import Http
 
     with pytest.raises(InputError, match="--truth-packets or --truth-returns: found beside --http"):
-        Emulator("static_bench").stream(http=Http("127.0.0.1", 0), truth=TruthTo(tmp_path / "t", per_return=True))
+        Emulator("static_bench").stream(http=Http("127.0.0.1:0"), truth=TruthTo(tmp_path / "t", per_return=True))
 
 
 def distances_m(points, triangles):

@@ -255,9 +255,10 @@ def _gps(scenario: Scenario) -> GpsInput:
 def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
     start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s)
     phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
-    free = phase_deg is None
-    angle_deg = section.start_azimuth_deg if phase_deg is None else in_phase_deg(phase_deg, section.rpm, start_ns)
-    swings = Swing.sample(seed, section.speed_error_rpm if free else 0.0, section.speed_wander_rpm)
+    angle_deg, error_rpm = section.start_azimuth_deg, section.speed_error_rpm
+    if phase_deg is not None:
+        angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
+    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm)
     rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
     beams = with_angle_errors(
         beams_of(section),

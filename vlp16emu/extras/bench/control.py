@@ -45,9 +45,10 @@ def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: H
     control = Control(feed, sink, under_way, http.saved)
     with ExitStack() as stack:
         servers = []
+        host, first = http.address
         for number, device in enumerate(control.devices):
-            port, fault = http.port + number if http.port else 0, partial(control.fault, number)
-            servers.append(WebServer(device, http.host, port, fault=fault))
+            port, fault = first + number if first else 0, partial(control.fault, number)
+            servers.append(WebServer(device, host, port, fault=fault))
             stack.enter_context(servers[-1])
         stack.enter_context(control.following())
         http.serving([server.address for server in servers])

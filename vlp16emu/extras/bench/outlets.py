@@ -3,13 +3,12 @@
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from typing import Literal
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.motion import Imu
 from vlp16emu.packets import IMU_FRAME
+from vlp16emu.run.options import Outlets
 from vlp16emu.sinks.serial_port import SerialPort, SerialSink
 from vlp16emu.sinks.sink import Outlet, OutletResult
 from vlp16emu.sinks.udp import resolve
@@ -23,16 +22,11 @@ _BITS = 10
 _WHERE = "--imu-out"
 
 
-@dataclass(frozen=True, slots=True)
-class Outlets:
-    """What a stream sends beside the packets of the sensors; nothing unless it is asked for."""
+class Ways:
+    """The ways that sentences, pulses and inertial samples take beside the packets of the sensors."""
 
-    gps_out: str | None = None
-    """Serial port, or URL of pyserial, at which the receiver of the scene is played: sentences at 9600 baud, 8N1."""
-    gps_pps: Literal["dtr", "rts", "off"] = "dtr"
-    """Line of that port for its pulse; a null-modem cable leads DTR to DCD, where programs look for it."""
-    imu_out: str | None = None
-    """Where samples of the inertial unit go: udp://HOST:PORT, or serial: and a port."""
+    def __init__(self, asked: Outlets) -> None:
+        self.gps_out, self.gps_pps, self.imu_out = asked.gps_out, asked.gps_pps, asked.imu_out
 
     @property
     def kinds(self) -> tuple[PacketKind, ...]:

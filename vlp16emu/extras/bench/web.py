@@ -18,7 +18,7 @@ from threading import Event, Thread
 from typing import Self
 from urllib.parse import urlsplit
 
-from vlp16emu.errors import InputError, OutputError, Vlp16emuError
+from vlp16emu.errors import OutputError, Vlp16emuError
 from vlp16emu.extras.bench.documents import document
 from vlp16emu.extras.bench.forms import PATHS, FormError, submit
 from vlp16emu.extras.bench.state import Device
@@ -48,14 +48,6 @@ class HttpFault:
 
     status: int | None
     """Status of every answer; None for no answer at all."""
-
-
-def parse_http(text: str) -> tuple[str, int]:
-    """Read where the web interface shall listen: `HOST:PORT`, or `PORT` alone on 127.0.0.1; else `InputError`."""
-    host, _, port = text.rpartition(":")
-    if not re.fullmatch(r"[0-9]{1,5}", port, re.ASCII) or int(port) > 65_535:
-        raise InputError("--http", f"found {text!r}", "HOST:PORT, such as 127.0.0.1:8080")
-    return host.strip("[]") or "127.0.0.1", int(port)
 
 
 @dataclass(frozen=True, slots=True)

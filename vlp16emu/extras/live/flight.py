@@ -12,13 +12,13 @@ from typing import Self
 import numpy as np
 
 from vlp16emu.engine.windows import STEPS
-from vlp16emu.errors import InputError, spare
+from vlp16emu.errors import InputError
 from vlp16emu.extras.live.cells import LiveWindows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.poses import PoseReceiver
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.options import PosesIn
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink

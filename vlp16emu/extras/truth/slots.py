@@ -82,7 +82,10 @@ class SlotTable:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None and not isinstance(error, KeyboardInterrupt):
+            self._output.discard()
+            return
         with self._output, self._output.writing():
             self._flush()
             self._file.close()
@@ -94,7 +97,7 @@ class SlotTable:
             try:
                 self._flush()
             except OSError as error:
-                raise RunError(f"{self._path}: {error.strerror}; no file is written") from error
+                raise RunError(f"{self._path}: {error.strerror or error}; no file is written") from error
 
     def _flush(self) -> None:
         """Write the packets that are held as a row group."""

@@ -25,8 +25,8 @@ from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
-from vlp16emu.run.options import TruthTo
-from vlp16emu.run.run import HasEngine, TruthPlace
+from vlp16emu.run.options import TruthPlace, TruthTo
+from vlp16emu.run.run import HasEngine
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
@@ -86,44 +86,57 @@ class Truth:
         self._to_come = self.beside(
             engine.packets(*span_s) if to.per_return else arriving(scenario, self._units, times, *span_ns)
         )
-        self._folder = TruthFolder(to.folder, named_files(scenario))
-        self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
-        self._folder.write_json("rig.json", rig_of(scenario, parts))
-        # The first packet may have begun before it was asked for.
-        earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
-        firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
-        from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
-        at = scenario.start_ns, to.rate_hz
-        self._trajectories = [
-            Samples(
-                self._begun(_file("trajectory", unit), _TUM_HEADER),
-                partial(_trajectory, unit.motion, *at),
-                *at,
-                from_ns,
-            )
-            for unit in self._units
-        ]
-        self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
-        self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
-        self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
-        self._returns, self._open = dict[int, SlotTable](), ExitStack()
-        for unit in self._units if to.per_return else ():
-            table = SlotTable(to.folder / _file("returns", unit, "parquet"))
-            self._returns[unit.number] = self._open.enter_context(table)
+        with ExitStack() as stack:
+            self._folder = stack.enter_context(TruthFolder(to.folder, named_files(scenario)))
+            self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
+            self._folder.write_json("rig.json", rig_of(scenario, parts))
+            # The first packet may have begun before it was asked for.
+            earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
+            firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
+            from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
+            at = scenario.start_ns, to.rate_hz
+            self._trajectories = [
+                Samples(
+                    self._begun(_file("trajectory", unit), _TUM_HEADER),
+                    partial(_trajectory, unit.motion, *at),
+                    *at,
+                    from_ns,
+                )
+                for unit in self._units
+            ]
+            self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
+            self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
+            self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
+            self._returns = dict[int, SlotTable]()
+            for unit in self._units if to.per_return else ():
+                table = SlotTable(self._folder.path / _file("returns", unit, "parquet"))
+                self._returns[unit.number] = stack.enter_context(table)
+            self._open = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        with self._folder, suppress(CancelledError, *([RunError] if error else [])), self._open:
-            self._write()
-            for samples in self._trajectories:
-                samples.up_to(self._seen_ns + self._step_ns)
-            begin_s, stop_s = self._span_s
-            if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
-                stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
-            if (ran := self._of.engine.scenario) is not self._scenario or stop_s != self._span_s[1]:
-                self._folder.write_json(self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
+        failed = error
+        try:
+            with suppress(CancelledError):
+                self._finish()
+        except RunError as late:
+            failed = error or late
+        self._open.__exit__(type(failed) if failed else None, failed, None)  # which keeps the folder if nothing failed
+        if failed is not error and failed is not None:
+            raise failed
+
+    def _finish(self) -> None:
+        """Write the samples up to the last packet, and the scene with the span that was run."""
+        self._write()
+        for samples in self._trajectories:
+            samples.up_to(self._seen_ns + self._step_ns)
+        begin_s, stop_s = self._span_s
+        if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
+            stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
+        if (ran := self._of.engine.scenario) is not self._scenario or stop_s != self._span_s[1]:
+            self._folder.write_json(self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Pass packets on, and write what was true until each of them once a second.
@@ -355,7 +368,7 @@ def write_truth(
     RunError
         If the disk is full; the lines before are kept
     """
-    run = emulator.run.with_truth_in(to)
+    run = emulator.run.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
     run.engine.span_ns(*span_s)  # checks the span before the folder is touched
     done_s, stop = 0.0, stop or Event()
