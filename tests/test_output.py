@@ -137,7 +137,7 @@ def test_a_folder_that_takes_no_new_file_is_refused(tmp_path, monkeypatch):
     def refusing(*_):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr("builtins.open", refusing)
+    monkeypatch.setattr(Path, "open", refusing)
     with pytest.raises(OutputError, match="Permission denied; expected a file that can be written"):
         OutputFile(path)
     assert path.read_bytes() == b"earlier"
