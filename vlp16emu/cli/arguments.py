@@ -37,6 +37,19 @@ TrajectoryFile = Annotated[
         "DIR|FILE.tum",
     ),
 ]
+UnitName = Annotated[
+    str | None,
+    Option("Which sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
+]
+WhichClock = Annotated[
+    str | None,
+    Option(
+        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps or in the one that the GPS sentences name, "
+        "or the host's that captured. By default the sensor's if it is locked to GPS, else the host's.",
+        words=("sensor", "gps", "host"),
+        shown=False,
+    ),
+]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]
 
 

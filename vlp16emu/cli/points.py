@@ -91,6 +91,7 @@ def points(
             shown=False,
         ),
     ] = 0.0,
+    clock: args.WhichClock = None,
     threads: args.Threads = 0,
     as_json: args.AsJson = False,
 ) -> None:
@@ -106,9 +107,11 @@ def points(
     if trajectory is not None or is_capture_name(scene):
         spans = {"--duration": span.duration_s, "--start": span.start_s}
         _refuse(spans | {"--set": settings, "--ideal": ideal, "--threads": threads}, f"the capture {scene}", "a scene")
-        _deskew(Path(scene), out, trajectory, errors, (truth, labels, truth_folder), unit=unit, as_json=as_json)
+        _deskew(
+            Path(scene), out, trajectory, errors, (truth, labels, truth_folder), unit=unit, clock=clock, as_json=as_json
+        )
         return
-    _refuse(errors, "a scene", "a capture and its --trajectory")
+    _refuse(errors | {"--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
     from vlp16emu.extras.clouds.points import write_points
@@ -134,6 +137,7 @@ def _deskew(
     wanted: tuple[bool, str | None, Path | None],
     *,
     unit: int,
+    clock: str | None,
     as_json: bool,
 ) -> None:
     """Write the points of a capture; `wanted` are truth, labels and the folder that they come from."""
@@ -152,5 +156,5 @@ def _deskew(
             raise InputError("--labels" if labels else "--truth", "found a trajectory alone", expected)
         truth = CaptureTruth(folder, unit, label_scheme(labels, where="--labels") if labels else None)
     with stop_on_ctrl_c() as stop:
-        cloud = write_deskewed(capture, out, way, truth, stop=stop)
+        cloud = write_deskewed(capture, out, way, truth, stop=stop, clock=clock)
     finish(cloud, as_json=as_json)

@@ -151,7 +151,8 @@ class _Check:
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check what is left, and sum up."""
         if not self._packets:
-            raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
+            found = f"no VLP-16 packets, but {capture.missed}" if capture.missed else "no VLP-16 packets"
+            raise CaptureError(str(path), found, "data packets on UDP port 2368")
         self._finish_data()
         self._collect(PacketKind.POSITION, self._in_order[PacketKind.POSITION].rest())
         self._check_position()
