@@ -11,6 +11,9 @@ from typing import Any, NamedTuple
 import pytest
 
 from vlp16emu.cli.app import run
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.given.given_stand import read_stem_list
+from vlp16emu.forest.plants.flora import species_table
 
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases"
 
@@ -136,3 +139,16 @@ def test_stamps_without_gps_are_those_of_the_host_and_of_the_sensor_on_request(t
     assert stamps_s["host"][0] == pytest.approx(1779269383.03, abs=0.05)  # 09:29:43 of 2026-05-20
     assert stamps_s["sensor"][0] - stamps_s["host"][0] == pytest.approx(964.198, abs=1e-3)
     capsys.readouterr()
+
+
+@pytest.mark.parametrize("file", ["23-stems-excel-de.csv", "23c-stems-NA.csv"])
+def test_lists_of_stems_are_read_as_spreadsheets_write_them(file):
+    """A German Excel's `;`, decimal comma and BOM (ezbookkeeping#458), and the NA of R's `write.csv`, leave the list's 22 trees."""
+    plain = len((CASES / file).read_text("utf-8-sig").splitlines()) - 1
+    assert len(read_stem_list(CASES / file, species_table(), (0.0, 0.0, 0.0))) == plain > 20
+
+
+def test_a_list_of_another_encoding_names_the_line_and_the_encoding():
+    """UTF-8 is documented: the line says where the first other byte is, and that it is Windows-1252."""
+    with pytest.raises(GeometryError, match="line 2: no UTF-8 text: byte f6, in Windows-1252"):
+        read_stem_list(CASES / "23d-stems-cp1252.csv", species_table(), (0.0, 0.0, 0.0))
