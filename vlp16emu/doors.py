@@ -49,7 +49,6 @@ DOORS: dict[str, dict[str, str]] = {
         "plan": "vlp16emu.cli.plan:plan",
         "doctor": "vlp16emu.cli.doctor:doctor",
         "cache": "vlp16emu.cli.cache:cache",
-        "outlets": "vlp16emu.extras.bench.outlets:Ways",
         "truth": "vlp16emu.cli.truth:truth",
         "points": "vlp16emu.cli.points:points",
         "bag": "vlp16emu.cli.bag:bag",

@@ -96,8 +96,8 @@ class Windows(Generic[S]):
     ----------
     open_segment : opens the window of a segment, or of what else `name_of` gives; called on a thread of its own
     batching : of the run
-    moves : whether each segment needs a window; where nothing moves that of segment 0 serves all
-    threads : workers, which may be that many blocks ahead of whoever else asks
+    moves : whether each segment needs a window; if nothing moves, the window of segment 0 serves all
+    threads : workers, which may be that many blocks ahead of the receiver
     """
 
     kept = 2

@@ -240,7 +240,7 @@ def _is_foreign(request: _Request, *, is_private: bool) -> bool:
 
 
 async def _request(line: StreamReader) -> _Request | None:
-    """Read a request, and its body as far as it may be long; None where there is no further one."""
+    """Read a request, and its body as far as it may be long; None if there is no further one."""
     head = await line.read(1)
     if not head:
         return None

@@ -36,7 +36,7 @@ class TruthFolder:
     Raises
     ------
     OutputError
-        If the folder cannot be made, holds something else or one of the inputs, or another run writes it.
+        If the folder cannot be made, holds something else or one of the inputs, or another run writes it
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:
@@ -74,7 +74,7 @@ class TruthFolder:
             raise self._failed from error
 
     def write_json(self, name: str, tree: Mapping[str, Any]) -> None:
-        """Write a whole file, in place of the one that is there; `RunError` where it cannot be written."""
+        """Write a whole file, in place of the one that is there; `RunError` if it cannot be written."""
         write_json(self.path / name, tree)
 
 
