@@ -6,9 +6,8 @@ from raycast.reference import SlowScene
 
 from vlp16emu.engine import Engine, assemble
 from vlp16emu.extras.accuracy.compare import compare, errors_of
-from vlp16emu.extras.accuracy.converged import apart_m, joined
-from vlp16emu.extras.accuracy.sample import Bench, Group
-from vlp16emu.extras.accuracy.settings import beam_settings
+from vlp16emu.extras.accuracy.sample import Bench, Group, apart_m, joined
+from vlp16emu.extras.accuracy.sweep import beam_settings
 from vlp16emu.scenario import load
 
 

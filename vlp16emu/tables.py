@@ -40,9 +40,9 @@ class Column:
     high: float = LARGEST
     """Limits in the unit of what is returned: beyond them a value is more likely a slip of the unit."""
     is_needed: bool = True
-    """Whether the table must have it."""
+    """True if the table must have it."""
     is_filled: bool = True
-    """Whether each row must have a value."""
+    """True if each row must have a value."""
 
 
 def optional(*names: str) -> Column:

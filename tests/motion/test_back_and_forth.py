@@ -9,7 +9,6 @@ from vlp16emu.motion.path import Path
 from vlp16emu.motion.route import Route
 from vlp16emu.motion.walk import WalkMotion
 from vlp16emu.motion.way_points import way_points
-from vlp16emu.scenario import load
 
 BIRCH_M = [[0, 0], [18, 4], [34, -3], [52, 2], [66, 14], [80, 18]]
 LAPS = 3
@@ -74,12 +73,6 @@ def test_pose_and_velocity_are_continuous_at_the_ends():
     np.testing.assert_allclose(moved_m_s, truth.world_v_body_m_s[1:-1], atol=2e-4)
     assert np.abs(np.diff(truth.world_v_body_m_s, axis=0)).max() < 0.05  # 50 m/s2 over a millisecond, of heel strikes
     assert np.abs(np.diff(truth.body_w_rad_s, axis=0)).max() < 0.05
-
-
-def test_an_hour_of_forest_is_a_matter_of_laps():
-    """The walk of the scene birch_walk is longer than an hour with 24 laps there and back."""
-    scenario = load("birch_walk", {"motion.laps": 24, "motion.back_and_forth": True})
-    assert 3600 < route(scenario.motion).run_time_s < 4200
 
 
 def test_stops_are_made_there_and_back():

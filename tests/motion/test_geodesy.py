@@ -52,14 +52,6 @@ def test_there_and_back_again(origin):
     np.testing.assert_allclose(to_local(to_geodetic(local_m, origin), origin), local_m, rtol=0, atol=1e-6)
 
 
-def test_the_origin_is_the_origin():
-    """The world's zero is the origin, within 10 nm."""
-    np.testing.assert_allclose(
-        to_geodetic(np.zeros((1, 3)), ORIGINS[0]), [[62.24, 25.75, 120.0]], rtol=1e-13, atol=1e-8
-    )
-    np.testing.assert_allclose(to_local(np.array([[62.24, 25.75, 120.0]]), ORIGINS[0]), 0.0, atol=1e-8)
-
-
 def test_longitude_wraps_at_the_date_line():
     """East of 180 degrees comes -180."""
     longitude_deg = to_geodetic(

@@ -71,11 +71,6 @@ def test_a_receiver_reports_at_most_999_knots(speed_m_s, reported_m_s):
     assert receiver(velocity_m_s=(0.0, speed_m_s, 0.0)).fix(START_NS).speed_m_s == pytest.approx(reported_m_s)
 
 
-def test_standing_receiver_without_errors_has_no_speed():
-    """A receiver that stands and knows it reports speed 0."""
-    assert receiver().fix(at(3)).speed_m_s == 0.0
-
-
 @pytest.mark.parametrize("lag_s", [0, 30, 120, 600])
 def test_wander_has_the_autocovariance_it_states(lag_s):
     """Over 6000 seeds the product of two seconds a lag apart has the mean exp(-lag / 120 s), within 5 sigma."""

@@ -60,15 +60,6 @@ def test_an_even_slope_stays_as_it_is():
     assert path.length_m == pytest.approx(np.hypot(50.0, 0.2 * 40.0), abs=1e-9)
 
 
-def test_heading_is_that_of_the_tangent():
-    """The heading looks where the next millimetre leads."""
-    path = Path(WAY_POINTS_M, flat)
-    s_m = np.linspace(0.1, path.length_m - 0.1, 300)
-    ahead, back = path.at(s_m + 5e-4)[0], path.at(s_m - 5e-4)[0]
-    expected = np.arctan2(*(ahead - back)[:, 1::-1].T)
-    np.testing.assert_allclose(path.at(s_m)[1], expected, atol=1e-5)
-
-
 def test_beyond_its_ends_the_path_stays():
     """Before 0 and after its length the path is at its ends."""
     path = Path(WAY_POINTS_M, flat)

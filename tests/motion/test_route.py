@@ -45,11 +45,6 @@ def test_derivatives_belong_to_the_same_function(track):
         np.testing.assert_allclose(slope, nodes[1:-1, :, order + 1], atol=tolerance)
 
 
-def test_turn_rate_is_kept(track):
-    """The heading turns at the limit at most."""
-    assert np.abs(track[0][:, 5, 1]).max() <= 1.001
-
-
 def test_a_person_looks_where_the_walk_goes(track):
     """The heading is the direction of the velocity on the map."""
     nodes, speed_m_s = track

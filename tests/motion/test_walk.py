@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Harness
 from vlp16emu.motion.carrier import StaticMotion
 from vlp16emu.motion.pose import rotations
@@ -108,17 +107,6 @@ def test_a_walk_of_a_day_keeps_little(walking, at):
         at(motion, [3600.0 * hour])
     assert motion._table.cache_info().currsize <= 16
     assert motion._pack._pushed.cache_info().currsize <= motion._pack._memory_s + 8
-
-
-def test_undamped_straps_are_refused(walking):
-    """A walk with straps that would never come to rest is refused when it is made."""
-    with pytest.raises(TrajectoryError, match="swings for ever"):
-        walking(harness=straps((2.0,) * 6, 0.0))
-
-
-def test_run_time_is_that_of_the_route(walking, circle):
-    """The walk is over when the route is."""
-    assert walking().run_time_s == circle().run_time_s
 
 
 def test_standing_sensor_has_one_pose_for_all_times():

@@ -8,7 +8,7 @@ import pytest
 from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD, SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS
-from vlp16emu.forest.given.stem_list import _COLUMNS
+from vlp16emu.forest.given.given_stand import _COLUMNS
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.forest.stand.inventory import INVENTORY
 from vlp16emu.scenario.find import scene_files

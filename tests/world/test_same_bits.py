@@ -14,9 +14,8 @@ from scipy.spatial import ConvexHull
 import vlp16emu
 from vlp16emu.forest.plants.crown import CrownKey, crown_meshes
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.quantiles import normal_quantile
 from vlp16emu.forest.stand.floor_shapes import FloorKey, FloorKind, _icosphere, _outline_m2, floor_meshes
-from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA
+from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA, normal_quantile
 from vlp16emu.forest.stand.stand import class_scale
 from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
 from vlp16emu.world.vectors import determinant, unit

@@ -104,7 +104,7 @@ def throng() -> Iterator[Row]:
 
 def too_many() -> Iterator[Row]:
     """Bring more things of the user's own than have numbers."""
-    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (PartMesh("stone", _pane()),), 1.0, ())
+    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (PartMesh("stone", _pane()),), 1.0)
     places = [MeshPlace(x_m=50.0, y_m=0.0, z_m=0.0)] * 65_537
     section = MeshFile(file="stone.obj", unit="m", up="z", semantic="stone", places=places)
     hall = HallWorld(Hall(kind="hall", length_m=9.0, width_m=9.0, height_m=9.0))

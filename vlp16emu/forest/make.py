@@ -1,6 +1,7 @@
-"""From what the user wrote to the ground, and to the forest on it."""
+"""The ground and the forest on it, from the table `[world]`."""
 
 import hashlib
+import logging
 import math
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from vlp16emu.types import Array, World
 from vlp16emu.world.furnished import furnished
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Wind
+
+_log = logging.getLogger(__name__)
 
 
 class ForestSite:
@@ -58,6 +61,11 @@ class ForestSite:
         if isinstance(ground, DemHeights):
             ground.check(path_xy_m, reach_m)
         path = Corridor(path_xy_m, section.path_clearance_m)
+        if isinstance(section, Forest) and path.clearance_m >= reach_m:
+            _log.warning(
+                "world.path_clearance_m = %g: leaves no tree within the %.0f m that are seen; expected less",
+                *(path.clearance_m, reach_m),
+            )
         blows = wind if wind is not None and wind.speed_m_s > 0 else None
         # A sensor that sees no farther than `near_m` meets no medium: then none is made.
         near_m = section.near_m if section.near_m < farthest_m else math.inf
@@ -94,7 +102,6 @@ class ForestSite:
 
 
 def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:
-    """Digest of all that decides a forest, files by what they hold."""
     dem_file = section.dem.file if section.dem else None
     stem_list = section.stem_list if isinstance(section, Plot) else None
     models = [model.file for model in section.tree_models]
@@ -106,5 +113,4 @@ def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_st
 
 
 def _content(file: str | None) -> str:
-    """Digest of what a file holds; nothing where none is given."""
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:32] if file else ""

@@ -1,4 +1,4 @@
-"""What random numbers of a forest are for."""
+"""Purposes of the random numbers of a forest."""
 
 from enum import IntEnum
 

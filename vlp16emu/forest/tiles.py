@@ -11,9 +11,7 @@ from vlp16emu.world.polyline import Polyline
 
 TILE_M = 20.0
 """Edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y."""
-
 _HALF_DIAGONAL_M = TILE_M / 2 * np.sqrt(2.0)
-
 _SKIRT_M = 0.5  # depth of the hem under a tile's border, which hides the seams that rounding leaves
 
 
@@ -32,12 +30,11 @@ def tiles_within(line_xy_m: Array, reach_m: float) -> IntArray:
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
     ix, iy = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
     tiles = np.column_stack([ix.ravel(), iy.ravel()])
-    near: IntArray = tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
-    return near
+    return tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
 
 
 def around(ix: int, iy: int, of: Callable[[int, int], Array]) -> Array:
-    """Put together what there is of a tile and of the eight around it."""
+    """Join what there is of a tile and of the eight around it."""
     return np.concatenate([of(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 

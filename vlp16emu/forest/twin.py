@@ -17,7 +17,6 @@ from vlp16emu.types import Array, Mesh, PlantPart, Semantic, ShapeKey, Window
 
 _YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])
 """Turns x east, y north, z up into x east, y up, z south."""
-
 _ROOT = "world z up"  # name of the node that holds everything
 
 
@@ -104,7 +103,6 @@ class _Twin:
         )
 
     def _instance(self, row: np.void, place_m: Array) -> str:
-        """Name of the node of a whole plant or thing, which is made where it is missing."""
         name = label(row, self._species, with_part=False)
         if name not in self._nodes:
             self._nodes[name] = 1
@@ -114,7 +112,6 @@ class _Twin:
         return name
 
     def _unused(self, name: str) -> str:
-        """Name a node; where nodes have the name already, add a number."""
         self._nodes[name] = self._nodes.get(name, 0) + 1
         return name if self._nodes[name] == 1 else f"{name}.{self._nodes[name]}"
 
@@ -134,7 +131,6 @@ class _Twin:
 
 
 def _extras(row: np.void) -> dict[str, int]:
-    """Labels as numbers, which glTF keeps with a node as `extras`."""
     return {name: int(row[name]) for name in ("semantic", "part", "instance", "species")}
 
 
@@ -149,5 +145,4 @@ def _geometry(vertices_m: NDArray[np.float32], faces: NDArray[np.uint32], materi
 def _linear(colour: NDArray[np.uint8]) -> list[float]:
     """Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2)."""
     share = colour / 255
-    factors: list[float] = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
-    return factors
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()

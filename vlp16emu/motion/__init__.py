@@ -1,4 +1,4 @@
-"""Where the carrier is, at any time; its settings by name here, its models in the files of the room."""
+"""Motions of the carrier at any time; their settings by name here, their models in the files of the room."""
 
 from vlp16emu.motion.live_settings import Live
 from vlp16emu.motion.settings import Gait, Gps, Harness, Imu, LawnMower, MotionSection, Mount, Static, Stop, Walk

@@ -1,4 +1,4 @@
-"""From the table `[motion]` and the ground to the motion of what carries the devices."""
+"""The motion of the carrier, from the table `[motion]` and the ground."""
 
 import logging
 import math
@@ -53,6 +53,8 @@ def make_carrier(
 ) -> tuple[Motion, Array]:
     """Return the motion of what carries the devices over the ground, and points (n, 2) of its path on the map.
 
+    Raises TrajectoryError if a person cannot walk so, or recorded poses are no smooth motion.
+
     Parameters
     ----------
     ground : name of all that decides its height
@@ -61,11 +63,6 @@ def make_carrier(
     reach_m : how far the sensor sees
     start_ns : UTC of the first pulse
     obstacles : places (n, 2) that waypoints lead around, and how far (n,) from each; as of `around`
-
-    Raises
-    ------
-    TrajectoryError
-        where a person cannot walk so, or recorded poses are no smooth motion
     """
     if isinstance(section, Static):
         xy_m = np.array([[section.x_m, section.y_m]])
@@ -73,8 +70,8 @@ def make_carrier(
         return StaticMotion(position_m, section.yaw_deg, section.pitch_deg, section.roll_deg), xy_m
     if not isinstance(section, Walk):
         motion, xy_m = section.carrier(height_m, start_ns)
-        if (position_m := getattr(motion, "position_m", None)) is not None:
-            _check_place(position_m, origin_m, height_m, reach_m)
+        if (places_m := getattr(motion, "position_m", None)) is not None:
+            _check_place(places_m, origin_m, height_m, reach_m)
         return motion, xy_m
     _check_gait(section.gait, section.sensor_height_m)
     points = way_points(section, gps, origin_m[:2])

@@ -8,8 +8,7 @@ from vlp16emu.motion.path import Path
 from vlp16emu.motion.way_points import WayPoints
 from vlp16emu.types import Array
 
-_TRIES = 300
-"""Waypoints that are put beside something, or moved farther away from it."""
+_TRIES = 300  # waypoints that are put beside something, or moved farther away from it
 _SPARE_M, _WIDER_M = 0.05, 0.05
 """Beyond what is asked for, at first and more with each try at the same thing: the curve between waypoints cuts corners."""
 
@@ -17,10 +16,7 @@ _SPARE_M, _WIDER_M = 0.05, 0.05
 def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
     """Put waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), the nearest first; the user's stay.
 
-    Raises
-    ------
-    TrajectoryError
-        where no way around is found
+    Raises TrajectoryError if no way around is found.
     """
     beside = dict[int, tuple[int, Array]]()  # tries and waypoint by place
     for _ in range(_TRIES):

@@ -1,4 +1,4 @@
-"""How the trunk of a walking person moves about the smooth path over the ground."""
+"""Motion of the trunk of a walking person about the smooth path over the ground."""
 
 import math
 
@@ -13,16 +13,13 @@ from vlp16emu.types import Array
 
 AXES = 6
 """Fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)."""
-
 _HEEL_SHARPNESS = 20.0
 """A heel strike lasts 40 ms at 1.8 steps per second: assumption, from the look of trunk accelerations."""
-_LINES = 12
-"""Sinusoids of each slow process."""
+_LINES = 12  # sinusoids of each slow process
 _SLOWEST_HZ, _FASTEST_HZ = 0.005, 0.5
 """Equal power in each octave between these: stride times vary like 1/f noise, measured as f^-0.92 over nine
 minutes (Hausdorff et al.; PhysioNet, Fractal mechanisms in neural control, figure 9)."""
-_TIMING = AXES
-"""Lane of the process that varies the step rate; those before it vary the amplitude of an axis."""
+_TIMING = AXES  # lane of the process that varies the step rate; those before it vary the amplitude of an axis
 
 
 def step_rate_hz(speed_m_s: float) -> float:
@@ -72,7 +69,7 @@ def _lines(seed: int) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _slow(lines: Array, t_s: float) -> float:
+def _band_noise(lines: Array, t_s: float) -> float:
     total = 0.0
     for k in range(len(lines)):
         total += cos_sin(lines[k, 0] * t_s + lines[k, 1])[1]
@@ -80,8 +77,7 @@ def _slow(lines: Array, t_s: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _slow_integral(lines: Array, t_s: float) -> float:
-    """Integral of `_slow` from zero, in seconds."""
+def _band_noise_integral(lines: Array, t_s: float) -> float:
     total = 0.0
     for k in range(len(lines)):
         total += (cos_sin(lines[k, 1])[0] - cos_sin(lines[k, 0] * t_s + lines[k, 1])[0]) / lines[k, 0]
@@ -95,14 +91,14 @@ def _fill(
     """Fill each row alone; positive pitch is nose down and positive roll right side down."""
     for i in range(elapsed_s.size):
         t_s = elapsed_s[i]
-        strides = 0.5 * step_hz * (t_s + variation * _slow_integral(lines[_TIMING], t_s))
+        strides = 0.5 * step_hz * (t_s + variation * _band_noise_integral(lines[_TIMING], t_s))
         stride = 2.0 * math.pi * (strides - math.floor(strides))
         # A step's lowest point and heel strike are at 3/4 of its phase; over the standing leg at 1/4.
         step_cos, step_sin = cos_sin(2.0 * stride)
         lean_cos, lean_sin = cos_sin(stride + 0.25 * math.pi)
         sway = (step_cos, lean_sin, step_sin, -lean_sin, -step_sin, lean_cos)
         for axis in range(AXES):
-            factor = effort[i] * (1.0 + variation * _slow(lines[axis], t_s)) if variation else effort[i]
+            factor = effort[i] * (1.0 + variation * _band_noise(lines[axis], t_s)) if variation else effort[i]
             motion = amplitude[axis] * sway[axis]
             if axis == 2:
                 motion += amplitude[6] * cos_sin(4.0 * stride)[1]

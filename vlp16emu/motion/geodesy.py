@@ -1,4 +1,4 @@
-"""Where on earth the world is: the plane that touches the ellipsoid of WGS 84 under its origin."""
+"""Geodetic coordinates of the world: the plane that touches the ellipsoid of WGS 84 under its origin."""
 
 import numpy as np
 
@@ -6,12 +6,10 @@ from vlp16emu.elementary import atan2, cos, hypot, matvec, sin
 from vlp16emu.motion.settings import Gps
 from vlp16emu.types import Array
 
-_RADIUS_M = 6_378_137.0
-"""Semi-major axis of WGS 84 (NGA.STND.0036, table 3.1), as the next."""
+_RADIUS_M = 6_378_137.0  # semi-major axis of WGS 84 (NGA.STND.0036, table 3.1), as the next
 _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY2 = _FLATTENING * (2.0 - _FLATTENING)
-_ROUNDS = 3
-"""Applications of Bowring's formula; near the ground the first one is already good to a millimetre."""
+_ROUNDS = 3  # applications of Bowring's formula; near the ground the first one is already good to a millimetre
 
 
 def to_local(geodetic: Array, gps: Gps) -> Array:

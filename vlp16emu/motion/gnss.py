@@ -1,4 +1,4 @@
-"""What a GNSS receiver makes of the walk: errors that wander, and trees that hide the sky."""
+"""A GNSS receiver on the walk: errors that wander, and fixes lost under trees."""
 
 import math
 from collections.abc import Callable
@@ -19,25 +19,21 @@ from vlp16emu.units import S_NS
 
 Sky = Callable[[int, Array], float]
 """Share of the sky, 0..1, that is hidden at a UTC instant from an antenna (3,) in the world."""
-
 _WAVES = 32
-_EAST, _NORTH, _LOSS = 0, 1, 2
-"""Lanes of the wandering processes."""
+_EAST, _NORTH, _LOSS = 0, 1, 2  # lanes of the wandering processes
 _LOSS_S = 10.0
 """Correlation time of what lets fixes fail: some 12 m of walking, the spacing of great crowns; assumption."""
 _FARTHEST_Z, _NORMAL_PEAK = 8.0, 0.3989422804014327
 """Where the normal distribution is 0 or 1 within 1e-15, and its greatest density, 1 / sqrt(2 pi)."""
-_HELD_S = 10
-"""For so long a receiver repeats its last fix."""
+_HELD_S = 10  # for so long a receiver repeats its last fix
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, the most that a receiver reports (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
-_READINGS_KEPT = 64
-"""More than `_HELD_S`, so that no second's sky is looked at twice."""
+_READINGS_KEPT = 64  # more than `_HELD_S`, so that no second's sky is looked at twice
 
 
 @dataclass(frozen=True, slots=True)
 class GnssReading:
-    """What a receiver measures in one second, beside the truth."""
+    """Measurement of a receiver in one second, beside the ground truth."""
 
     t_ns: int
     """UTC, a whole second."""
@@ -52,7 +48,7 @@ class GnssReading:
     cover: float
     """Share of the sky that is hidden."""
     valid: bool
-    """Whether it has a fix."""
+    """True if it has a fix."""
 
 
 class Receiver:
@@ -98,7 +94,6 @@ class Receiver:
 
 
 def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) -> GnssReading:
-    """Measure at a whole UTC second."""
     truth = motion.kinematics_at(np.array([t_ns]))
     antenna_m, velocity_m_s = truth.world_p_body_m[0].copy(), truth.world_v_body_m_s[0]
     antenna_m[2] += gps.antenna_above_m
@@ -122,7 +117,7 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
 
 
 def _lost(gps: Gps, seed: int, second: int, cover: float) -> bool:
-    """Whether a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
+    """Return True if a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
     odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
     probability = 0.5 + 0.5 * tanh(0.5 * odds)
     return _exceeded(wander(seed, _LOSS, second, _LOSS_S)) < probability

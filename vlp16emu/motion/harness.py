@@ -8,15 +8,13 @@ of 1 GHz costs no more and is as exact as one of 1 Hz.
 """
 
 import math
-import operator
 from collections.abc import Callable
 from functools import lru_cache
-from itertools import accumulate, repeat
 
 import numba
 import numpy as np
 
-from vlp16emu.elementary import cos, exp, expm1, matvec, sin
+from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.settings import Harness
@@ -26,14 +24,11 @@ KNOTS_PER_S = 200
 """Heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre."""
 NODES_PER_KNOT = 5
 """Instants per knot at which the pack's motion is handed out: one per millisecond."""
-
-_REACH = 4
-"""Samples needed before the first knot and after the last one of a second."""
+_REACH = 4  # samples needed before the first knot and after the last one of a second
 _FORGOTTEN = 39.14394658089878
 """Logarithm of 1e17. A swing that has decayed by this is under the last bit of what it was."""
 _LONGEST_S = 600
 """Straps that swing longer than this after a push are refused: the gait would shake them up without bound."""
-
 _QUASI = np.array([13.0, -112.0, 438.0, -112.0, 13.0]) / 240.0
 """Samples to spline coefficients: the five numbers with which the spline reproduces every quintic."""
 _QUINTIC = (
@@ -51,25 +46,18 @@ _QUINTIC = (
 )
 """Uniform quintic B-spline (de Boor, A Practical Guide to Splines, chapter IX): row p gives the coefficient of
 tau^p between two knots from the six spline coefficients around."""
-
-_SLOW = 4.0
-"""Up to this argument a power series loses less than two digits to its alternating signs."""
-_POWERS = 4
-"""Coefficients of a cubic."""
+_SHORT, _TERMS = 3, 14  # in an eighth of a radian the fourteenth term is below the last bit
 
 
 class Pack:
     """Motion of the pack about the smooth path: the trunk's, or what the straps make of it.
 
+    Raises TrajectoryError if a push would go on swinging for more than ten minutes.
+
     Parameters
     ----------
     trunk : samples (n, 6) of the trunk's motion at knots first .. first + n - 1, knot 0 at the first step
     harness : None where the pack is strapped tight
-
-    Raises
-    ------
-    TrajectoryError
-        where a push would go on swinging for more than ten minutes
     """
 
     def __init__(self, trunk: Callable[[int, int], Array], harness: Harness | None) -> None:
@@ -125,7 +113,6 @@ class Pack:
         return state
 
     def _push(self, second: int) -> Array:
-        """Stretch and its rate (6, 2) at the end of a second that began without."""
         state = np.zeros((AXES, 2))
         _advance(self._pieces(second), self._steps[:, -1], state)
         return state
@@ -172,7 +159,6 @@ def _stretch(step: Array, state: Array, a: Array, row: int) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _advance(pieces: Array, step: Array, state: Array) -> None:
-    """Carry the state (6, 2) over all pieces."""
     for k in range(len(pieces)):
         for axis in range(AXES):
             y = _stretch(step[axis], state[axis], pieces[k, axis], 0)
@@ -206,86 +192,24 @@ def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
 
 
 def response(frequency_hz: float, damping_ratio: float, s: float) -> Array:
-    """Linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
+    """Return the linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
 
-    The homogeneous part is the matrix exponential; column 2 + i of the first row is the integral of
-    G(s - t) t^i with the impulse response G; by parts, its derivative is i times the column before.
+    It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled until it is s
+    (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review 45, 2003, method 3).
     """
     omega = 2.0 * math.pi * frequency_hz
-    still, impulse, impulse_rate = _free(omega, damping_ratio, s)
-    # Three forms of the same integrals, each where it keeps its digits.
-    if max(1.0, 2.0 * damping_ratio) * omega * s <= _SLOW:
-        forced = _forced_by_series(omega, damping_ratio, s)
-    elif damping_ratio < 1.5:
-        forced = _forced_by_polynomial(omega, damping_ratio, s)
-    else:
-        forced = _forced_by_rates(omega, damping_ratio, s)
-    rates = [impulse, *(i * forced[i - 1] for i in range(1, _POWERS))]
-    return np.array([[still, impulse, *forced], [-omega * omega * impulse, impulse_rate, *rates]])
-
-
-def _free(omega: float, z: float, s: float) -> tuple[float, float, float]:
-    """Answer to an initial stretch, to an initial rate (the impulse response), and the latter's derivative."""
-    spread2 = (1.0 - z) * (1.0 + z) * omega * omega
-    if spread2 >= 0.0:
-        turn = math.sqrt(spread2)
-        fade = exp(-z * omega * s)
-        sine = fade * (sin(turn * s) / turn if turn else s)
-        cosine = fade * cos(turn * s)
-        return cosine + z * omega * sine, sine, cosine - z * omega * sine
-    slow, fast, gap = _rates(omega, z)
-    late, early = exp(slow * s), exp(fast * s)
-    impulse = late * -expm1(-gap * s) / gap
-    return (slow * early - fast * late) / gap, impulse, (slow * late - fast * early) / gap
-
-
-def _rates(omega: float, z: float) -> tuple[float, float, float]:
-    root = math.sqrt((z - 1.0) * (z + 1.0))
-    return -omega / (z + root), -omega * (z + root), 2.0 * omega * root
-
-
-def _forced_by_series(omega: float, z: float, s: float) -> list[float]:
-    """By the power series of the impulse response: for oscillators slow against s."""
-    forced, powers = [0.0] * _POWERS, _powers(s, 60 + _POWERS)
-    before, term = 0.0, 1.0  # coefficients of t^(n - 1) and t^n in G
-    for n in range(1, 60):
-        for i in range(_POWERS):
-            share = math.factorial(i) * math.factorial(n) / math.factorial(n + i + 1)
-            forced[i] += term * share * powers[n + i + 1]
-        before, term = term, (-2.0 * z * omega * n * term - omega * omega * before) / (n * (n + 1))
-    return forced
-
-
-def _forced_by_polynomial(omega: float, z: float, s: float) -> list[float]:
-    """By the polynomial that solves the equation, less the free swing from its start: for quick oscillators."""
-    still, impulse, _ = _free(omega, z, s)
-    forced = []
-    for i in range(_POWERS):
-        p = np.zeros(_POWERS + 2)
-        for k in range(i, -1, -1):
-            wanted = float(k == i)
-            p[k] = (wanted / omega - 2.0 * z * (k + 1) * p[k + 1] - (k + 2) * (k + 1) * p[k + 2] / omega) / omega
-        forced.append(float(np.polynomial.polynomial.polyval(s, p)) - still * p[0] - impulse * p[1])
-    return forced
-
-
-def _forced_by_rates(omega: float, z: float, s: float) -> list[float]:
-    slow, fast, gap = _rates(omega, z)
-    late, early, powers = _phi(slow * s), _phi(fast * s), _powers(s, _POWERS + 1)
-    return [math.factorial(i) * powers[i + 1] * (late[i] - early[i]) / gap for i in range(_POWERS)]
-
-
-def _powers(x: float, count: int) -> list[float]:
-    """Powers of x from 0 on, by products: `**` is the library's."""
-    return list(accumulate(repeat(x, count - 1), initial=1.0, func=operator.mul))
-
-
-def _phi(x: float) -> list[float]:
-    """Functions phi_1 .. phi_4 of exponential integrators (Hochbruck and Ostermann, Acta Numerica 19, 2010)."""
-    if abs(x) < _SLOW:
-        powers = _powers(x, 60)
-        return [sum(powers[n] / math.factorial(n + k) for n in range(60)) for k in range(1, _POWERS + 1)]
-    phi = [exp(x)]
-    for k in range(_POWERS):
-        phi.append((phi[-1] - 1.0 / math.factorial(k)) / x)
-    return phi[1:]
+    system = np.zeros((6, 6))
+    system[0, 1] = omega  # rates are in units of omega, so that stiff straps lose no digits
+    system[1, :3] = -omega, -2.0 * damping_ratio * omega, 1.0 / omega
+    for i in range(3):
+        system[2 + i, 3 + i] = 1.0 + i
+    doublings = max(0, math.frexp(max(1.0, 2.0 * damping_ratio) * omega * s)[1] + _SHORT)
+    step, term, total = system * (s / 2.0**doublings), np.eye(6), np.eye(6)
+    for n in range(1, _TERMS):
+        term = matmul(term, step) / n
+        total = total + term
+    for _ in range(doublings):
+        total = matmul(total, total)
+    total[1] *= omega
+    total[:, 1] /= omega
+    return total[:2]

@@ -1,4 +1,4 @@
-"""What an inertial measurement unit on the moving body reads."""
+"""Readings of an inertial measurement unit on the moving body."""
 
 import math
 from dataclasses import dataclass
@@ -15,11 +15,8 @@ from vlp16emu.units import S_NS
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, downwards (3rd CGPM, 1901)."""
-
-_CHUNK = 4096
-"""Samples of a random walk that are drawn together."""
-_HORIZON = 1 << 32
-"""Chunks that the walk is long: centuries."""
+_CHUNK = 4096  # samples of a random walk that are drawn together
+_HORIZON = 1 << 32  # chunks that the walk is long: centuries
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +44,7 @@ class ImuSampler:
         self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
 
     def read(self, first: int, count: int) -> Inertial:
-        """Take samples first .. first + count - 1; the same whatever was read before."""
+        """Return samples first .. first + count - 1; the same whatever was read before."""
         t_ns = self._start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // self._imu.rate_hz
         truth = self._motion.kinematics_at(t_ns)
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])

@@ -1,4 +1,4 @@
-"""How a device sits on the body that carries it: lever arm, tilt, and a stage that may spin."""
+"""Extrinsics of a device on its carrier: lever arm, tilt, and a stage that may spin."""
 
 import math
 

@@ -15,29 +15,21 @@ from vlp16emu.motion.splines import Spline, interpolant
 from vlp16emu.store import recalled
 from vlp16emu.types import Array, HeightField, IntArray
 
-_APART_M = 0.01
-"""Waypoints nearer than this are one."""
-_LONGEST_M = 100_000.0
-"""What a person walks in a day; a longer path is a mistake of units."""
-_FARTHEST_M = 1e6
-"""From the origin of the scene; so far the ground is good to a nanometre."""
+_APART_M = 0.01  # waypoints nearer than this are one
+_LONGEST_M = 100_000.0  # what a person walks in a day; a longer path is a mistake of units
+_FARTHEST_M = 1e6  # from the origin of the scene; so far the ground is good to a nanometre
 _SMALLEST_RADIUS_M = 0.1
-"""Of a turn. A body that is 0.4 m wide turns on the spot rather than along a smaller arc (assumption)."""
+"""Smallest radius of a turn: a body that is 0.4 m wide turns on the spot rather than along a smaller arc (assumption)."""
 _STEEPEST_DEG, _STEEPEST = 60.0, 1.7320508075688772
 """Slope of the ground along the path, and its tangent; steeper is climbed by hand (assumption)."""
-_KNOT_M = 0.25
-"""Greatest distance between knots: resolves the ground under a walker, smoothed over a pace."""
-_KNOT_RAD = 0.125
-"""Greatest turn between knots: keeps the parameter an arc length within 1e-4."""
+_KNOT_M = 0.25  # greatest distance between knots: resolves the ground under a walker, smoothed over a pace
+_KNOT_RAD = 0.125  # greatest turn between knots: keeps the parameter an arc length within 1e-4
 _KNOT_GROWTH = 0.2
-"""How much the distance between knots may grow per metre: neighbours stay within a factor of about 1.2."""
+"""Growth of the distance between knots per metre: neighbours stay within a factor of about 1.2."""
 _SAMPLE_M = 0.05
-_FEWEST_SAMPLES = 16
-"""Between two waypoints: fine enough that no turn below the smallest radius hides between samples."""
-_PACE_M = 0.7
-"""Length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)."""
-_HEIGHT_M = 0.1
-"""Distance between the heights that are taken from the ground."""
+_FEWEST_SAMPLES = 16  # between two waypoints: fine enough that no turn below the smallest radius hides between samples
+_PACE_M = 0.7  # length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
+_HEIGHT_M = 0.1  # distance between the heights that are taken from the ground
 _GAUSS = (
     (-0.906179845938664, 0.23692688505618908),
     (-0.5384693101056831, 0.47862867049936647),
@@ -54,18 +46,15 @@ class Path:
     It is a quintic spline whose parameter is its length, up and down included; a walker's
     hip smooths the ground, so the curve takes the mean of the heights from a pace behind to one ahead.
 
+    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, where the curve turns with a
+    radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km.
+
     Parameters
     ----------
     way_points_m : (n, 2) float64, x and y in the world, n >= 2; where the last is the first (within
         1 cm), the path is a loop that closes smoothly
     height_m : ground height
     ground : name of all that decides it; empty where nothing is kept on disk
-
-    Raises
-    ------
-    TrajectoryError
-        where a waypoint is not finite or coincides with the one before it, where the curve turns with a
-        radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km
     """
 
     def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
@@ -75,7 +64,7 @@ class Path:
         self._heading_rad = laid["heading_rad"]
         self.length_m = float(self._knots_m[-1])
         self.closed = bool(laid["closed"])
-        """Whether the path goes on at its start; then arc lengths may go on beyond the length."""
+        """True if the path goes on at its start; then arc lengths may go on beyond the length."""
         self.way_points_at_m = laid["way_points_at_m"]
         """(n,) arc length of each waypoint."""
         self.xy_m = laid["xy_m"]
@@ -120,10 +109,7 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
     The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
     quintic, since the second time derivative of the heading takes three derivatives of the position.
 
-    Raises
-    ------
-    TrajectoryError
-        where a person cannot walk through the waypoints
+    Raises TrajectoryError if a person cannot walk through the waypoints.
     """
     _check_way_points(way_points_m)
     closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)
@@ -155,7 +141,6 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
 
 
 def _check_way_points(way_points_m: Array) -> None:
-    """Let through only waypoints that a curve can pass."""
     if len(way_points_m) < 2:
         raise TrajectoryError("waypoints", f"found {len(way_points_m)}", "at least 2 of them")
     for i, point in enumerate(way_points_m):
@@ -216,7 +201,6 @@ def _curvature(steps: Array, closed: bool) -> Array:
 
 
 def _check_radius(curvature: Array, points_m: Array, number: IntArray) -> None:
-    """Refuse a turn that is too tight to walk."""
     worst = int(curvature.argmax())
     if curvature[worst] * _SMALLEST_RADIUS_M > 1.0:
         x_m, y_m = points_m[worst]
@@ -270,7 +254,6 @@ def _smoothed(padded: Array, reach: int) -> Array:
 
 
 def _check_slope(solid: Spline, along_m: Array, origin_m: Array) -> None:
-    """Refuse ground that is too steep to walk up or down."""
     dx, dy, dz = solid(along_m, 1).T
     slope = np.abs(dz) / hypot(dx, dy)
     worst = int(slope.argmax())
@@ -294,7 +277,6 @@ def _evaluate(
     point_m: Array,
     heading_rad: Array,
 ) -> None:
-    """Evaluate the pieces and their derivatives, each point alone."""
     length_m, last = knots_m[-1], knots_m.size - 2
     for i in range(s_m.size):
         lap = math.floor(s_m[i] / length_m) if closed else 0.0

@@ -26,15 +26,15 @@ class Kinematics(Poses):
 
 
 class Motion(Protocol):
-    """Where the body is at any time."""
+    """Pose of a body at any time."""
 
     @property
     def run_time_s(self) -> float:
-        """For how long there is a pose; infinite where the motion never ends."""
+        """Time for which there is a pose; infinite if the motion never ends."""
 
     @property
     def moves(self) -> bool:
-        """Whether poses differ from one instant to another."""
+        """True if poses differ from one instant to another."""
 
     def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses at UTC instants (n,); a single one where nothing moves."""
@@ -72,8 +72,7 @@ def rotations(yaw_rad: Array, pitch_rad: float, roll_rad: float) -> Array:
 def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
     """Rotation (3, 3), body to world, angles as in `rotate`."""
     inclination = math.radians(pitch_deg), math.radians(roll_deg)
-    turn: Array = rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
-    return turn
+    return rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
 
 
 @numba.njit(cache=True, nogil=True)

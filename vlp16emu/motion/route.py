@@ -15,39 +15,28 @@ from vlp16emu.motion.splines import powers
 from vlp16emu.types import Array
 
 Stops = Sequence[tuple[float, float]]
-
-_PLACED = [0, 1, 2, 5]
-"""Of x, y, z, roll, pitch and yaw those that a path gives."""
-_MAX_SPEED_M_S = 10.0
-"""A sprint."""
-
-_KNOT_S = 0.1
-"""Between knots in time: starts and stops take their shape over half a second, a pace (assumption)."""
+_PLACED = [0, 1, 2, 5]  # of x, y, z, roll, pitch and yaw those that a path gives
+_MAX_SPEED_M_S = 10.0  # a sprint
+_KNOT_S = 0.1  # between knots in time: starts and stops take their shape over half a second, a pace (assumption)
 _DEGREE = 5
-_REACH = 3
-"""Knots to either side over which a quintic B-spline takes its mean."""
+_REACH = 3  # knots to either side over which a quintic B-spline takes its mean
 _CELL_M = 0.02
-_LOOKS = 4
-"""Length over which acceleration is constant before smoothing, and how often turns are looked up in it."""
-_LONGEST_S = 14 * 86_400
-"""The latest start of a run and the longest run together."""
-_HALVINGS = 24
-"""Of the range of cruise speeds, when the run time is given."""
+_LOOKS = 4  # length over which acceleration is constant before smoothing, and how often turns are looked up in it
+_LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together
+_HALVINGS = 24  # of the range of cruise speeds, when the run time is given
 
 
 class Route:
     """A path with the times at which a person is on it, `laps` times round where it is closed.
+
+    Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, or the time is too
+    short.
 
     Parameters
     ----------
     path : over the ground
     walk : laps, speed or run time, limits, and the stops along the path
     pause_s : (n,) how long the person stops at each waypoint of the path
-
-    Raises
-    ------
-    TrajectoryError
-        where an open path is to be walked more than once, a stop is not on the path, or the time is too short
     """
 
     def __init__(self, path: Path, walk: Walk, pause_s: Array) -> None:
@@ -56,7 +45,7 @@ class Route:
             raise TrajectoryError("laps", found, "1, back_and_forth = true, or a last waypoint on the first")
         self._path = path
         self.length_m = walk.laps * path.length_m
-        """Of all laps."""
+        """Length of all laps."""
         stops = list(zip(path.way_points_at_m.tolist(), pause_s.tolist(), strict=True))
         stops = [stop for stop in stops if stop[1] > 0.0]
         stops += [(stop.at_m, stop.pause_s) for stop in walk.stops if stop.at_m is not None]
@@ -67,7 +56,7 @@ class Route:
         self._profile = Profile(self.length_m, lambda s_m: path.derivatives_at(s_m)[1][:, 1], walk, laps)
         self._stand_s = walk.stand_s
         self.run_time_s = walk.stand_s + self._profile.run_time_s
-        """From the start to the last motion."""
+        """Time from the start to the last motion."""
         self.speed_m_s = self._profile.speed_m_s
         """Cruise speed."""
 
@@ -97,17 +86,15 @@ class Profile:
     the spline, so speed and acceleration are weighted means of those before smoothing, keep the same
     limits, and never run backwards. At both ends and at stops the person is at rest.
 
+    Raises TrajectoryError if a stop is not on the path, the run time is too short, or the walk would take more than two
+    weeks.
+
     Parameters
     ----------
     length_m : of the path, all laps together
     turn_rad_m : turn of the heading per metre, either sign, at arc lengths (n,)
     walk : limits, and the cruise speed or the run time to which it is adapted
     stops : arc length and pause in s of each stop
-
-    Raises
-    ------
-    TrajectoryError
-        where a stop is not on the path, the run time is too short, or the walk would take more than two weeks
     """
 
     def __init__(self, length_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk, stops: Stops) -> None:
@@ -135,7 +122,7 @@ class Profile:
 
 
 _PADDING_S = (2 * _REACH - 1) * _KNOT_S
-"""By which smoothing makes the run longer: the first control point that moves comes two steps after the start."""
+"""Time by which smoothing makes the run longer: the first control point that moves comes two steps after the start."""
 
 
 class _Leg:
@@ -152,7 +139,7 @@ class _Leg:
         self._gain = np.full(cells, walk.acceleration_m_s2 * self._cell_m)
 
     def speeds_m_s(self, cruise_m_s: float) -> Array:
-        """Give the speeds (n,) at the cells' edges before smoothing.
+        """Return the speeds (n,) at the cells' edges before smoothing.
 
         Smoothing mixes speeds from `2 * _REACH` steps of time, so the limits reach as far as the person then gets.
         """
@@ -166,7 +153,7 @@ class _Leg:
         return np.sqrt(2 * energy)
 
     def times_s(self, speeds_m_s: Array) -> Array:
-        """Give the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
+        """Return the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
         with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
 
@@ -260,7 +247,6 @@ def _evaluate(
     speed_m_s: Array,
     acceleration_m_s2: Array,
 ) -> None:
-    """Evaluate the pieces and their derivatives, each time alone."""
     last = coefficients.shape[1] - 1
     for i in range(elapsed_s.size):
         steps = min(max(elapsed_s[i], 0.0), run_time_s) / step_s

@@ -267,7 +267,6 @@ class Walk(MotionSection):
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
-        """Refuse waypoints or a pace that are missing or given twice."""
         if sum(getattr(self, source) is not None for source in self.one_of) != 1:
             raise ValueError("exactly one of way_points_m, way_points_file and lawn_mower in it")
         if self.either_or <= self.model_fields_set:

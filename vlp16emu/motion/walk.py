@@ -16,10 +16,8 @@ from vlp16emu.units import S_NS
 
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
-_TOGETHER = 128
-"""Instants of a millisecond whose poses are found together: what is between fits into the nearest cache."""
-_TABLES_KEPT = 16
-"""Seconds of motion held ready, 0.3 MB each: more than the workers of a run are ever apart."""
+_TOGETHER = 128  # instants of a millisecond whose poses are found together: what is between fits into the nearest cache
+_TABLES_KEPT = 16  # seconds of motion held ready, 0.3 MB each: more than the workers of a run are ever apart
 
 
 class WalkMotion:
@@ -31,10 +29,7 @@ class WalkMotion:
 
     At the cruise speed of the route the gait has its full amplitudes, and they fade as the person slows down.
 
-    Raises
-    ------
-    TrajectoryError
-        where the straps would swing without end
+    Raises TrajectoryError if the straps would swing without end.
     """
 
     moves = True
@@ -92,7 +87,7 @@ class WalkMotion:
 
 @numba.njit(cache=True, nogil=True)
 def _sit(pack: Array, nodes: Array) -> None:
-    """Put the pack's displacements (n, 6, 3), made in the heading frame, upon the bare route (n, 6, 3)."""
+    """Add the pack's displacements (n, 6, 3), in the heading frame, to the route without gait (n, 6, 3)."""
     for n in range(len(nodes)):
         yaw, turn, turn2 = nodes[n, 5]
         ahead, ahead1, ahead2 = pack[n, 0]
@@ -175,7 +170,6 @@ def _kinematics(
     w_rad_s: Array,
     alpha_rad_s2: Array,
 ) -> None:
-    """Fill poses as `_poses` does, and the derivatives."""
     per_s = 1.0e9 / _NODE_NS
     q = np.empty((3, AXES))
     for i in which:

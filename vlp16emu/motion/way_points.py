@@ -15,17 +15,12 @@ from vlp16emu.motion.settings import Gps, LawnMower, Walk
 from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import Array
 
-_FARTHEST_M = 100_000.0
-"""Farther from the scene's origin the plane of the map is no picture of the earth."""
-_POINTS_PER_QUARTER = 6
-"""Waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
-
+_FARTHEST_M = 100_000.0  # farther from the scene's origin the plane of the map is no picture of the earth
+_POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
 _GEODETIC = {"lat": Column({"lat": 1.0}, -90.0, 90.0), "lon": Column({"lon": 1.0}, -180.0, 180.0)}
 _STOP = Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False)
-_LOOP_RADIUS_M = 0.5
-"""Of the turn behind each end of a way back and forth: a step to the side, and round (assumption)."""
-_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7
-"""A way that is shorter from end to end is no way to go back on."""
+_LOOP_RADIUS_M = 0.5  # of the turn behind each end of a way back and forth: a step to the side, and round (assumption)
+_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from end to end is no way to go back on
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +36,7 @@ class WayPoints:
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
     """Waypoints of a walk, with the stops at them; the other arguments are those of `read_way_points`.
 
-    Raises
-    ------
-    TrajectoryError
-        where a file has none, a pattern does not fit, or a stop is at none of them
+    Raises TrajectoryError if a file has none, a pattern does not fit, or a stop is at none of them.
     """
     if walk.way_points_file is not None:
         points = read_way_points(Path(walk.way_points_file), gps, origin_m)
@@ -93,15 +85,12 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
     A CSV has the columns x_m and y_m, and stop_s where the person is to stop. Of a GPX file the one track
     is read, or the one route if it has no track; its times and heights are left aside.
 
+    Raises TrajectoryError if the file is no such file, or lies more than 100 km from the scene's origin.
+
     Parameters
     ----------
     gps : where on earth the scene's origin is
     origin_m : easting and northing in the CSV that become (0, 0) in the scene
-
-    Raises
-    ------
-    TrajectoryError
-        where the file is no such file, or lies more than 100 km from the scene's origin
     """
     kind = path.suffix.lower()
     if kind == ".csv":
@@ -170,10 +159,7 @@ def lawn_mower(plot: LawnMower) -> Array:
 
     The lines are as many as fit, in the middle of the width.
 
-    Raises
-    ------
-    TrajectoryError
-        where the turns do not fit between two lines or along the plot
+    Raises TrajectoryError if the turns do not fit between two lines or along the plot.
     """
     line_spacing_m, radius_m = plot.line_spacing_m, plot.turn_radius_m
     room_m = min(line_spacing_m, plot.length_m)

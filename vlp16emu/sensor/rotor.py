@@ -161,7 +161,7 @@ class Encoder:
             twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
             hum=(section.hum_deg * factor[2], turned_deg[2]),
             noise_deg=section.azimuth_noise_deg,
-            noise_limit_deg=section.azimuth_noise_limit_deg,
+            noise_limit_deg=0.1,  # so that no reading of an even encoder is behind the one before it (assumption)
             pitch_deg=section.encoder_pitch_deg,
             rate_error=section.encoder_rate_error * (1.0 + spread * (0.2 * own[7] - 0.1)),
             first_deg=math.floor(20.0 * own[6]) / 100,

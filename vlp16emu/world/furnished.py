@@ -17,23 +17,19 @@ from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.user_mesh import UserMesh, load_mesh
 
 _log = logging.getLogger(__name__)
-
 FIRST_FREE_INSTANCE = 0xFFFF0000
-"""From here on instances are things of the user's; worlds number theirs below."""
+"""First instance of the user's things; worlds number theirs below."""
 
 
 class Furniture:
     """A mesh of the user's, and all its places.
 
+    Raises GeometryError for a part that the mesh does not have.
+
     Parameters
     ----------
     section : what the user wrote
     mesh : what its file holds
-
-    Raises
-    ------
-    GeometryError
-        for a part that the mesh does not have
     """
 
     def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
@@ -79,16 +75,13 @@ class BareWorld(World, Protocol):
 class Furnished:
     """A world and what the user has put into it; a `World`.
 
+    Raises GeometryError for more things than can be numbered.
+
     Parameters
     ----------
     world : without them
     furniture : in the order of their numbers
     reach_m : how far the sensor sees
-
-    Raises
-    ------
-    GeometryError
-        for more things than can be numbered
     """
 
     def __init__(self, world: BareWorld, *, furniture: Sequence[Furniture], reach_m: float) -> None:
@@ -103,7 +96,7 @@ class Furnished:
         if count > 2**32 - FIRST_FREE_INSTANCE:
             raise GeometryError("meshes", f"found {count} things", "at most 65536")
         self.names = dict[int, str]()
-        """Of the user's things by instance."""
+        """Names of the user's things by instance."""
         self._mesh_of, self._keys = dict[MeshKey, UserMesh](), list[MeshKey]()
         materials, placed, radius_m, self._rows = list(world.materials), [], [], []
         for one in furniture:
@@ -123,22 +116,17 @@ class Furnished:
         self.materials = tuple(materials)
         self._world_T_mesh, self._radius_m = np.reshape(placed, (-1, 3, 4)), np.array(radius_m)
 
-    def check(self, path_xy_m: Array) -> tuple[str, ...]:
-        """Report each mesh that is out of sight all along the path (n, 2), one line each, which is logged too."""
-        if not self._keys:
-            return ()
-        gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m
-        findings = []
+    def check(self, path_xy_m: Array) -> None:
+        """Warn of each mesh that is out of sight all along the path (n, 2)."""
+        gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m if self._keys else np.zeros(0)
         for key in self._mesh_of:
             nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
             if nearest_m > self._reach_m:
-                findings.append(
-                    f"{key.path}: not in sight, {nearest_m:.1f} m from the path at the nearest; expected a place"
-                    f" {self._reach_m:g} m from it at most (map coordinates must have origin_m taken off)"
+                _log.warning(
+                    "%s: not in sight, %.1f m from the path at the nearest; expected a place %g m from it at most"
+                    " (map coordinates must have origin_m taken off)",
+                    *(key.path, nearest_m, self._reach_m),
                 )
-        for finding in findings:
-            _log.warning(finding)
-        return tuple(findings)
 
     def window(self, track_m: Array) -> Window:
         """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""
@@ -173,7 +161,6 @@ class Furnished:
 
 
 def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
-    """`world_T_shape` (3, 4) of a mesh about its centre."""
     z_m = place.z_m
     if z_m is None:
         z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])
@@ -187,10 +174,7 @@ def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
 def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: Array, reach_m: float) -> World:
     """Put the user's own meshes into a world, and warn of those that are out of sight along a path (n, 2).
 
-    Raises
-    ------
-    GeometryError
-        If a mesh cannot be read
+    Raises GeometryError if a mesh cannot be read.
     """
     if not files:
         return bare

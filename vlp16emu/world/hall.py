@@ -11,19 +11,15 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, Array, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.furnished import furnished
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere, Wind
+from vlp16emu.world.vectors import closed
 
 _log = logging.getLogger(__name__)
-
 Thing = HallBox | HallPole | HallSphere
-
 _TOLERANCE_M = 5e-5
 """Largest gap between a chord and its arc. Round things lie about half of it on either side of the truth;
 on a sphere the gaps of both angles add up to at most twice that."""
-
 _FEWEST_SIDES = 256
-
-_WALL_INSTANCE = 1
-"""Of the walls and the ceiling; things follow from 2 in the order given, boxes, poles, spheres."""
+_WALL_INSTANCE = 1  # of the walls and the ceiling; things follow from 2 in the order given, boxes, poles, spheres
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,20 +32,17 @@ class _Room:
 class HallWorld:
     """A closed room with things in it; a `World` that is in reach as a whole.
 
+    Raises GeometryError for a thing that is not wholly inside.
+
     Parameters
     ----------
     section : what the user wrote
-
-    Raises
-    ------
-    GeometryError
-        for a thing that is not wholly inside
     """
 
     materials = ("room", "box", "pole", "sphere")
     """Names by `SURFACE` material number."""
     near_m, seed = math.inf, 0
-    """As in `World`: all of it is near, nothing random, and nothing kept."""
+    """Fields of `World`: all of it is near, nothing random, and nothing kept."""
 
     def __init__(self, section: Hall) -> None:
         room = _Room((section.length_m, section.width_m, section.height_m))
@@ -91,7 +84,7 @@ class HallWorld:
         return np.zeros(np.broadcast_shapes(np.shape(x_m), np.shape(y_m)))
 
     def window(self, track_m: Array) -> Window:
-        """Give the whole hall, whatever the track (n, 3)."""
+        """Return the whole hall for any track (n, 3)."""
         n = len(self._keys)
         world_T_shape = np.zeros((n, 3, 4))
         world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [_place_m(key) for key in self._keys]
@@ -120,7 +113,6 @@ class HallWorld:
 
 
 def _place_m(key: _Room | Thing) -> tuple[float, float, float]:
-    """Where the origin of a shape lies in the hall."""
     match key:
         case _Room():
             return (0.0, 0.0, key.size_m[2] / 2)
@@ -171,18 +163,8 @@ def _pole(pole: HallPole) -> Mesh:
     corner_m = pole.diameter_m / 2 * half / (cos(half) * log(tan(math.pi / 4 + half / 2)))
     angle = 2 * half * np.arange(sides)
     ring = np.column_stack([corner_m * cos(angle), corner_m * sin(angle), np.zeros(sides)])
-    up = np.array([0.0, 0.0, pole.height_m])
-    vertices = np.concatenate([ring, ring + up, [np.zeros(3), up]])
-    here = np.arange(sides)
-    after, middle, top = np.roll(here, -1), np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
-    triangles = [
-        (here, after, after + sides),
-        (here, after + sides, here + sides),
-        (after, here, middle),
-        (here + sides, after + sides, top),
-    ]
-    faces = np.concatenate([np.column_stack(t) for t in triangles])
-    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, pole.height_m]])
+    return closed(ring + ends[:, None], ends)
 
 
 def _sphere(radius_m: float) -> Mesh:
@@ -195,20 +177,8 @@ def _sphere(radius_m: float) -> Mesh:
     longitude = 2 * half * np.arange(sides)
     flat = cos(latitude)[:, None]
     z = np.broadcast_to(sin(latitude)[:, None], (len(latitude), sides))
-    rings = np.stack([flat * cos(longitude), flat * sin(longitude), z], axis=-1).reshape(-1, 3)
-    vertices = corner_m * np.concatenate([rings, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-    here = np.arange(sides)
-    after, south, north = np.roll(here, -1), np.full(sides, len(rings)), np.full(sides, len(rings) + 1)
-    low = (np.arange(len(latitude) - 1) * sides)[:, None]
-    last = len(rings) - sides
-    triangles = [
-        (low + here, low + after, low + sides + after),
-        (low + here, low + sides + after, low + sides + here),
-        (after, here, south),
-        (last + here, last + after, north),
-    ]
-    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in triangles])
-    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+    rings = np.stack([flat * cos(longitude), flat * sin(longitude), z], axis=-1)
+    return closed(corner_m * rings, corner_m * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
 
 
 class HallSite:

@@ -6,11 +6,8 @@ import numpy as np
 from vlp16emu.elementary import hypot
 from vlp16emu.types import Array
 
-_PIECE = 32
-"""Segments that share a bounding box."""
-
-_SLACK_M = 1e-6
-"""Boxes farther than the nearest segment by less than this are still searched: rounding must not matter."""
+_PIECE = 32  # segments that share a bounding box
+_SLACK_M = 1e-6  # boxes farther than the nearest segment by less than this are still searched: rounding must not matter
 
 
 class Polyline:

@@ -1,4 +1,4 @@
-"""Where a path leads and what is built around it: the contract of all worlds with the engine."""
+"""The ground that a path leads over and the world around it: the contract of all worlds with the engine."""
 
 from typing import TYPE_CHECKING, Protocol
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:  # scenes are read without numpy
 
 
 class Sway(Protocol):
-    """What moves in a world."""
+    """Moving things of a world."""
 
     def with_sway(self, window: "Window", track_m: "NDArray[np.float64]", start_ns: int, stop_ns: int) -> "Window":
         """Return the window of sensor positions (n, 3) with its sway between two UTC instants."""
@@ -40,15 +40,12 @@ class Site(Protocol):
     ) -> "tuple[World, Sway | None]":
         """Return the world around a path, and what moves in it; None in still air.
 
+        Raises GeometryError if the world cannot be made as it is written, or ends within reach.
+
         Parameters
         ----------
         path_xy_m : (n, 2) path of the sensors
         reach_m : from there, how far they see
         farthest_m : range of the one that sees farthest
         start_ns : UTC of the first pulse
-
-        Raises
-        ------
-        GeometryError
-            If the world cannot be made as it is written, or ends within reach
         """

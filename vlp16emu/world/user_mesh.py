@@ -20,20 +20,13 @@ from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.mesh_settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
-
 Faces = IntArray
-
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
-
 _KINDS = ".obj", ".ply", ".glb", ".stl"
-
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 """Nothing in a forest is taller, wider, or smaller as a whole."""
-
-_FLAT = 1e-7
-"""Height over longest side below which a triangle is a line: the resolution of single precision."""
-
+_FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
 _OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE)
 """A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
 
@@ -57,9 +50,7 @@ class UserMesh:
     parts: tuple[PartMesh, ...]
     """In alphabetical order."""
     radius_m: float
-    """Of a sphere about the centre that holds everything."""
-    findings: tuple[str, ...]
-    """What is not as it should be but was taken all the same, one line each."""
+    """Radius of a sphere about the centre that holds everything."""
 
 
 def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
@@ -68,19 +59,15 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     Each object or group of an OBJ file and each node of a GLB scene is a part of its own, with its own
     place; other files have one part, named like the file. Colours and textures are not read.
 
+    Raises GeometryError naming file, part and element of what cannot be scanned.
+
     Parameters
     ----------
     path : .obj, .ply, .glb or .stl
     unit : of its coordinates
     up : axis that points upwards; y turns to z, and z to -y
-
-    Raises
-    ------
-    GeometryError
-        naming file, part and element of what cannot be scanned
     """
-    read, findings = _parts(path)
-    parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in read]
+    parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in _parts(path)]
     scale = _UNIT_M[unit]
     z_up = [(name, _turned(vertices, up) * scale, faces, dropped) for name, vertices, faces, dropped in parts]
     corners = np.array([end for _, v, f, _ in z_up for end in (v[f].min(axis=(0, 1)), v[f].max(axis=(0, 1)))])
@@ -92,16 +79,14 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
         for name, vertices, faces, _ in z_up
     )
     for name, vertices, faces, dropped in z_up:
-        findings += [f"{path}: {name}: {finding}" for finding in _findings(vertices - centre, faces, dropped)]
-    for finding in findings:
-        _log.warning(finding)
-    return UserMesh(path, centre, made, float(norm(high - low)) / 2, tuple(findings))
+        for finding in _findings(vertices - centre, faces, dropped):
+            _log.warning("%s: %s: %s", path, name, finding)
+    return UserMesh(path, centre, made, float(norm(high - low)) / 2)
 
 
-def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]]:
-    """Names, vertices and faces of all parts in the file's frame, by name; and what was left out."""
-    scene = _scene(path)
-    found, left_out = [], []
+def _parts(path: Path) -> list[tuple[str, tuple[Array, Faces]]]:
+    """Names, vertices and faces of all parts in the file's frame, by name."""
+    scene, found = _scene(path), []
     unnamed = list(scene.geometry) in (["geometry"], ["geometry_0"])  # trimesh's names for what has none
     for node in sorted(scene.graph.nodes_geometry):
         name = path.stem if unnamed else node
@@ -112,14 +97,13 @@ def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]
             vertices = np.asarray(geometry.vertices, np.float64)
             found.append((name, (_placed(f"{path}: {name}", vertices, faces, file_T_part), faces)))
         else:
-            left_out.append(f"{path}: {name}: left out, for it has no face")
+            _log.warning("%s: %s: left out, for it has no face", path, name)
     if not found:
         raise GeometryError(str(path), "no face", "a whole file with a mesh of triangles")
-    return found, left_out
+    return found
 
 
 def _scene(path: Path) -> Any:
-    """Let trimesh read the file, and say what it stumbled over."""
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
@@ -165,8 +149,7 @@ def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Ar
         raise GeometryError(
             where, f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0", "finite coordinates"
         )
-    place: Array = matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
-    return place
+    return matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
 
 
 def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
@@ -202,7 +185,6 @@ def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
 
 
 def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
-    """Say what is not as it should be about one part."""
     import trimesh
 
     found = [f"dropped {dropped} of {dropped + len(faces)} faces, which have no area"] if dropped else []

@@ -1,10 +1,10 @@
-"""Places, directions of vectors and determinants, by sums, products, quotients and square roots."""
+"""Places, directions of vectors, determinants, by sums, products, quotients and square roots; and closed bodies of rings."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
-from vlp16emu.types import Array
+from vlp16emu.types import Array, Mesh
 
 
 def places_m(rows: NDArray[np.void], axes: str = "xyz") -> Array:
@@ -14,12 +14,25 @@ def places_m(rows: NDArray[np.void], axes: str = "xyz") -> Array:
 
 def unit(vectors: Array) -> Array:
     """Return vectors (..., k) scaled to a length of 1."""
-    scaled: Array = vectors / norm(vectors)[..., None]
-    return scaled
+    return vectors / norm(vectors)[..., None]
 
 
 def determinant(matrices: Array) -> Array:
     """Return the determinants (...) of matrices (..., 3, 3): the triple product of their rows."""
     a, b, c = np.moveaxis(matrices, -2, 0)
-    triple: Array = (a * np.cross(b, c)).sum(axis=-1)
-    return triple
+    return (a * np.cross(b, c)).sum(axis=-1)
+
+
+def closed(rings: Array, ends: Array) -> Mesh:
+    """Make a closed body of rings (r, sides, 3), counter-clockwise seen from the last one, and the middles (2, 3) of its ends."""
+    count, sides, _ = rings.shape
+    vertices = np.concatenate([rings.reshape(-1, 3), ends])
+    here = np.arange(sides)
+    after, bottom, top = (np.roll(here, -1), np.full(sides, len(vertices) - 2), np.full(sides, len(vertices) - 1))
+    last = (count - 1) * sides
+    triangles = [(after, here, bottom), (last + here, last + after, top)]
+    for low in range(0, last, sides):
+        high = low + sides
+        triangles += [(low + here, low + after, high + after), (low + here, high + after, high + here)]
+    faces = np.concatenate([np.column_stack(triple) for triple in triangles])
+    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))

@@ -61,11 +61,7 @@ def make(tmp_path):
     def made(*, saved=None, factory=None):
         engine = Engine()
         device = Device(
-            factory or DeviceSettings(),
-            status=engine.status,
-            changed=engine.changed,
-            info=INFO,
-            saved=saved,
+            factory or DeviceSettings(), status=engine.status, changed=engine.changed, info=INFO, saved=saved
         )
         engine.settings = device.settings
         return engine, device

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.given.stem_list import read_stem_list
+from vlp16emu.forest.given.given_stand import read_stem_list
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
 from vlp16emu.forest.stand.stand import TREE

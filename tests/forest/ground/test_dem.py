@@ -5,8 +5,7 @@ import pytest
 from scipy import interpolate
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.dem import DemHeights
-from vlp16emu.forest.ground.grid import read_grid, write_ascii
+from vlp16emu.forest.ground.dem import DemHeights, read_grid, write_ascii
 from vlp16emu.forest.ground.settings import Dem
 
 HEADER = "ncols 4\nnrows 3\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
@@ -50,19 +49,45 @@ def bumpy(tmp_path):
     return dem_of(heights[::-1], tmp_path), heights
 
 
-def test_the_surface_is_a_cubic_convolution(bumpy):
-    """The kernel agrees with cubic Hermite curves of central slopes, along x and then along y, to 1e-12."""
-    dem, heights = bumpy
+def along(values, at, slopes):
+    """Cubic Hermite curve, straight on beyond the ends, with slopes at heights that follow from the rises before and after."""
+    rises = np.diff(np.concatenate([[2 * values[0] - values[1]], values, [2 * values[-1] - values[-2]]]))
+    return interpolate.CubicHermiteSpline(np.arange(len(values)), values, slopes(rises[:-1], rises[1:]))(at)
 
-    def along(values, at):
-        """Cubic Hermite curve with the slope of the parabola's chord, straight on beyond the ends."""
-        padded = np.concatenate([[2 * values[0] - values[1]], values, [2 * values[-1] - values[-2]]])
-        slope = (padded[2:] - padded[:-2]) / 2
-        return interpolate.CubicHermiteSpline(np.arange(len(values)), values, slope)(at)
 
-    x, y = np.random.default_rng(4).uniform([[0], [0]], [[39], [29]], (2, 60))
-    twin = [along([along(row, a) for row in heights], b) for a, b in zip(x, y, strict=True)]
+def steffen(before, after):
+    """Equation 11 of the paper, for equal distances."""
+    least = np.minimum(np.minimum(abs(before), abs(after)), abs(before + after) / 4)
+    return (np.sign(before) + np.sign(after)) * least
+
+
+def keys(before, after):
+    """The parabola's chord."""
+    return (before + after) / 2
+
+
+@pytest.mark.parametrize(("slopes", "bend"), [(steffen, 1.0), (keys, 0.02)])
+def test_the_surface_is_made_of_monotone_cubics(tmp_path, slopes, bend):
+    """It agrees with Steffen's along x and then along y, and with the convolution of Keys where a slope bends little, to 1e-12."""
+    heights = np.arange(40) + bend * np.random.default_rng(1).normal(size=(30, 40))
+    dem = dem_of(heights[::-1] + 0.7 * np.arange(30)[::-1, None], tmp_path)
+    heights += 0.7 * np.arange(30)[:, None]
+    x, y = np.random.default_rng(4).uniform([[0], [1]], [[39], [28]], (2, 60))
+    twin = [along([along(row, a, slopes) for row in heights], b, slopes) for a, b in zip(x, y, strict=True)]
     assert dem.height_m(x, y) == pytest.approx(np.array(twin), abs=1e-12)
+
+
+def test_the_ground_keeps_between_the_heights_of_the_file(bumpy, tmp_path):
+    """No point lies above or below the four heights around it; so beside a cliff of 100 m the ground is level."""
+    dem, heights = bumpy
+    x, y = np.random.default_rng(5).uniform([[0], [0]], [[39], [29]], (2, 20_000))
+    column, row = x.astype(int), y.astype(int)
+    around = np.array([heights[row + i, column + j] for i in (0, 1) for j in (0, 1)])
+    z_m = dem.height_m(x, y)
+    assert (z_m >= around.min(axis=0) - 1e-12).all()
+    assert (z_m <= around.max(axis=0) + 1e-12).all()
+    cliff = dem_of(np.where(np.arange(20) < 10, 0.0, 100.0) + np.zeros((20, 1)), tmp_path)
+    assert set(cliff.height_m(np.array([7.3, 8.9, 10.1, 12.5]), np.full(4, 9.4)).tolist()) == {0.0, 100.0}
 
 
 def test_a_height_is_the_same_alone_and_in_any_array(bumpy):
@@ -170,6 +195,11 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
     [
         (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
         (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
+        (
+            np.array([[1, -9999], [2, 3]]),
+            "ground.npy: row 1, column 2: found -9999; expected heights from -500 to 9000 m, NaN or",
+        ),
+        (np.array([[1, 2], [1e308, -3.4e38]]), r"row 2, column 1: found 1e\+308 and 1 more such; expected heights"),
     ],
 )
 def test_a_bad_array_is_refused(tmp_path, heights, message):

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.purpose import Growth
@@ -19,19 +20,19 @@ def flat_but(*, seed=3, **changes):
 def test_relief_has_the_rms_that_was_set(band):
     """Over a wide area the height of one band has mean zero and the set standard deviation."""
     x, y = np.random.default_rng(1).uniform(-1e5, 1e5, (2, 100_000))
-    height = flat_but(**{band: 0.7}).height_m(x, y)
-    assert abs(height.mean()) < 0.02
-    assert height.std() == pytest.approx(0.7, rel=0.02)
+    height = flat_but(**{band: 0.4}).height_m(x, y)
+    assert abs(height.mean()) < 0.012
+    assert height.std() == pytest.approx(0.4, rel=0.02)
 
 
 @pytest.mark.parametrize(("band", "shortest_m", "longest_m"), [("hill_rms_m", 30, 300), ("rough_rms_m", 1, 12)])
 def test_relief_keeps_to_its_wavelengths(band, shortest_m, longest_m):
     """The rms gradient equals that of a spectrum falling with the third power between the band's limits."""
     x, y = np.random.default_rng(2).uniform(-1e5, 1e5, (2, 50_000))
-    terrain, step = flat_but(**{band: 1.0}), shortest_m / 1000
+    terrain, step = flat_but(**{band: 0.5}), shortest_m / 1000
     gradient = (terrain.height_m(x + step, y) - terrain.height_m(x - step, y)) / (2 * step)
     # Variance per log wavelength ~ wavelength, gradient variance (2 pi / wavelength)^2 / 2 of it in one axis.
-    expected = 2 * math.pi / math.sqrt(2 * shortest_m * longest_m)
+    expected = math.pi / math.sqrt(2 * shortest_m * longest_m)
     assert gradient.std() == pytest.approx(expected, rel=0.15)
 
 
@@ -110,3 +111,14 @@ def test_seeds_make_different_ground():
     one, other, again = (flat_but(seed=seed, hill_rms_m=1.0).height_m(x, y) for seed in (1, 2, 1))
     assert abs(np.corrcoef(one, other)[0, 1]) < 0.06
     assert np.array_equal(one, again)
+
+
+@pytest.mark.parametrize(("band", "rms_m", "steep_deg"), [("rough_rms_m", 100.0, 89.7), ("hill_rms_m", 20.0, 53.0)])
+def test_ground_steeper_than_soil_is_refused(band, rms_m, steep_deg):
+    """Loose soil slides from 30 to 45 degrees on; the rms slope of a band is that of its spectrum (the gradient above, along both axes)."""
+    with pytest.raises(
+        GeometryError, match=rf"{band} = {rms_m:g}.* slope by (\d+\.\d) degrees rms; expected at most 45"
+    ) as caught:
+        flat_but(**{band: rms_m})
+    found_deg = float(str(caught.value).split(" slope by ")[1].split()[0])
+    assert found_deg == pytest.approx(steep_deg, abs=4.0)

@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from vlp16emu.forest.ground.settings import Terrain
-from vlp16emu.forest.ground.terrain import TerrainHeights
-from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.ground.terrain import TerrainHeights, Trails
 from vlp16emu.forest.ground.triangles import ground_triangles
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import philox4x32

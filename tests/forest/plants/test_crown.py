@@ -10,8 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.bole import bole_branches
-from vlp16emu.forest.plants.branches import Branches
+from vlp16emu.forest.plants.branches import Branches, bole_branches
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh

@@ -9,8 +9,7 @@ from scipy import stats
 
 from vlp16emu.forest.plants.crown import CrownKey, crown_meshes
 from vlp16emu.forest.plants.flora import shrub_table, species_table
-from vlp16emu.forest.plants.sapling import SaplingKey, sapling_meshes
-from vlp16emu.forest.plants.shrub import ShrubKey, shrub_meshes
+from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
 
 PLANTS = {**species_table(), **shrub_table()}
 CROWNS = [CrownKey(name, 0, 0.24, 21.0, 9.0, 4.5, 90.0) for name, one in species_table().items() if one.foliage]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.forest.plants.flora import shrub_table
-from vlp16emu.forest.plants.shrub import SHRUB_PARTS, ShrubKey, shrub_meshes
+from vlp16emu.forest.plants.undergrowth import SHRUB_PARTS, ShrubKey, shrub_meshes
 from vlp16emu.types import PlantPart
 
 KEYS = {

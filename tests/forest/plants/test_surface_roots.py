@@ -5,9 +5,8 @@ import pytest
 import trimesh
 
 from vlp16emu.forest.plants.flora import species_table
-from vlp16emu.forest.plants.stem import stem_meshes
+from vlp16emu.forest.plants.stem import ROOT_RINGS, ROOT_SIDES, root_points, stem_meshes
 from vlp16emu.forest.plants.stem_rings import stem_rings
-from vlp16emu.forest.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.forest.stand.stand import TREE
 
 N = 400

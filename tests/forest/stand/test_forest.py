@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.forest.make import ForestSite
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
+from vlp16emu.forest.stand.settings import SpeciesShare
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.polyline import distance_m
+
+THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=4.0, height_m=5.0)
 
 
 def mesh_bytes(meshes):
@@ -215,7 +220,10 @@ def test_tiles_out_of_reach_are_forgotten(make_forest):
     [
         ({"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])}, r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite"),
         ({"path_xy_m": np.array([[0.0, 0.0], [9e4, 9e4]])}, "path_xy_m: spans 90 km x 90 km"),
-        ({"stems_per_ha": 2e5}, "found 200000 trees and things per hectare; expected at most 125000"),
+        (
+            {"stems_per_ha": 2e5, "species": [THIN]},
+            "found 200000 trees and things per hectare; expected at most 125000",
+        ),
     ],
 )
 def test_a_forest_that_cannot_be_is_refused(make_forest, changes, message):
@@ -243,3 +251,13 @@ def test_an_unknown_shape_is_refused(forest):
     """A key that is neither a tile nor a crown is a key error."""
     with pytest.raises(KeyError):
         forest.shape("tree")
+
+
+@pytest.mark.parametrize(("clearance_m", "warned"), [(20.0, False), (40.0, True)])
+def test_a_path_that_keeps_all_trees_out_of_sight_is_named(forest, track_m, caplog, clearance_m, warned):
+    """A clearance of the range of the sensor leaves no stem that it sees."""
+    section = forest.section.model_copy(update={"path_clearance_m": clearance_m})
+    world, _ = ForestSite(section, 5).world(track_m[:, :2], reach_m=40.0, farthest_m=40.0, wind=None, start_ns=0)
+    trees = world.trees(track_m)
+    gap_m = distance_m(np.column_stack([trees["x_m"], trees["y_m"]]), track_m[:, :2])
+    assert (gap_m.min() > 40.0) == warned == ("path_clearance_m = 40: leaves no tree" in caplog.text)

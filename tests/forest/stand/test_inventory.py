@@ -11,8 +11,7 @@ from scipy.spatial import ConvexHull
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.plants.stem import lean_rotation, stem_meshes
-from vlp16emu.forest.plants.stem_form import stem_forms
-from vlp16emu.forest.plants.stem_rings import axis_m
+from vlp16emu.forest.plants.stem_rings import axis_m, stem_forms
 from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import PlantPart
@@ -173,11 +172,6 @@ def test_records_are_copied_and_biomass_follows_the_species(rows, trees):
         assert np.array_equal(rows[name], trees[name])
     assert rows["biomass_kg"][3] == pytest.approx(np.exp(-2.0127 + 2.4342 * np.log(25.0)))
     assert np.isnan(rows["biomass_kg"]).tolist() == [False] * 4 + [True]
-
-
-def test_an_inventory_of_no_trees_is_empty():
-    """Where nothing stands there is nothing to list."""
-    assert len(inventory(np.zeros(0, TREE), [], seed=SEED)) == 0
 
 
 def test_the_file_has_a_header_and_a_line_for_each_tree(rows, tmp_path):

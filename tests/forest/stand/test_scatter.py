@@ -8,7 +8,6 @@ import trimesh
 from scipy import stats
 from scipy.spatial import KDTree
 
-from vlp16emu.errors import GeometryError
 from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.forest.stand.placed import Site
 from vlp16emu.forest.stand.scatter import layer_of
@@ -221,11 +220,6 @@ def test_moss_and_litter_are_ground_and_lie_along_it():
         assert all(one.is_ground and (one.surfaces["semantic"] == Semantic.GROUND).all() for one in placed)
 
 
-def test_no_cover_is_nothing():
-    """A cover of 0 places nothing."""
-    assert layer_of(Herbs(), seed=6).pattern.per_ha == 0
-
-
 @ALL
 def test_nothing_lies_in_the_way(layer):
     """With a path through the tiles things keep their own extent and 0.8 m away; farther ones stay as they were."""
@@ -271,12 +265,6 @@ def test_labels_say_what_it_is(layer, semantic, part, species):
     assert set(rows["species"].ravel()) == species
     middle = {Semantic.STONE: 0.30, Semantic.DEADWOOD: 0.40, Semantic.GRASS: 0.45}[semantic]
     assert stats.kstest(rows["reflectance"].ravel(), stats.uniform(middle - 0.08, 0.16).cdf).pvalue > 0.01
-
-
-def test_unknown_log_species_is_named():
-    """Logs of an unknown tree are refused with the names that exist."""
-    with pytest.raises(GeometryError, match=r"logs.species: unknown species 'larch'; expected one of silver_birch"):
-        layer_of(Logs(per_ha=10.0, species=["larch"]), seed=6)
 
 
 def test_large_stones_have_more_faces():

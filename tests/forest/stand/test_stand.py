@@ -6,7 +6,7 @@ from scipy import stats
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.settings import Terrain
-from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
@@ -225,3 +225,11 @@ def test_rows_that_cannot_hold_the_density_off_trails_are_refused():
     rows = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
     with pytest.raises(GeometryError, match=r"found 1800; expected at most 1600, which rows of .* off the trails"):
         make_stand(stems_per_ha=1800.0, pattern=rows, trails=trails)
+
+
+def test_more_wood_than_any_forest_has_is_refused():
+    """Coast redwoods have 343 m2 of basal area per hectare (Fujimori 1977): 300 stems of 1.2 m are planted, 5 000 are not."""
+    giants = SpeciesShare(species="norway_spruce", share=1.0, dbh_cm=120.0, height_m=50.0)
+    assert make_stand(stems_per_ha=300.0, species=[giants]).per_ha == 300.0
+    with pytest.raises(GeometryError, match="found a basal area of 5655 m2 per ha; expected at most 350"):
+        make_stand(stems_per_ha=5000.0, species=[giants])

@@ -10,8 +10,7 @@ from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.plants.flora import shrub_table, species_table
-from vlp16emu.forest.plants.sapling import SAPLING_PARTS, SaplingKey, sapling_meshes
-from vlp16emu.forest.plants.shrub import SHRUB_PARTS
+from vlp16emu.forest.plants.undergrowth import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
 from vlp16emu.forest.stand.placed import Site
 from vlp16emu.forest.stand.scatter import layer_of
 from vlp16emu.forest.stand.settings import Regeneration, Scattered, Shrubs

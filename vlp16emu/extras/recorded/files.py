@@ -19,9 +19,8 @@ from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
 
 UNIT_TOLERANCE = 1e-3
-"""Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
-_ROUNDS = 3
-"""From that error to one below the last bit: each round squares it."""
+"""Tolerance of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
+_ROUNDS = 3  # from that error to one below the last bit: each round squares it
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 TIMED_POSES = {
     "t_s": Column({"t_s": 1.0}),
@@ -103,7 +102,6 @@ def _quaternions(turns: Array) -> Array:
 
 
 def _times_ns(times: Path | float, count: int) -> list[int]:
-    """Stamps of poses in files without stamps."""
     if not isinstance(times, Path):
         return [round(i * S_NS / times) for i in range(count)]
     table = read_table(times, {"t_s": Column({"t_s": 1.0})}, "one time in seconds", TrajectoryError, has_header=False)

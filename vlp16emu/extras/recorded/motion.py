@@ -14,12 +14,10 @@ from vlp16emu.motion.splines import interpolant
 from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
 
-_MOST_TURN_DEG = 90.0
-"""Between one pose and the next: half of what would leave the sense of the turn open."""
+_MOST_TURN_DEG = 90.0  # between one pose and the next: half of what would leave the sense of the turn open
 _LEAST_NORM = 0.5
-"""Of the quaternion spline: it is 1 at each pose, and bends the turn in between the more the more it sinks."""
-_LOOKS = 8
-"""Between two poses, for that norm."""
+"""Least norm of the quaternion spline: it is 1 at each pose, and bends the turn in between the more the more it sinks."""
+_LOOKS = 8  # between two poses, for that norm
 
 
 class RecordedMotion:
@@ -31,17 +29,14 @@ class RecordedMotion:
 
     Before its first and after its last pose the body is at rest.
 
+    Raises TrajectoryError if poses are farther apart in time than the greatest gap, turn by more than 90 degrees from
+    one to the next, or are spaced too unevenly for a smooth turn.
+
     Parameters
     ----------
     recorded : greatest gap between poses, place and axes of the recording
     poses : as recorded
     start_ns : UTC of the first pose
-
-    Raises
-    ------
-    TrajectoryError
-        where poses are farther apart in time than the greatest gap, turn by more than 90 degrees from one to the
-        next, or are spaced too unevenly for a smooth turn
     """
 
     moves = True
@@ -75,7 +70,6 @@ class RecordedMotion:
         return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
 
     def _check_norm(self, poses: RecordedPoses) -> None:
-        """Refuse rotations between which the spline strays far from the unit sphere."""
         steps_s, c = np.diff(self._knots_ns) / S_NS, self._coefficients[:, :, 3:]
         found = "no smooth turn leads here from the pose before: times are too uneven"
         for look in range(1, _LOOKS):
@@ -92,14 +86,13 @@ def _refuse(poses: RecordedPoses, values: Array, most: float, found: str, expect
 
 
 def _continuous(quaternion: Array) -> Array:
-    """Give the same rotations (n, 4), each with the sign that is nearer to the one before."""
+    """Return the same rotations (n, 4), each with the sign that is nearer to the one before."""
     flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
     sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
     return quaternion * sign[:, None]
 
 
 def _check_steps(poses: RecordedPoses, knots_ns: IntArray, quaternion: Array, max_gap_s: float) -> None:
-    """Refuse gaps, and turns whose sense is unknown."""
     _refuse(poses, np.diff(knots_ns) / S_NS, max_gap_s, "found a gap of {:g} s", f"at most {max_gap_s:g} s")
     turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
     expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"

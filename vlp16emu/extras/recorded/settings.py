@@ -41,7 +41,6 @@ class Recorded(MotionSection):
 
     @model_validator(mode="after")
     def _times_of_kitti(self) -> Self:
-        """Refuse times that are missing or given twice."""
         given = sum(times is not None for times in (self.times_file, self.rate_hz))
         if given != (self.format == "kitti"):
             raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")

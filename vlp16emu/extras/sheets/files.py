@@ -8,7 +8,7 @@ from vlp16emu.extras.palette import surface_colours
 from vlp16emu.extras.sheets.section import draw_stand, section_of
 from vlp16emu.extras.sheets.sheet import draw_sheet, section_pixels_per_m
 from vlp16emu.extras.sheets.survey import Survey
-from vlp16emu.forest.ground.grid import write_ascii
+from vlp16emu.forest.ground.dem import write_ascii
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import write_csv
 from vlp16emu.forest.stand.nearby import Grow, cut_out

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.forest.plants.flora import Table, Trees
-from vlp16emu.forest.plants.stem_form import StemForms, stem_forms
-from vlp16emu.forest.plants.stem_rings import axis_m
+from vlp16emu.forest.plants.stem_rings import StemForms, axis_m, stem_forms
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.vectors import places_m
 

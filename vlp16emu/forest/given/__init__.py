@@ -1,1 +1,1 @@
-"""What the user brings: measured trees, and meshes."""
+"""Measured trees, and models of trees, that the user brings."""

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,27 +12,111 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, hypot, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT
-from vlp16emu.forest.given.section import Cutter, Outline
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
-from vlp16emu.forest.plants.far_stem import profiles
+from vlp16emu.forest.plants.circles import profiles
 from vlp16emu.forest.plants.flora import Flora, Trees, known
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import STEM_PARTS, lean_rotation
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
-from vlp16emu.forest.stand.inventory import hull_m, volume_m3
-from vlp16emu.forest.stand.models import Models
+from vlp16emu.forest.stand.inventory import Models, hull_m, volume_m3
 from vlp16emu.forest.stand.placed import turned
 from vlp16emu.types import Array, IntArray, Mesh, PlantPart
 from vlp16emu.world.mesh_settings import TreeModelFile
 from vlp16emu.world.user_mesh import load_mesh
 from vlp16emu.world.vectors import places_m
 
+Faces = NDArray[np.uint32]
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A closed section."""
+
+    middle_m: Array  # (2,).
+    diameter_m: float  # of the circle of its area
+    tape_m: float  # what a taut tape around it shows
+
+
+class Cutter:
+    """Sections of a mesh made of several.
+
+    Parameters
+    ----------
+    vertices_m, faces : of each
+    """
+
+    def __init__(self, vertices_m: Sequence[Array], faces: Sequence[Faces]) -> None:
+        first = np.cumsum([0, *map(len, vertices_m)])
+        self.vertices_m = np.concatenate(vertices_m)
+        corners = np.concatenate([own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)])
+        number = _welded(self.vertices_m)
+        self.faces = number[corners]
+        self.vertices_m = self.vertices_m[np.unique(number, return_index=True)[1]]
+        z_m = self.vertices_m[self.faces, 2]
+        self.faces = self.faces[np.argsort(z_m.min(axis=1), kind="stable")]
+        self._low_m = np.sort(z_m.min(axis=1))
+
+    def cut(self, at_m: float) -> Outline | None:
+        """Return the largest closed outline at a height; None if there is none."""
+        from scipy.sparse import coo_array  # here: only models of trees need it
+        from scipy.sparse.csgraph import connected_components, depth_first_order
+
+        faces = self.faces[: np.searchsorted(self._low_m, at_m)]
+        above = self.vertices_m[faces, 2] > at_m
+        met = above.any(axis=1)
+        faces, above = faces[met], above[met]
+        start, end = faces, np.roll(faces, -1, axis=1)
+        crosses = above != np.roll(above, -1, axis=1)  # two edges of each face
+        low, high = np.minimum(start, end)[crosses], np.maximum(start, end)[crosses]
+        edges, of = np.unique(low * len(self.vertices_m) + high, return_inverse=True)
+        if not len(edges):
+            return None
+        ends_m = self.vertices_m[np.column_stack(np.divmod(edges, len(self.vertices_m)))]
+        share = (at_m - ends_m[:, 0, 2]) / (ends_m[:, 1, 2] - ends_m[:, 0, 2])
+        points_m = ends_m[:, 0, :2] + share[:, None] * (ends_m[:, 1, :2] - ends_m[:, 0, :2])
+        a, b = of.reshape(-1, 2).T
+        graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(edges),) * 2).tocsr()
+        _, loop = connected_components(graph, directed=False)
+        shared = np.bincount(of, minlength=len(edges))
+        closed = np.setdiff1d(loop, loop[shared != 2])
+        rings = [
+            points_m[depth_first_order(graph, int(np.argmax(loop == which)), directed=False)[0]]
+            for which in closed.tolist()
+        ]
+        return max(map(_measured, rings), key=lambda outline: outline.diameter_m, default=None)
+
+
+def _welded(vertices: Array) -> IntArray:
+    """Return numbers (n,) of vertices from 0 on, the same at the same place."""
+    order = np.lexsort(vertices.T)
+    apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
+    number = np.empty(len(vertices), np.int64)
+    number[order] = np.concatenate([[0], np.cumsum(apart)])
+    return number
+
+
+def _measured(ring_m: Array) -> Outline:
+    from scipy.spatial import ConvexHull, QhullError
+
+    at_m = ring_m - ring_m.mean(axis=0)
+    twice = at_m[:, 0] * np.roll(at_m[:, 1], -1) - at_m[:, 1] * np.roll(at_m[:, 0], -1)
+    middle_m = (at_m + np.roll(at_m, -1, axis=0)) * twice[:, None]
+    try:
+        girth_m = float(ConvexHull(ring_m).area)  # in the plane, its length
+    except QhullError:
+        return Outline(ring_m.mean(axis=0), 0.0, 0.0)
+    return Outline(
+        ring_m.mean(axis=0) + middle_m.sum(axis=0) / (3.0 * twice.sum()),
+        float(np.sqrt(2.0 * abs(twice.sum()) / np.pi)),
+        girth_m / np.pi,
+    )
+
+
 _FOOT_SHARE = 0.01  # height of the section whose middle is the foot, over that of the tree
 _BOLE, _BOLE_M = 1.5, 0.02  # what of a stem is farther from its middle than so many radii and so much more is no bole
 _TILTS = 1024  # classes of leaf faces by their tilt
 _KEPT_CUTS = 16_384  # sections of a model that are remembered: more than there are trees in a window
-
 _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
 """(2, 36) directions in which crowns are measured."""
 
@@ -78,7 +163,7 @@ class TreeModel:
             )
         ]
         self.parts, self.far_parts, self.meshes = zip(*rows, strict=True)
-        """Of each mesh, as points are labelled and as it is seen from afar; what bears away from a stem is a mesh of its own."""
+        """Parts of each mesh, for labels of points and for the far medium; what bears away from a stem is a mesh of its own."""
         self._keep_measures()
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
         self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
@@ -114,7 +199,7 @@ class TreeModel:
         return np.column_stack([trees["dbh_m"] / own_m, trees["height_m"] / upright / self.height_m])
 
     def world_T_model(self, trees: Trees) -> Array:
-        """Where trees stand, (n, 3, 4)."""
+        """Return the transforms (n, 3, 4) of trees."""
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
         across, along = self.scale(trees).T
         stretched = turned(trees["crown_azimuth_deg"]) * np.column_stack([across, across, along])[:, None]
@@ -170,7 +255,7 @@ class TreeModel:
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
     def _meshes(self, part: PlantPart, vertices_m: Array, faces: NDArray[np.uint32]) -> list[tuple[int, int, Mesh]]:
-        """Part, part from afar and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
+        """Part, part in the far medium and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
         if part not in STEM_PARTS:
             return [(part, part, _used(vertices_m, faces))]
         x_m, y_m, radius_m = (

@@ -1,25 +1,219 @@
-"""Ground from a digital elevation model: a smooth surface through the heights of a grid.
+"""Ground from a digital elevation model: ESRI ASCII grids, numpy arrays, and GeoTIFF by rasterio if that is installed.
 
-Between the centres of the cells runs the bicubic convolution surface of Keys (1981), "Cubic convolution
-interpolation for digital image processing", equation 15 with a = -1/2: it goes through every height of
-the grid, its slope is continuous, and planes come out as planes.
+Between the centres of the cells run monotone cubics along x, and through their heights along y (Steffen, "A simple method for
+monotonic interpolation in one dimension", Astronomy and Astrophysics 239, 1990): through every height of the grid, and never
+above or below the four around. Where the ground bends little they are the bicubic convolution of Keys (1981) with a = -1/2.
 """
 
+import itertools
 import logging
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numba
 import numpy as np
 
-from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.grid import read_grid
+from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
 from vlp16emu.forest.ground.settings import Dem
-from vlp16emu.types import Array
+from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import distance_m
 
+_MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read, whatever a compressed file promises
+_LOWEST_M, _HIGHEST_M = -500.0, 9000.0
+"""The shore of the Dead Sea lies at -440 m, Mount Everest at 8849 m; numbers for "no height" lie beyond."""
+_METRES = (None, "", "m", "metre", "meter")
+_SIZE = ("ncols",), ("nrows",), ("cellsize",)
+_CORNER = ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")
+_NODATA = "nodata_value"
+_KEYS = {_NODATA, *(key for keys in (*_SIZE, *_CORNER) for key in keys)}
+"""Keys of the header, in any order and case (Esri, ArcGIS documentation, "Esri ASCII raster format")."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Heights over equal squares, as the file has them."""
+
+    path: Path
+    heights_m: Array  # (rows, columns), northernmost row first, NaN where the file has no height.
+    west_m: float  # easting of the centres of the first column
+    north_m: float  # northing of the centres of the first row
+    cell_m: float
+
+
+def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
+    """Read a grid, of the format that the suffix names; a cell that is not finite, or is the file's number for none, has no height.
+
+    Raises GeometryError if the file is no such grid. Raises MissingExtraError for a GeoTIFF without rasterio.
+
+    Parameters
+    ----------
+    cell_m, corner_m : edge of a cell, and easting and northing of the outer corner of the south-western
+        cell; needed for .npy, which does not hold them, and None for the others
+    """
+    kind = path.suffix.lower()
+    if kind not in {".asc", ".npy", ".tif", ".tiff"}:
+        raise GeometryError(str(path), f"found the ending {kind!r}", ".asc, .npy, .tif or .tiff")
+    if kind == ".npy":
+        if cell_m is None or corner_m is None:
+            raise GeometryError(str(path), "an array alone does not say where it lies", "cell_m and corner_m")
+        return _from_corner(path, _read_npy(path), corner_m, cell_m)
+    if cell_m is not None or corner_m is not None:
+        raise GeometryError(str(path), "found cell_m or corner_m", "neither: the file itself says both")
+    return _read_ascii(path) if kind == ".asc" else _read_geotiff(path)
+
+
+def write_ascii(file: BinaryIO, height_m: HeightField, low_m: Array, high_m: Array, cell_m: float) -> None:
+    """Write ground as an ESRI ASCII grid, in millimetres; each height is that at the centre of its cell.
+
+    The grid holds the rectangle from `low_m` to `high_m` (2,), its edges at whole multiples of a cell.
+    """
+    first, end = np.floor(low_m / cell_m), np.ceil(high_m / cell_m)
+    columns, rows = (end - first).astype(np.int64).tolist()
+    west_m, south_m = (first * cell_m).tolist()
+    head = f"ncols {columns}\nnrows {rows}\nxllcorner {west_m:.10g}\nyllcorner {south_m:.10g}\ncellsize {cell_m:g}\n"
+    file.write(head.encode())
+    x_m = (first[0] + 0.5 + np.arange(columns)) * cell_m
+    for row in reversed(range(rows)):
+        heights_m = height_m(x_m, np.full(columns, (first[1] + 0.5 + row) * cell_m))
+        np.savetxt(file, heights_m[None], fmt="%.3f")
+
+
+def _from_corner(path: Path, heights_m: Array, corner_m: tuple[float, float], cell_m: float) -> Grid:
+    west_m, south_m = corner_m
+    return _grid(path, heights_m, west_m + cell_m / 2, south_m + (len(heights_m) - 0.5) * cell_m, cell_m)
+
+
+def _grid(path: Path, heights_m: Array, west_m: float, north_m: float, cell_m: float) -> Grid:
+    rows, columns = heights_m.shape
+    if min(rows, columns) < 2:
+        raise GeometryError(str(path), f"found {rows} rows of {columns}", "at least 2 rows of 2")
+    heights_m = np.where(np.isfinite(heights_m), heights_m, np.nan)
+    if np.isnan(heights_m).all():
+        raise GeometryError(str(path), "no cell has a height", "heights")
+    off = np.argwhere((heights_m < _LOWEST_M) | (heights_m > _HIGHEST_M))
+    if len(off):
+        row, column = off[0]
+        found = f"found {heights_m[row, column]:g}" + f" and {len(off) - 1} more such" * (len(off) > 1)
+        expected = f"heights from {_LOWEST_M:g} to {_HIGHEST_M:g} m, NaN or the file's own number where there is none"
+        raise GeometryError(f"{path}: row {row + 1}, column {column + 1}", found, expected)
+    return Grid(path, heights_m, west_m, north_m, cell_m)
+
+
+def _read_npy(path: Path) -> Array:
+    with readable(path, "a numpy array", GeometryError, most_bytes=LARGEST_BYTES), path.open("rb") as file:
+        try:
+            heights = np.lib.format.read_array(file, allow_pickle=False)
+        except OSError:
+            raise
+        except Exception:  # noqa: BLE001  # numpy raises whatever a broken header leads it to
+            raise GeometryError(str(path), "no .npy file", "a numpy array of numbers") from None
+    if heights.ndim != 2 or heights.dtype.kind not in "iuf" or heights.size > _MOST_CELLS:
+        found = f"found {heights.shape} {heights.dtype}"
+        raise GeometryError(str(path), found, f"numbers in rows and columns, {_MOST_CELLS} at most")
+    return heights.astype(np.float64)
+
+
+def _read_ascii(path: Path) -> Grid:
+    # GDAL reads words as 0 and goes on in the next line where a row is short.
+    header: dict[str, float] = {}
+    line = 0, ""
+    with (
+        readable(path, "an ESRI ASCII grid", GeometryError, most_bytes=LARGEST_BYTES),
+        path.open(encoding="utf-8-sig") as file,
+    ):
+        lines = ((number, text.strip()) for number, text in enumerate(file, start=1) if text.strip())
+        for line in lines:
+            key, *values = line[1].lower().split()
+            if key not in _KEYS or key in header:
+                break
+            header[key] = _header_number(f"{path}, line {line[0]}", key, values)
+        for keys in (*_SIZE, *_CORNER):
+            if not any(key in header for key in keys):
+                found = f"found {line[1]!r}" if header else "no header"  # of another file nothing is shown
+                expected = f"{' or '.join(keys)} and a number"
+                raise GeometryError(f"{path}, line {line[0]}", found, expected)
+
+        rest = itertools.chain([line], lines)
+
+        def cells() -> Iterator[str]:
+            nonlocal line
+            for line in rest:
+                yield line[1]
+
+        columns, rows, cell_m = (header[key] for (key,) in _SIZE)
+        try:
+            heights_m = np.loadtxt(cells(), comments=None, ndmin=2)
+        except ValueError:
+            expected = f"{columns:g} heights"
+            raise GeometryError(f"{path}, line {line[0]}", f"found {line[1]!r}", expected) from None
+    if heights_m.shape != (rows, columns):
+        found = f"found {len(heights_m)} rows of {heights_m.shape[1]}"
+        raise GeometryError(f"{path}, line {line[0]}", found, f"nrows = {rows:g}, ncols = {columns:g}")
+    heights_m[heights_m == header.get(_NODATA)] = np.nan
+    west_m, south_m = (header[edge] if edge in header else header[centre] - cell_m / 2 for edge, centre in _CORNER)
+    return _from_corner(path, heights_m, (west_m, south_m), cell_m)
+
+
+def _header_number(where: str, key: str, values: list[str]) -> float:
+    try:
+        (value,) = map(float, values)
+    except ValueError:
+        value = np.nan
+    if (np.isfinite(value) or key == _NODATA) and (value > 0 or key != "cellsize"):
+        return value
+    expected = "a number above 0" if key == "cellsize" else "a number"
+    raise GeometryError(where, f"found {' '.join([key, *values])!r}", f"{key} and {expected}")
+
+
+def _read_geotiff(path: Path) -> Grid:
+    try:
+        import rasterio
+        from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+    except ImportError:
+        raise MissingExtraError("rasterio", "dem", f"reading {path.name}") from None
+    with (
+        readable(path, "a GeoTIFF of heights", GeometryError, most_bytes=LARGEST_BYTES),
+        # Files beside it decide nothing: what is made of a ground is kept by the content of its file.
+        rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"),
+        warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
+    ):
+        try:
+            with rasterio.open(path, driver="GTiff") as file:
+                _check_map(path, file)
+                heights_m = file.read(1, masked=True, out_dtype="float64").filled(np.nan)
+                heights_m = heights_m * file.scales[0] + file.offsets[0]
+        except (RasterioError, CRSError) as error:
+            reason = str(error.__cause__ or error).rstrip(".")
+            raise GeometryError(str(path), f"cannot be read: {reason}", "a GeoTIFF of heights") from None
+    cell_m, _, west_m, _, _, north_m = file.transform[:6]
+    return _grid(path, heights_m, west_m + cell_m / 2, north_m - cell_m / 2, cell_m)
+
+
+def _check_map(path: Path, file: Any) -> None:
+    width_m, skew, west_m, turn, minus_m, north_m = file.transform[:6]
+    unit, factor = file.crs.units_factor if file.crs else ("metre", 1.0)
+    unit = "degrees" if file.crs and file.crs.is_geographic else unit
+    size, kind = f"{file.height} rows of {file.width}", file.dtypes[0]
+    is_square = width_m == -minus_m > 0 and skew == turn == 0 and np.isfinite([west_m, north_m, width_m]).all()
+    cells = f"cells of {width_m:g} x {-minus_m:g}"
+    cells += ", turned" if skew or turn else f" from ({west_m:g}, {north_m:g})"
+    for is_right, found, expected in (
+        (file.count == 1 and np.dtype(kind).kind in "iuf", f"{file.count} bands of {kind}", "one height to a cell"),
+        (file.height * file.width <= _MOST_CELLS, size, f"at most {_MOST_CELLS} cells"),
+        (not file.transform.is_identity, "no place on a map", "a grid that says where it lies"),
+        (factor == 1.0, f"a map in {unit}", "one in metres"),
+        (file.units[0] in _METRES, f"heights in {file.units[0]}", "metres"),
+        (is_square, cells, "squares that run to the south and east from a finite place"),
+    ):
+        if not is_right:
+            raise GeometryError(str(path), f"found {found}", expected)
+
+
 _log = logging.getLogger(__name__)
-
-
 _SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to two cells away in either direction
 
 
@@ -58,7 +252,6 @@ class DemHeights:
         self._check_gaps(path_xy_m, reach_m)
 
     def _check_edges(self, path_xy_m: Array, reach_m: float) -> None:
-        """Refuse a path that leaves the grid; beyond its edges the ground goes on level."""
         rows, columns = self._grid.heights_m.shape
         x, y = path_xy_m.T
         sides = (
@@ -102,43 +295,45 @@ class DemHeights:
 
 
 def _without_gaps(heights_m: Array) -> Array:
-    """Continue the nearest height over cells that have none."""
     gaps = np.isnan(heights_m)
     if not gaps.any():
         return heights_m
     from scipy import ndimage
 
     row, column = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    filled: Array = heights_m[row, column]
-    return filled
+    return heights_m[row, column]
 
 
 def _with_border(heights_m: Array) -> Array:
     return np.pad(heights_m[::-1], 1, mode="reflect", reflect_type="odd")
 
 
-@numba.njit(cache=True, nogil=True)
-def _weights(t: float) -> tuple[float, float, float, float]:
-    """Shares of four heights in a row at share `t` between the second and the third."""
-    return (
-        ((-0.5 * t + 1.0) * t - 0.5) * t,
-        (1.5 * t - 2.5) * t * t + 1.0,
-        ((-1.5 * t + 2.0) * t + 0.5) * t,
-        (0.5 * t - 0.5) * t * t,
-    )
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _slope(before: float, after: float) -> float:
+    """Slope at a height between two rises: their mean, at most twice the lesser; level on tops and in hollows."""
+    if before * after <= 0.0:
+        return 0.0
+    return math.copysign(min(abs(before + after) / 2, 2 * min(abs(before), abs(after))), before)
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _between(a: float, b: float, c: float, d: float, t: float) -> float:
+    """Height at share `t` of the way from b to c, of four at equal distances."""
+    rise = c - b
+    start, end = _slope(b - a, rise), _slope(rise, d - c)
+    return b + t * (start + t * (3 * rise - 2 * start - end + t * (start + end - 2 * rise)))
 
 
 @numba.njit(cache=True, nogil=True)
 def _heights(out: Array, x: Array, y: Array, nodes: Array, west_m: float, south_m: float, cell_m: float) -> None:
     """Fill (n,) heights; `nodes` has a border of one cell."""
     rows, columns = nodes.shape
+    z = np.empty(4)
     for i in range(out.shape[0]):
         u = min(max((x[i] - west_m) / cell_m, 0.0), columns - 3.0)
         v = min(max((y[i] - south_m) / cell_m, 0.0), rows - 3.0)
         column, row = min(int(u), columns - 4), min(int(v), rows - 4)
-        across, up = _weights(u - column), _weights(v - row)
-        z = 0.0
         for j in range(4):
-            for k in range(4):
-                z += up[j] * across[k] * nodes[row + j, column + k]
-        out[i] = z
+            a, b, c, d = nodes[row + j, column : column + 4]
+            z[j] = _between(a, b, c, d, u - column)
+        out[i] = _between(z[0], z[1], z[2], z[3], v - row)

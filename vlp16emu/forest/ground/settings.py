@@ -53,7 +53,6 @@ class Terrain(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_relief(cls, table: Any) -> Any:
-        """Fill in what the relief gives; one that is unknown is named by the check of its key."""
         relief = table.get("relief") if isinstance(table, dict) else None
         return _RELIEFS.get(relief, {}) | table if isinstance(relief, str) else table
 

@@ -3,48 +3,170 @@
 Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
 with the third power of the wave number (assumption; natural ground is found between 2.5 and 4).
 Mounds and hollows represent what waves cannot show: old stumps, stones under moss; pits with a mound beside each
-are what uprooted trees leave, and ruts what machines leave.
+are what uprooted trees leave, and ruts what machines leave: smooth troughs under the wheels of either side, between low
+shoulders of the soil that they were pressed out of, deep and shallow by turns.
 """
 
 import math
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, sin, tan
+from vlp16emu.elementary import atan2, cos, power, sin, tan
+from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.settings import Terrain
-from vlp16emu.forest.ground.trails import Trails
-from vlp16emu.forest.ground.waves import sum_of_waves, waves
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator, philox4x32
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array
+
+_WAVES = 48  # enough that their sum is near normal; its cost is proportional to it
+
+
+def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: float) -> Array:
+    """Waves of a band: (n, 4) with wave vector x and y in rad/m, amplitude, phase; none if flat.
+
+    Spread evenly over log wavelength, with a variance in proportion to the wavelength: the power spectrum falls with the
+    third power of the wave number.
+    """
+    count = _WAVES if rms > 0 else 0
+    shortest, longest = wavelengths_m
+    position = (np.arange(count) + rng.random(count)) / _WAVES
+    wavelength = shortest * power(longest / shortest, position)
+    direction, phase = rng.uniform(0, 2 * np.pi, (2, count))
+    # A wave of amplitude a has variance a**2 / 2.
+    amplitude = rms * np.sqrt(2 * wavelength / wavelength.sum())
+    number_rad_m = 2 * np.pi / wavelength
+    return np.column_stack([number_rad_m * cos(direction), number_rad_m * sin(direction), amplitude, phase])
+
+
+@numba.njit(cache=True, nogil=True)
+def sum_of_waves(out: Array, x: Array, y: Array, band: Array, gradient_x: float, gradient_y: float) -> None:
+    """Fill (n,) sums of a slope and the waves of bands; each point is summed alone, wave by wave, so that its neighbours cannot matter."""
+    for i in range(out.shape[0]):
+        out[i] = gradient_x * x[i] + gradient_y * y[i]
+    for j in range(band.shape[0]):
+        along_x, along_y, high, phase = band[j]
+        for i in range(out.shape[0]):
+            out[i] += high * cos_sin(along_x * x[i] + along_y * y[i] + phase)[0]
+
+
+_TRACK_M = (1.8, 2.2)
+"""Between the middles of a trail's ruts, least and most: forwarders are 2.5 m to 3 m wide over all (assumption)."""
+_RUT_M = (0.5, 0.7)
+"""Width of a rut at the height of the ground beside it, least and most: that of a tyre (600/55-26.5 and 710/45-26.5 are usual)."""
+# Least and most depth along a rut: 0.17, 0.22 and 0.35 m were measured on dry, moist and wet trails of skidders (Jourgholami and
+# Majnounian, "Effects of wheeled cable skidder on rut formation in skid trail", J. Forestry Research 22, 2011); older ones are less.
+_DEPTH_M = (0.05, 0.2)
+_SHOULDER = 1.5
+"""Where the shoulder of a rut ends, over half its width; it is then a seventeenth as high as the rut is deep."""
+_WAVES_M = (7.0, 19.0)  # lengths of the waves by which depth changes along a rut; assumption
+_FREE_M = 2.0  # from the middle of a trail within which no tree stands: trails are 4 m wide (FSC and PEFC in Germany)
+_RUT = int(Growth.RUT)
+
+
+class Trails:
+    """Trails over all of the plane, one of them at a place that the seed gives."""
+
+    def __init__(self, section: Terrain, *, seed: int) -> None:
+        self._spacing_m, towards = section.trail_spacing_m, math.radians(section.trail_towards_deg)
+        self._along = (cos(towards), sin(towards))
+        self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
+        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # on which trees may stand
+
+    def are_free(self, xy_m: Array) -> NDArray[np.bool_]:
+        """Which of points (n, 2) are off all trails."""
+        if not self._spacing_m:
+            return np.ones(len(xy_m), np.bool_)
+        first = _first_m(*self._seed, self._spacing_m)
+        across_m = self._along[0] * xy_m[:, 1] - self._along[1] * xy_m[:, 0] - first
+        aside_m = np.abs(across_m - self._spacing_m * np.floor(across_m / self._spacing_m + 0.5))
+        return np.asarray(aside_m > _FREE_M)
+
+    def add(self, height_m: Array, x_m: Array, y_m: Array) -> None:
+        """Add ruts to heights (n,) of points."""
+        if self._spacing_m:
+            _add_ruts(height_m, x_m, y_m, self._spacing_m, *self._along, *self._seed)
+
+
+@numba.njit(cache=True, nogil=True)
+def _first_m(seed_low: np.uint32, seed_high: np.uint32, spacing_m: float) -> float:
+    none = np.uint32(0)
+    return philox4x32(none, none, np.uint32(1), np.uint32(_RUT), seed_low, seed_high)[0] * 2.0**-32 * spacing_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_ruts(
+    out: Array,
+    x: Array,
+    y: Array,
+    spacing_m: float,
+    along_x: float,
+    along_y: float,
+    seed_low: np.uint32,
+    seed_high: np.uint32,
+) -> None:
+    """Add to (n,) heights the ruts of the nearest trail of each point."""
+    first = _first_m(seed_low, seed_high, spacing_m)
+    widest_m = _TRACK_M[1] / 2 + _SHOULDER * _RUT_M[1] / 2
+    for i in range(out.shape[0]):
+        across = along_x * y[i] - along_y * x[i] - first
+        trail = math.floor(across / spacing_m + 0.5)
+        aside = across - trail * spacing_m
+        if abs(aside) > widest_m:
+            continue
+        number = np.uint32(trail & 0xFFFFFFFF)
+        words = philox4x32(number, np.uint32(0), np.uint32(0), np.uint32(_RUT), seed_low, seed_high)
+        track_m = _TRACK_M[0] + words[0] * 2.0**-32 * (_TRACK_M[1] - _TRACK_M[0])
+        reach_m = _SHOULDER / 2 * (_RUT_M[0] + words[1] * 2.0**-32 * (_RUT_M[1] - _RUT_M[0]))
+        off = (abs(aside) - track_m / 2) / reach_m
+        square = off * off
+        if square < 1.0:
+            phases = words[2] if aside > 0 else words[3]
+            depth_m = _depth_m(along_x * x[i] + along_y * y[i], phases)
+            rest = 1.0 - square
+            out[i] -= depth_m * (rest * rest) * (1.0 - _SHOULDER * _SHOULDER * square)
+
+
+@numba.njit(cache=True, nogil=True)
+def _depth_m(along_m: float, phases: np.uint32) -> float:
+    """Depth of a rut at a place along it; the phases of its waves are one half of the bits each."""
+    one, other = (phases >> np.uint32(16)) * 2.0**-16, (phases & np.uint32(0xFFFF)) * 2.0**-16
+    wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + one))[0]
+    wave += cos_sin(2 * math.pi * (along_m / _WAVES_M[1] + other))[0]
+    return _DEPTH_M[0] + (0.5 + 0.25 * wave) * (_DEPTH_M[1] - _DEPTH_M[0])
+
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)
 _ROUGH_WAVELENGTHS_M = (1.0, 12.0)
-
+_STEEPEST_DEG = 45.0  # rms of slopes; loose soil slides from 30 to 45 degrees on (angle of repose)
 _MOUND_CELL_M = 2.0
 """Edge of a square that holds one mound at most: the widest mound, so that nine squares hold all that matter."""
-
 _MOUND_WIDTH_M = (1.0, 2.0)
 _MOUND_HEIGHT_M = 0.15  # mounds rise and hollows sink by up to this; assumption, like their width
-
 _PIT_CELL_M = 4.0
 """Edge of a square that holds one pit with its mound at most: more than both together reach from their middle."""
-
 _PIT_WIDTH_M, _PIT_DEPTH_M = (2.0, 3.0), (0.2, 0.4)
 """From the smallest to the largest; the mound is as wide and as high (assumption)."""
-
 _PIT_ASIDE = 0.8  # distance of the middles of pit and mound from the middle of both over their radius; assumption
-
 _MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
 
 
 class TerrainHeights:
-    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin, through which its slope passes."""
+    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin, through which its slope passes.
+
+    Raises GeometryError for waves that are steeper than ground can be.
+    """
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
         self._waves = np.concatenate([waves(generator(seed, Growth.TERRAIN, i), *band) for i, band in enumerate(bands)])
+        number2 = np.square(self._waves[:, 0]) + np.square(self._waves[:, 1])
+        steep = math.sqrt(float((np.square(self._waves[:, 2]) * number2).sum()) / 2)
+        if (steep_deg := math.degrees(atan2(steep, 1.0))) > _STEEPEST_DEG:
+            found = f"hill_rms_m = {section.hill_rms_m:g} and rough_rms_m = {section.rough_rms_m:g} slope by {steep_deg:.1f} degrees rms"
+            raise GeometryError("world.terrain", found, f"at most {_STEEPEST_DEG:g}: hills of 10 m, roughness of 0.4 m")
         rise, towards = tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
         self._gradient = (rise * cos(towards), rise * sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))

@@ -11,20 +11,15 @@ from numpy.typing import NDArray
 from vlp16emu.types import Array, HeightField, IntArray
 
 Mask = NDArray[np.bool_]
-
 _CELL_M = 0.5  # edge of the squares from which cutting begins, as many as are even ground
 _FINEST = 16  # steps of the finest grid along such an edge, 31 mm each
-
 _LOOKED_AT = (16, 8, 4, 2)
 """Edges, in such steps, of squares at whose middle and sides the ground is compared: the largest everywhere, others where it lies
 off those of the square around them, or of one beside that. A hollow may lie even between points that are as far apart as it is
 wide, but not beside itself."""
-
 _CUTS = 8  # of a half square, one after the other, down to halves of the finest squares
-
 _OFF_M = 0.004
 """How far the ground may lie off the middle of a side that is not cut; elsewhere on a triangle it is off by little more."""
-
 _APRON = 2
 """Squares around those that are asked for whose cuts are worked out too: cuts reach into the square beside, no farther."""
 
@@ -104,7 +99,6 @@ def _is_anti(side: int, step: int) -> Mask:
 
 
 def _supported(cut: Mask) -> Mask:
-    """Add the coarser cuts that cuts rest on."""
     for step in reversed(_LOOKED_AT):
         half, corner = step // 2, cut[::step, ::step]
         across, up, middle = cut[::step, half::step], cut[half::step, ::step], cut[half::step, half::step]

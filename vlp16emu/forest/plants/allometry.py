@@ -14,42 +14,37 @@ from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.settings import Section
 from vlp16emu.types import Array
 
-BREAST_HEIGHT_M = 1.3
-"""Where the diameter at breast height is measured, above the ground at the stem's axis."""
+Coefficients = tuple[float, ...]
 
+BREAST_HEIGHT_M = 1.3
+"""Height of the diameter at breast height above the ground at the stem's axis."""
 US_BREAST_HEIGHT_M = 1.37
 """The same in North America: 4.5 ft."""
-
 _INCH_CM, _FOOT_M = 2.54, 0.3048
-
 _TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
 _LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
 _STUMP_SHARE = 0.01  # height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it
 _COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
-def truncated_weibull_cm(coefficients: tuple[float, ...], probability: Array, mean_dbh_cm: float) -> Array:
+def truncated_weibull_cm(coefficients: Coefficients, probability: Array, mean_dbh_cm: float) -> Array:
     """Quantiles of a stand's diameters before scaling to their quadratic mean: left-truncated Weibull, Nagel and Biging (1995)."""
     a0, a1, c0, c1, c2 = coefficients
     scale = a0 + a1 * mean_dbh_cm
     shape = c0 + c1 * mean_dbh_cm + c2 * _LARGEST_DBH_RATIO * mean_dbh_cm
     floor = power(_TRUNCATION_CM / scale, shape)
-    quantile: Array = scale * power(floor - log1p(-probability), 1 / shape)
-    return quantile
+    return scale * power(floor - log1p(-probability), 1 / shape)
 
 
-def _uniform_height_m(
-    coefficients: tuple[float, ...], dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float
-) -> Array:
+def _uniform_height_m(coefficients: Coefficients, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:
     """Uniform height curve through (mean_dbh_cm, mean_height_m), Nagel (1999); a, b."""
     a, b = coefficients
     exponent = a * (1 - mean_dbh_cm / dbh_cm) + b * (1 / mean_dbh_cm - 1 / dbh_cm)
-    height: Array = BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * exp(exponent)
-    return height
+    return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * exp(exponent)
 
 
 def _curtis_arney_height_m(
-    coefficients: tuple[float, ...], dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float
+    coefficients: Coefficients, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float
 ) -> Array:
     """Curtis-Arney curve (Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet), stretched to the mean tree.
 
@@ -66,20 +61,19 @@ def _curtis_arney_height_m(
     return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * share
 
 
-def _linear_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
+def _linear_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
     """Straight line, Doebbeler et al. (2002); c0, c1."""
     c0, c1 = coefficients
     return c0 + c1 * dbh_cm
 
 
-def _saturating_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
+def _saturating_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
     """Straight line that thin trees fall short of, Doebbeler et al. (2002); c0, c1, c2, c3."""
     c0, c1, c2, c3 = coefficients
-    width: Array = (c0 + c1 * dbh_cm) * -expm1(-power(dbh_cm / c2, c3))
-    return width
+    return (c0 + c1 * dbh_cm) * -expm1(-power(dbh_cm / c2, c3))
 
 
-def _bechtold_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
+def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
     """Forest-grown crowns, Bechtold (2003), for inches and feet; a1, a2, a3, a4 and the crown ratio in percent.
 
     Below 5 inches in proportion to diameter, above 50 inches constant, as the Forest Vegetation Simulator does.
@@ -87,43 +81,35 @@ def _bechtold_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> A
     a1, a2, a3, a4, crown_ratio_percent = coefficients
     dbh_in = np.clip(dbh_cm / _INCH_CM, 5.0, 50.0)
     width_ft = a1 + a2 * dbh_in + a3 * np.square(dbh_in) + a4 * crown_ratio_percent
-    width: Array = width_ft * np.minimum(dbh_cm / _INCH_CM / 5.0, 1.0) * _FOOT_M
-    return width
+    return width_ft * np.minimum(dbh_cm / _INCH_CM / 5.0, 1.0) * _FOOT_M
 
 
-def _exponential_crown_base_m(
-    coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, top_height_m: float
-) -> Array:
+def _exponential_crown_base_m(coefficients: Coefficients, dbh_cm: Array, height_m: Array, top_height_m: float) -> Array:
     """Crown base after the settings of TreeGrOSS for north-west Germany; q0, q1, q2, q3."""
     q0, q1, q2, q3 = coefficients
     exponent = np.abs(q0 + q1 * height_m / dbh_cm + q2 * dbh_cm + q3 * log(top_height_m))
-    base: Array = height_m * -expm1(-exponent)
-    return base
+    return height_m * -expm1(-exponent)
 
 
-def _ratio_crown_base_m(
-    coefficients: tuple[float, ...], _dbh_cm: Array, height_m: Array, _top_height_m: float
-) -> Array:
+def _ratio_crown_base_m(coefficients: Coefficients, _dbh_cm: Array, height_m: Array, _top_height_m: float) -> Array:
     """Crowns of the same share of every tree's height; the crown ratio."""
     return (1 - coefficients[0]) * height_m
 
 
-def _log_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array, *_: Array) -> Array:
+def _log_biomass_kg(coefficients: Coefficients, dbh_cm: Array, *_: Array) -> Array:
     """Dry mass above ground as exp(b0 + b1 ln d), Jenkins et al. (2003), Forest Science 49(1), table 4."""
     b0, b1 = coefficients
-    mass: Array = exp(b0 + b1 * log(dbh_cm))
-    return mass
+    return exp(b0 + b1 * log(dbh_cm))
 
 
-def _power_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, *_: Array) -> Array:
+def _power_biomass_kg(coefficients: Coefficients, dbh_cm: Array, height_m: Array, *_: Array) -> Array:
     """Dry mass above ground as b0 d^b1 h^b2, the form of Smith et al. (2014)."""
     b0, b1, b2 = coefficients
-    mass: Array = b0 * power(dbh_cm, b1) * power(height_m, b2)
-    return mass
+    return b0 * power(dbh_cm, b1) * power(height_m, b2)
 
 
 def _component_biomass_kg(
-    coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, upper_cm: Array, base_m: Array
+    coefficients: Coefficients, dbh_cm: Array, height_m: Array, upper_cm: Array, base_m: Array
 ) -> Array:
     """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h; u is the diameter at 0.3 h, s the stump, k the crown base.
 
@@ -144,11 +130,11 @@ class Equation(Section):
     """Number of coefficients, and function of them and of what the equation is called with, of each."""
 
     model: str
-    coefficients: Annotated[tuple[float, ...], Field(strict=False)]
+    coefficients: Annotated[Coefficients, Field(strict=False)]
 
     @field_validator("coefficients")
     @classmethod
-    def _complete(cls, coefficients: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    def _complete(cls, coefficients: Coefficients, info: ValidationInfo) -> Coefficients:
         model = info.data.get("model")  # absent where it is itself in error
         if model is not None and len(coefficients) != cls.known[model][0]:
             raise ValueError(f"{cls.known[model][0]} numbers for {model!r}")
@@ -199,7 +185,7 @@ _TAPER_COEFFICIENTS = 8
 
 
 class Taper(Equation):
-    """How a stem thins."""
+    """Taper of a stem."""
 
     known: ClassVar = {"laasasenaho": (_TAPER_COEFFICIENTS, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
@@ -245,7 +231,6 @@ def _form(row: Array, height_m: float, above_ground_m: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
-    """Radii (n, r) of n stems at r heights each."""
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):
         scale = dbh_m[i] / 2 / _form(taper[i], height_m[i], 1.3)

@@ -7,8 +7,15 @@ import numpy as np
 
 from vlp16emu.elementary import cos, matmul, sin
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.bole import bole_branches
-from vlp16emu.forest.plants.branches import Branches, first_order, joined, side_branches, tubes, volume_m3
+from vlp16emu.forest.plants.branches import (
+    Branches,
+    bole_branches,
+    first_order,
+    joined,
+    side_branches,
+    tubes,
+    volume_m3,
+)
 from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import merged
@@ -22,12 +29,9 @@ from vlp16emu.world.vectors import places_m
 
 VARIANTS = 3
 """Different crowns of the same species and diameter class."""
-
 CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
-
 _SIDES = (6, 4, 3)  # of branches, by order
-
 _NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 
@@ -47,7 +51,7 @@ class CrownKey:
 
     @property
     def crown_length_m(self) -> float:
-        """From the lowest branch to the tip."""
+        """Length from the lowest branch to the tip."""
         return self.height_m - self.crown_base_m
 
 
@@ -71,7 +75,7 @@ def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tup
 
 
 def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Branches, Branches]:
-    """Give the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
+    """Return the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
     species = (table or species_table())[key.species]
     (first, *_), dead = _orders(seed, key, species)[1:]
     bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))

@@ -22,7 +22,6 @@ from vlp16emu.types import Array, IntArray
 Trees = NDArray[np.void]
 Table = Mapping[str, Species]
 _Kind = TypeVar("_Kind", bound=Plant)
-
 _FIRST_OWN_NUMBER = 1000  # smaller numbers belong to the table that comes with the program
 
 
@@ -138,8 +137,6 @@ def _by_number(numbers: NDArray[np.uint16], rows: Mapping[int, Array], width: in
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
 """Names of the first numbers."""
-
-
 BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
 """Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
 

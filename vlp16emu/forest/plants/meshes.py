@@ -43,18 +43,3 @@ def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True)
     faces = np.concatenate(triangles).astype(np.uint32)
     faces.flags.writeable = False
     return faces
-
-
-def closed(rings: Array, ends: Array) -> Mesh:
-    """Make a closed body of rings (r, sides, 3), counter-clockwise seen from the last one, and the middles (2, 3) of its ends."""
-    count, sides, _ = rings.shape
-    vertices = np.concatenate([rings.reshape(-1, 3), ends])
-    here = np.arange(sides)
-    after, bottom, top = (np.roll(here, -1), np.full(sides, len(vertices) - 2), np.full(sides, len(vertices) - 1))
-    last = (count - 1) * sides
-    triangles = [(after, here, bottom), (last + here, last + after, top)]
-    for low in range(0, last, sides):
-        high = low + sides
-        triangles += [(low + here, low + after, high + after), (low + here, high + after, high + here)]
-    faces = np.concatenate([np.column_stack(triple) for triple in triangles])
-    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))

@@ -22,7 +22,6 @@ Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
 Length = Annotated[float, Field(ge=0.005, le=20)]
 Crook = Annotated[float, Field(ge=0, le=60)]
-
 _BIOMASS_AT = 0.3  # relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)
 
 
@@ -43,7 +42,7 @@ class Foliage(Section):
     """mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their twig."""
 
     def is_borne(self, season: Season) -> bool:
-        """Whether it is on the plant in a season: blades fall, shoots stay."""
+        """Return True if it is on the plant in a season: blades fall, shoots stay."""
         return season == "leaf_on" or self.kind == "shoot"
 
     @field_validator("inclination")
@@ -55,7 +54,7 @@ class Foliage(Section):
 
 
 class Twigs(Section):
-    """How branches of the second or third order sit on those that bear them."""
+    """Branches of the second or third order on their bearers."""
 
     start: Annotated[float, Field(ge=0, le=0.95)]
     """Share of the bearer that is bare."""
@@ -72,7 +71,7 @@ class Twigs(Section):
 
 
 class Habit(Section):
-    """How a crown branches. Pairs are [crown base, crown top], straight between them."""
+    """Branching of a crown. Pairs are [crown base, crown top], straight between them."""
 
     base_fraction: Fraction
     """Crown radius at the crown base over the largest."""
@@ -104,7 +103,7 @@ class Habit(Section):
 
 
 class StemForm(Section):
-    """How stems differ from straight and round ones: means over trees, nothing where all are 0."""
+    """Deviations of stems from straight and round ones: means over trees, nothing where all are 0."""
 
     bow: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Distance of the bole from the line between its foot and the crown base, where that is greatest, over its length; half
@@ -133,7 +132,7 @@ class StemForm(Section):
 
 
 class Plant(Section):
-    """What trees and shrubs have in common. Sources are in `species.toml`, value by value."""
+    """Common keys of trees and shrubs. Sources are in `species.toml`, value by value."""
 
     number: Annotated[int, Field(ge=1, le=65535)]
     """In labels; never changes, and no other plant has it."""

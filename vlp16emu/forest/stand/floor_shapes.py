@@ -1,6 +1,7 @@
 """Shapes and labels of what lies on the ground: stones, dead wood, tufts of grass and what else covers it, all of unit size.
 
-They are grown once for each variant, and stretched to size where they are placed.
+They are grown once for each variant, and stretched to size where they are placed. What plants look like are assumptions, after
+pictures in floras; leaves are kites, two triangles each.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,24 +16,107 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.flora import GROUND_MATERIALS
-from vlp16emu.forest.plants.meshes import closed, merged
+from vlp16emu.forest.plants.meshes import merged
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
 from vlp16emu.random import generator
 from vlp16emu.types import SURFACE, Array, IntArray, Mesh, PlantPart, Semantic
-from vlp16emu.world.vectors import unit
+from vlp16emu.world.vectors import closed, unit
+
+Generator = np.random.Generator
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def fern(rng: Generator) -> Mesh:
+    """Nine fronds that rise from a crown and arch outwards, with eight pairs of pinnae each."""
+    fronds, pairs = 9, 8
+    towards = 2 * np.pi * (np.arange(fronds) + rng.uniform(-0.3, 0.3, fronds)) / fronds
+    t = np.linspace(0.2, 1.0, pairs)
+    rise = rng.uniform(0.75, 1.0, (fronds, 1)) * sin(0.64 * np.pi * t)
+    outward = np.stack([cos(towards), sin(towards), np.zeros(fronds)], axis=-1)[:, None]
+    across = np.cross(_UP, outward)
+    at = 0.5 * t[:, None] * outward + rise[..., None] * _UP
+    length = 0.22 * sin(np.pi * np.linspace(0.35, 0.97, pairs))[:, None]
+    sides = [length * (side * across + 0.35 * outward - 0.15 * _UP) for side in (-1, 1)]
+    return _kites(np.concatenate([at, at]), np.concatenate(sides), 0.4)
+
+
+def herb(rng: Generator) -> Mesh:
+    """Nine shoots with a whorl of four leaves each."""
+    shoots, leaves = 9, 4
+    at = np.column_stack([_in_disc(rng, shoots, 0.4), rng.uniform(0.55, 1.0, shoots)])[:, None]
+    towards = 2 * np.pi * (np.arange(leaves) / leaves + rng.random((shoots, 1)))
+    leaf = np.stack([cos(towards), sin(towards), rng.uniform(-0.4, 0.4, towards.shape)], axis=-1)
+    return _kites(at - 0.2 * rng.random((shoots, leaves, 1)) * _UP, 0.17 * leaf, 0.6)
+
+
+def dwarf_shrub(rng: Generator) -> Mesh:
+    """Small leaves all through a dome, more of them near its outside."""
+    leaves = 90
+    direction = unit(rng.normal(0.0, 1.0, (leaves, 3)))
+    direction[:, 2] = np.abs(direction[:, 2])
+    at = direction * np.sqrt(rng.uniform(0.15, 0.8, (leaves, 1))) * [0.5, 0.5, 1.0]
+    leaf = rng.normal(0.0, 1.0, (leaves, 3)) * [1.0, 1.0, 0.5]
+    return _kites(at, 0.15 * unit(leaf), 0.6)
+
+
+def moss_cushion(rng: Generator) -> Mesh:
+    """Make a bumpy dome, open below, whose rim is in the ground."""
+    sides, away, high = 12, np.array([0.22, 0.38, 0.5]), np.array([0.9, 0.6, -0.4])
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rim = 1 + 0.15 * cos(3 * angle + rng.uniform(0, 2 * np.pi)) * np.ones((3, 1))
+    z = high[:, None] + 0.1 * rng.uniform(-1, 1, (3, sides)) * [[1.0], [1.0], [0.0]]
+    ring = np.stack([away[:, None] * rim * cos(angle), away[:, None] * rim * sin(angle), z], axis=-1)
+    vertices = np.concatenate([[[0.0, 0.0, 1.0]], ring.reshape(-1, 3)])
+    here, after = np.arange(sides), np.roll(np.arange(sides), -1)
+    faces = [np.column_stack([np.zeros(sides, int), 1 + here, 1 + after])]
+    for low in (1, 1 + sides):
+        faces += [np.column_stack([low + here, low + sides + here, low + sides + after])]
+        faces += [np.column_stack([low + here, low + sides + after, low + after])]
+    return _unit(vertices, np.concatenate(faces))
+
+
+def litter_heap(rng: Generator) -> Mesh:
+    """Leaves that lie one on the other, and three twigs."""
+    leaves, twigs = 16, 3
+    at = np.column_stack([_in_disc(rng, leaves + twigs, 0.36), rng.uniform(0.1, 0.9, leaves + twigs)])
+    towards = rng.uniform(0, 2 * np.pi, leaves + twigs)
+    tilt = rng.uniform(-0.8, 0.8, leaves + twigs)
+    leaf = np.column_stack([cos(towards), sin(towards), tilt])
+    length = np.append(rng.uniform(0.14, 0.3, leaves), np.full(twigs, 0.6))[:, None]
+    wide = np.append(np.full(leaves, 0.7), np.full(twigs, 0.03))
+    return _kites(at - length * leaf / 2 * [1.0, 1.0, 0.0], length * leaf, wide)
+
+
+def _in_disc(rng: Generator, count: int, radius: float) -> Array:
+    towards, away = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.random(count))
+    return np.column_stack([away * cos(towards), away * sin(towards)])
+
+
+def _kites(base: Array, along: Array, wide: Array | float) -> Mesh:
+    """Leaves from bases (..., 3) along vectors (..., 3), level across, their width over their length given."""
+    base, along = np.broadcast_arrays(base, along)
+    base, along = base.reshape(-1, 3), along.reshape(-1, 3)
+    across = np.cross(_UP, along)
+    middle = base + 0.45 * along
+    half = 0.5 * np.reshape(wide, (-1, 1)) * across
+    vertices = np.stack([base, middle - half, base + along, middle + half], axis=1).reshape(-1, 3)
+    faces = 4 * np.arange(len(base))[:, None, None] + np.array([(0, 1, 2), (0, 2, 3)])
+    return _unit(vertices, faces.reshape(-1, 3))
+
+
+def _unit(vertices: Array, faces: IntArray) -> Mesh:
+    """Stretch to a height and a greatest diameter of 1."""
+    vertices = vertices / [*(2 * [2 * norm(vertices[:, :2]).max()]), vertices[:, 2].max()]
+    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+
 
 Mask = NDArray[np.bool_]
-
 FLOOR_VARIANTS = 6
 """Different shapes of each kind."""
-
 STUMP_DEPTH = 0.5
-"""How far a stump reaches into the ground, over its height above it."""
-
+"""Depth of a stump in the ground over its height above it."""
 _STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3  # times that the faces of an icosahedron are quartered: 320 and 1280 faces
-
 _ICOSAHEDRON = (
     *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
     *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
@@ -40,28 +124,20 @@ _ICOSAHEDRON = (
     *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
 )
 """Faces, counter-clockwise seen from outside; corners as in `_icosphere`."""
-
 _LOBES, _LOBE_HEIGHT = 6, 0.05  # sines that shape a stone, and the amplitude of each over the radius; assumption
 _ROUND_SIDES = 16  # of logs and stumps
-
 LOG_TAPER = 0.2
 """Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
-
 _LOG_BOW = 0.5
 """Of a log to one side and the other, one sigma over its diameter; half of that to and fro besides: assumptions."""
-
 _PIECE_TAPER, _PIECE_BOW = 0.1, 0.15  # of half a log
-
 _LOG_SPLINTERS, _STUMP_SPLINTERS = 0.05, 0.45
 """Half-range of the ends' corners over the length of a piece of a log, and over the height of a broken stump; assumptions."""
-
 _PLATE_SIDES, _PLATE_ROOTS = 20, 10
 _PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0.5))
 """Along the log over the plate's thickness, and away from its axis over the radius: the side of the roots is a paraboloid, as
 that of birch is (Forests 12(1), 2021, 20: an elliptic paraboloid); the side of the stem, once level ground, is flat."""
-
 _PLATE_BUMPS = 0.08  # half-range of the surface over the thickness; assumption
-
 _REFLECTANCE = {
     "stone": 0.30,
     "dead wood": 0.40,
@@ -70,14 +146,13 @@ _REFLECTANCE = {
     **dict.fromkeys(("grass", "herb", "fern", "dwarf shrub"), 0.45),
 }
 """At 903 nm: rock, weathered wood like oak bark, dry leaves like the ground, green ones like those of shrubs; assumptions."""
-
 _REFLECTANCE_SPREAD = 0.08  # half-range between things, as between the barks of trees; assumption
 _BLADES = 22  # of a tuft
 _BLADE_AREA = 0.012  # one-sided, of a tuft's blade on average, over the square of its height; assumption
 
 
 class FloorKind(StrEnum):
-    """What lies or stands on the ground and is no shrub and no tree."""
+    """Kind of thing on the ground that is no shrub and no tree."""
 
     STONE = "stone"
     LOG = "log"
@@ -94,7 +169,7 @@ class FloorKind(StrEnum):
 
 
 GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})
-"""What is part of the ground."""
+"""Kinds that are part of the ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +218,6 @@ def labelled(
 
 @cache
 def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
-    """Keys are few; one object for each."""
     return FloorKey(kind, variant, large)
 
 
@@ -284,7 +358,7 @@ def _half_width(base: Array, knee: Array, tip: Array) -> float:
 
 
 class _Shape(NamedTuple):
-    """What a kind looks like; the material of the ground is litter and soil."""
+    """Look of a kind; the material of the ground is litter and soil."""
 
     grow: Callable[[np.random.Generator], Mesh]
     semantic: Semantic

@@ -1,46 +1,88 @@
-"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around wherever one walks."""
+"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and what is kept of it."""
 
+import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import astuple, fields
 from functools import cache, lru_cache
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
-from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.ground.terrain import Trails
+from vlp16emu.forest.plants.circles import far_stems
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
-from vlp16emu.forest.plants.far_stem import far_stems
 from vlp16emu.forest.plants.flora import Flora, Trees, flora, material_names
-from vlp16emu.forest.plants.ivy import IvyKey, ivy_meshes, ivy_tops_m
-from vlp16emu.forest.plants.sapling import SaplingKey, sapling_meshes
-from vlp16emu.forest.plants.shrub import ShrubKey, shrub_meshes
+from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
-from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
-from vlp16emu.forest.stand.kept import by_tile, key_text
-from vlp16emu.forest.stand.models import ModelKey, Models
+from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
+from vlp16emu.forest.stand.floor_shapes import FloorKey, FloorKind, floor_meshes
+from vlp16emu.forest.stand.inventory import ModelKey, Models
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, Site, Tile, distinct, packed, plant_surfaces
 from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
+from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
 from vlp16emu.world.polyline import Corridor
 
-_NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
+T = TypeVar("T")
+_KINDS: dict[str, Callable[..., ShapeKey]] = {
+    "CrownKey": CrownKey,
+    "IvyKey": lambda tile, number: IvyKey(TileKey(*tile), number),
+    "FloorKey": lambda kind, *rest: FloorKey(FloorKind(kind), *rest),
+    "ModelKey": ModelKey,
+    "SaplingKey": SaplingKey,
+    "ShrubKey": ShrubKey,
+    "StemKey": lambda tile, number: StemKey(TileKey(*tile), number),
+    "TileKey": TileKey,
+}
+"""Constructors of keys from their fields."""
 
+
+def by_tile(kind: type[T], name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
+    """Keep what is made of each tile (ix, iy): a data class of arrays, and of `keys` of shapes.
+
+    `name` is that of all that decides it but the tile; empty where nothing is kept.
+    """
+    if not name:
+        return make
+    return lambda ix, iy: recalled(
+        f"{name} {kind.__name__} {ix} {iy}", lambda: make(ix, iy), _packed, lambda bundle: _unpacked(kind, bundle)
+    )
+
+
+def key_text(key: ShapeKey) -> str:
+    """Write a key of a forest's shape."""
+    return json.dumps(_row(key))
+
+
+def _row(key: Any) -> list[object]:
+    return [type(key).__name__, *astuple(key)]
+
+
+def _packed(thing: Any) -> Bundle:
+    keys = json.dumps([_row(key) for key in thing.keys]).encode()
+    return {field.name: getattr(thing, field.name) for field in fields(thing)} | {"keys": np.frombuffer(keys, np.uint8)}
+
+
+def _unpacked(kind: type[T], bundle: Bundle) -> T:
+    rows = json.loads(bundle["keys"].tobytes())
+    return kind(**{**bundle, "keys": tuple(_KINDS[name](*values) for name, *values in rows)})
+
+
+_NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 _DENSEST_PER_HA = 125_000
 """A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240, and with all patches that
 there may be under 500, far from `_NUMBERS_PER_TILE`."""
-
 _TILES_IN_GROWTH = 16
 """Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
-
 _OVERHANG_M = 10.0  # how far crowns reach beyond the tile of their stem at most
 _ASIDE_M = 35.0  # how far a sensor may stray from the path and still see numbered trees only
-
 _MARGIN_M = 80.0
 """Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
 and a tile more, since voxels of a tile are made of the tiles around it too."""
@@ -126,7 +168,7 @@ class ForestWorld:
         return material_names(self.plants)
 
     def trees(self, track_m: Array) -> Trees:
-        """Give the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
+        """Return the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
         tiles = (self._tile(ix, iy) for ix, iy in self._in_view(track_m))
         return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in tiles)])
 
@@ -170,7 +212,7 @@ class ForestWorld:
         return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key_text(key)}"
 
     def _far_tile(self, ix: int, iy: int) -> FarTile:
-        """Describe a tile as it is seen from afar; trees that sway, stems and all, are not in it."""
+        """Describe a tile for the far medium; trees that sway, stems and all, are not in it."""
         tile = self._tile(ix, iy)
         origin_m = tile_origin_m(ix, iy, self.height_m)
         corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
@@ -260,8 +302,7 @@ class ForestWorld:
 
     def _grown(self, ix: int, iy: int) -> Trees:
         trees = self._trees(ix, iy)
-        grown: Trees = trees[~self.models.has(trees)]
-        return grown
+        return trees[~self.models.has(trees)]
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
         origin_m = tile_origin_m(key.ix, key.iy, self.height_m)
@@ -277,7 +318,6 @@ class ForestWorld:
     def _in_tile(
         self, kind: type[StemKey | IvyKey], key: TileKey, numbers: IntArray, trees: Trees, parts: tuple[PlantPart, ...]
     ) -> PlacedThings:
-        """Place shapes that are in the frame of their tile, of some of its trees."""
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
             tuple(kind(key, number) for number in numbers.tolist()),

@@ -1,14 +1,16 @@
-"""The truth about trees that stand: one row for each, computed from the meshes that are scanned."""
+"""Ground truth of standing trees: one row for each, computed from the meshes that are scanned; and trees of the user's own."""
 
 import csv
 from collections.abc import Sequence
+from dataclasses import dataclass
 from io import TextIOWrapper
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import matvec
+from vlp16emu.elementary import log, matvec
+from vlp16emu.foliage.tiles import STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.crown import (
     CROWN_PARTS,
@@ -18,12 +20,12 @@ from vlp16emu.forest.plants.crown import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.forest.plants.flora import Table, Trees, species_table
+from vlp16emu.forest.plants.flora import Flora, Table, Trees, flora, species_table
 from vlp16emu.forest.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
-from vlp16emu.forest.plants.stem_form import polygon_m2, tape_m
-from vlp16emu.forest.plants.stem_rings import axis_m, stem_rings
+from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE, axis_m, polygon_m2, stem_rings, tape_m
+from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.types import Array, Mesh, PlantPart
+from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.vectors import places_m
 
 INVENTORY = np.dtype(
@@ -56,15 +58,13 @@ INVENTORY = np.dtype(
     ]
 )
 """One tree of the inventory. Tops, volumes and areas are those of its meshes."""
-
 COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
-"""What rows have from `TREE` as it is."""
-
+"""Fields that rows copy from `TREE`."""
 _DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a litre
 
 
 def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
-    """Take the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
+    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
     table = table or species_table()
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
@@ -112,7 +112,6 @@ def _text(value: float) -> str:
 
 
 def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Table) -> None:
-    """Fill in what follows from the sections of the stems at breast height."""
     rings = stem_rings(trees, table=table)
     at = BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
     middle_m = axis_m(trees, rings.forms, np.full((len(trees), 1), BREAST_HEIGHT_M))[:, 0]
@@ -183,3 +182,85 @@ def hull_m(points_m: Array) -> Array:
     except (QhullError, ValueError):  # few or flat
         return points_m
     return hull
+
+
+_ALIKE = 1.25  # models that stretch a tree by no more than this over the one that stretches it least are as good
+
+
+@dataclass(frozen=True, slots=True)
+class ModelKey:
+    """Name of a model's shape."""
+
+    number: int  # among the models of the scene
+    content: str  # digest of all that decides it
+
+
+class Models:
+    """The models of a scene, each a `TreeModel` that stands for trees of its species; none by default."""
+
+    def __init__(self, models: Sequence[Any] = (), plants: Flora | None = None) -> None:
+        self._models, self._plants = models, plants or flora()
+        self._species = np.array(sorted({model.species.number for model in models}), np.uint16)
+
+    def has(self, trees: Trees) -> NDArray[np.bool_]:
+        """Which trees (n,) look like one of the models."""
+        return np.isin(trees["species"], self._species)
+
+    def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
+        """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
+        return [
+            PlacedThings(
+                (ModelKey(i, self._models[i].content),),
+                np.zeros(len(own), np.int64),
+                self._models[i].world_T_model(own),
+                plant_surfaces(own, self._models[i].parts, self._plants),
+                own,
+                is_exact=is_exact,
+            )
+            for i, own in self._by_model(trees)
+        ]
+
+    def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
+        """Meshes of a model."""
+        return self._models[key.number].meshes
+
+    def far_parts(self, key: ShapeKey) -> tuple[int, ...] | None:
+        """Return the parts of a model's meshes in the far medium; None for any other shape."""
+        return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
+
+    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: IntArray) -> NDArray[np.void]:
+        """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
+        of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
+        stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
+        return np.concatenate([np.zeros(0, STEM), *stems])
+
+    def inventory(self, trees: Trees) -> NDArray[np.void]:
+        """Return the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
+
+        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
+        directions. One side of each leaf face counts.
+        """
+        rows = np.zeros(len(trees), INVENTORY)
+        for name in COPIED:
+            rows[name] = trees[name]
+        for i, row in enumerate(rows):
+            self._models[self._chosen(trees[i : i + 1])].measure(row, trees[i : i + 1])
+        return rows
+
+    def circles(self, trees: Trees) -> NDArray[np.void]:
+        """Circles `STEM_CIRCLE` along the stems of trees that all have models."""
+        own = (self._models[i].circles(own) for i, own in self._by_model(trees))
+        return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
+
+    def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
+        chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
+        return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
+
+    def _chosen(self, tree: Trees) -> int:
+        """Choose the model of one tree (1,) by its size, and among those that are as good by its azimuth's last digits."""
+        fits = [i for i, model in enumerate(self._models) if model.species.number == tree["species"][0]]
+        if len(fits) == 1:
+            return fits[0]
+        stretch = [abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)]
+        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
+        return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

@@ -1,4 +1,4 @@
-"""What is near a path, and a piece cut out of the world."""
+"""Things near a path, and a piece cut out of the world."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec, norm
-from vlp16emu.forest.plants.sapling import SaplingKey
+from vlp16emu.forest.plants.undergrowth import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.inventory import hull_m
 from vlp16emu.forest.tiles import TILE_M, TileKey
@@ -21,7 +21,7 @@ Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, slots=True)
 class AllNear:
-    """World of one window, in which nothing is seen from afar."""
+    """World of one window without a far medium."""
 
     inside: Window
     shape: Grow
@@ -29,17 +29,17 @@ class AllNear:
     seed: int = 0
 
     def window(self, _track_m: Array) -> Window:
-        """Give the window, from wherever."""
+        """Return the window for any track."""
         return self.inside
 
     def shape_name(self, _key: ShapeKey) -> str:
-        """Give none: no shape is kept on disk."""
+        """Return no name: no shape is kept on disk."""
         return ""
 
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """What stands or lies there and is no tree of the stand."""
+    """A thing that stands or lies there and is no tree of the stand."""
 
     placement: int  # in the window
     instance: int

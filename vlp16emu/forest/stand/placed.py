@@ -1,4 +1,4 @@
-"""What a tile holds: its ground and stems, and things of the same few shapes, placed again and again."""
+"""Content of a tile: its ground and stems, and things of the same few shapes, placed again and again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,6 @@ from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Sem
 from vlp16emu.world.polyline import Corridor
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
-
 NO_TREES = np.zeros(0, TREE)
 """Trees of a layer that has none."""
 
@@ -46,7 +45,7 @@ class Site:
 
     @property
     def distance_m(self) -> float:
-        """Of the tile from the path, or less."""
+        """Distance of the tile from the path, or less."""
         return tile_distance_m((self.ix, self.iy), self.path)
 
     def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
@@ -60,8 +59,7 @@ class Site:
 
 def between(limits: tuple[float, float], draw: Array) -> Array:
     """Evenly from limits[0] to limits[1]."""
-    value: Array = limits[0] + (limits[1] - limits[0]) * draw
-    return value
+    return limits[0] + (limits[1] - limits[0]) * draw
 
 
 def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], IntArray]:
@@ -76,7 +74,7 @@ def placements(place_m: Array, world_R_thing: Array, size: Array) -> Array:
 
 
 def together(groups: Sequence[PlacedThings]) -> PlacedThings:
-    """Put groups of things of one layer together, in order; none of them are trees."""
+    """Join groups of things of one layer, in order; none of them are trees."""
     first = np.cumsum([0, *(len(one.keys) for one in groups)])
     return PlacedThings(
         tuple(key for one in groups for key in one.keys),
@@ -112,11 +110,11 @@ class Tile:
     first_surface: IntArray  # (n,) row of `surfaces`
     surfaces: NDArray[np.void]  # (m,) `SURFACE`
     far: NDArray[np.bool_]  # (n,) which of the placements are part of the `FarTile`
-    low: NDArray[np.bool_]  # (n,) which are ground, and too low to be seen from afar
+    low: NDArray[np.bool_]  # (n,) which are ground, and too low for the far medium
 
 
 def packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
-    """Put a tile together: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
+    """Join a tile: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
     own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]

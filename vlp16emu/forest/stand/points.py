@@ -12,8 +12,7 @@ import numpy as np
 
 from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.trails import Trails
-from vlp16emu.forest.ground.waves import sum_of_waves, waves
+from vlp16emu.forest.ground.terrain import Trails, sum_of_waves, waves
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
@@ -23,12 +22,9 @@ from vlp16emu.types import Array, IntArray
 _SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
 _LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
 _TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than one window and its border hold
-
-
 _PATCH_WAVELENGTHS_M = (6.0, 20.0)
 """Herbs under oaks are most uneven at some 10 m (Plant Biosystems 133(3), 1999, 10.1080/11263509909381559), patches of a spring
 flower lie 7.5 to 10 m apart (Huh 2023, Erythronium at Mt. Geumjeong)."""
-
 _DENSEST_PATCH = 9.0
 """Density over its mean, which would be greater on 0.3 % of the ground; so the mean is too low by 0.5 %."""
 
@@ -76,11 +72,9 @@ class PatchyPattern(PointPattern):
         draws = rng.random((rng.poisson(most_per_ha * TILE_M * TILE_M / 10_000), 3))
         xy_m = (draws[:, :2] + np.array([ix, iy])) * TILE_M
         there_per_ha = self._even_per_ha + self._patchy_per_ha * self._density(xy_m)
-        there: Array = xy_m[draws[:, 2] * most_per_ha < there_per_ha]
-        return there
+        return xy_m[draws[:, 2] * most_per_ha < there_per_ha]
 
     def _density(self, xy_m: Array) -> Array:
-        """Density in patches at points (n, 2) over its mean."""
         x, y = np.ascontiguousarray(xy_m.T)
         noise = np.empty(len(x))
         sum_of_waves(noise, x, y, self._waves, 0.0, 0.0)
@@ -136,7 +130,6 @@ class ClusterPattern(PointPattern):
         return _inside(around(ix, iy, self._members), ix, iy)
 
     def _grow_members(self, ix: int, iy: int) -> Array:
-        """Members of the clumps whose middle lies in a tile."""
         rng = self._rng(ix, iy)
         clumps = rng.poisson(self.per_ha / self._section.per_cluster * TILE_M * TILE_M / 10_000)
         middles = (rng.random((clumps, 2)) + np.array([ix, iy])) * TILE_M
@@ -217,5 +210,4 @@ def pattern_of(
 
 def _inside(points: Array, ix: int, iy: int) -> Array:
     low = np.array([ix, iy]) * TILE_M
-    inside: Array = points[((points >= low) & (points < low + TILE_M)).all(axis=1)]
-    return inside
+    return points[((points >= low) & (points < low + TILE_M)).all(axis=1)]

@@ -1,27 +1,49 @@
-"""What grows and lies under the trees, scattered over the ground: one layer for each section of a scene.
+"""Plants and things under the trees, scattered over the ground: one layer for each section of a scene.
 
 Places come from a point pattern, sizes and looks from random numbers of the tile; what is in the way of the path or of a
 trunk is left out.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vlp16emu.elementary import atan2, exp, hypot, log1p, matmul
+from vlp16emu.elementary import atan2, cos, exp, hypot, log, log1p, matmul, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.trails import Trails
-from vlp16emu.forest.plants.flora import Flora, flora, known
+from vlp16emu.forest.ground.terrain import Trails
+from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
+from vlp16emu.forest.plants.crown import VARIANTS
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora, known
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Shrub, Species
+from vlp16emu.forest.plants.undergrowth import (
+    CROWN_BASE_SHARE,
+    CROWN_WIDTH_SHARE,
+    SAPLING_PARTS,
+    SHRUB_PARTS,
+    SLENDERNESS,
+    SaplingKey,
+    ShrubKey,
+)
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.quantiles import normal_quantile
-from vlp16emu.forest.stand.deadwood import lay_logs, lay_stumps
-from vlp16emu.forest.stand.floor_shapes import FloorKind, labelled
-from vlp16emu.forest.stand.layer import Layer, LayerKind
-from vlp16emu.forest.stand.placed import PlacedThings, Site, between, laid, placements, turned
+from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
+from vlp16emu.forest.stand.placed import (
+    NO_TREES,
+    PlacedThings,
+    Site,
+    between,
+    distinct,
+    laid,
+    placements,
+    plant_surfaces,
+    together,
+    turned,
+)
 from vlp16emu.forest.stand.points import PatchyPattern, PointPattern, ScatteredPattern, pattern_of
 from vlp16emu.forest.stand.settings import (
     Cover,
@@ -38,18 +60,323 @@ from vlp16emu.forest.stand.settings import (
     Stumps,
     Woods,
 )
-from vlp16emu.forest.stand.understorey import lay_saplings, lay_shrubs
+from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
+from vlp16emu.random import generator
 from vlp16emu.settings import Section
-from vlp16emu.types import Array, HeightField
+from vlp16emu.types import Array, HeightField, IntArray, Semantic
+from vlp16emu.world.vectors import places_m
+
+_CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
+_ROOM_SHARE, _MOST_ROOM_M = 0.15, 0.5
+"""Of a sapling's height, and at most, from its bark to that of a tree: assumption; none grows up through the foot of another."""
+_FOOT_SHARE = 0.1  # of a shrub's width, the radius within which its stems leave the ground
+
+
+@dataclass(frozen=True, slots=True)
+class LayerKind:
+    """Recipe for the things of a section of a scene."""
+
+    name: str  # key of the section
+    purpose: Growth  # what draws them
+    draws: tuple[int, ...]  # how many numbers each thing draws, together
+    lay: Callable[..., PlacedThings]  # from the layer, the site, places (n, 2) and those numbers (n, draws) to things
+    shape: FloorKind | None = None  # of what covers the ground
+    spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
+    reach_m: float = math.inf
+    """Greatest distance from the path: farther off the beam is wider than such a plant; assumption."""
+
+    @property
+    def is_ground(self) -> bool:
+        """True if it is part of the ground: without numbers, and too low for the far medium."""
+        return self.shape in GROUND_KINDS
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Things of one kind that grow or lie on the ground."""
+
+    section: Any  # what the user wrote
+    kind: LayerKind
+    species: Sequence[Any]  # of the plants that they are or were
+    season: Season
+    plants: Flora
+    pattern: PointPattern  # their places, before those on the path and in trunks are left out
+
+    def place(self, site: Site) -> PlacedThings:
+        """Things of a tile, a function of the site alone."""
+        near = site.distance_m < self.kind.reach_m
+        xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
+        rng = generator(site.seed, self.kind.purpose, site.ix, site.iy, 1)
+        return self.kind.lay(self, site, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
+
+
+def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+    """Lay out young trees."""
+    height_m = between(layer.section.height_m, draws[:, 0])
+    kind = (len(layer.species) * draws[:, 1]).astype(int)
+    room_m = np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
+    keep = site.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, height_m / SLENDERNESS / 2 + room_m)
+    trees = _grown(layer, site, xy_m, kind, height_m, draws)
+    trees["storey"] = trees["cohort"] = REGENERATION
+    trees["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
+    trees["crown_base_m"] = CROWN_BASE_SHARE * height_m
+    trees["crown_width_m"] = CROWN_WIDTH_SHARE * height_m
+    trees = trees[keep]
+    prototype_m, world_T = _scaled(trees)
+    keys = [
+        SaplingKey(layer.species[i].name, variant, height_m, layer.season)
+        for i, variant, height_m in zip(kind[keep], trees["crown_variant"].tolist(), prototype_m, strict=True)
+    ]
+    return PlacedThings(*distinct(keys), world_T, plant_surfaces(trees, SAPLING_PARTS, layer.plants), trees)
+
+
+def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+    """Lay out bushes of several stems."""
+    kind = (len(layer.species) * draws[:, 1]).astype(int)
+    limits_m = np.array([layer.species[i].height_m for i in kind]).reshape(-1, 2)
+    height_m = limits_m[:, 0] + (limits_m[:, 1] - limits_m[:, 0]) * draws[:, 0]
+    width_m = height_m * [layer.species[i].width_share for i in kind]
+    keep = site.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
+    shrubs = _grown(layer, site, xy_m, kind, height_m, draws)[keep]  # the fields of a tree that a shrub has too
+    prototype_m, world_T = _scaled(shrubs)
+    keys = [
+        ShrubKey(one.name, variant, height_m, one.width_share * height_m, layer.season)
+        for i, variant, height_m in zip(kind[keep], shrubs["crown_variant"].tolist(), prototype_m, strict=True)
+        for one in [layer.species[i]]
+    ]
+    rows = plant_surfaces(shrubs, SHRUB_PARTS, layer.plants, Semantic.SHRUB)
+    return PlacedThings(*distinct(keys), world_T, rows, NO_TREES)
+
+
+def _grown(layer: Layer, site: Site, xy_m: Array, kind: IntArray, height_m: Array, draws: Array) -> NDArray[np.void]:
+    """Return saplings and shrubs with place, height, species, brightness, and class and variant of their prototype."""
+    plants = np.zeros(len(xy_m), TREE)
+    plants["x_m"], plants["y_m"] = xy_m.T
+    plants["z_m"] = site.height_m(*xy_m.T)
+    plants["height_m"], plants["crown_azimuth_deg"] = height_m, 360 * draws[:, 2]
+    plants["crown_class"] = np.round(log(height_m) / log(_CLASS_RATIO))
+    plants["crown_variant"] = VARIANTS * draws[:, 3]
+    looks = [(one.number, one.bark_reflectance, one.leaf_reflectance) for one in layer.species]
+    number, bark, leaf = np.array(looks)[kind].T
+    plants["species"] = number
+    plants["bark_reflectance"] = bark + (2 * draws[:, 4] - 1) * BARK_SPREAD
+    plants["leaf_reflectance"] = leaf + (2 * draws[:, 5] - 1) * LEAF_SPREAD
+    return plants
+
+
+def _scaled(plants: Trees) -> tuple[list[float], Array]:
+    """Heights (n,) of the prototypes of plants, and their `world_T_shape`."""
+    prototype_m = [class_scale(_CLASS_RATIO, number) for number in plants["crown_class"].tolist()]
+    size = np.repeat((plants["height_m"] / np.array(prototype_m))[:, None], 3, axis=1)
+    return prototype_m, placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
+
+
+Mask = NDArray[np.bool_]
+_STATIONS = np.linspace(-0.5, 0.5, 9)
+"""Along a log, where the ground under it and the distance from the path are looked at."""
+_SUNK = 0.25  # share of its half height that a sound log has sunk into the ground; assumption
+_DECAY = (0.3, 1.0)
+"""Range of the decay of a log that decays: from round to oval at the third of five classes to one that lies wholly on the
+ground (decay class system for coarse woody debris in Ann. For. Sci. 67(8), 2010, f09374, table I)."""
+_DECAYED_LOWER, _DECAYED_WIDER, _DECAYED_SUNK = 0.5, 0.2, 0.5
+"""Of a log of decay 1: by how much its section is lower and wider, and sunk besides; assumptions."""
+_BREAK_AT, _BREAK_GAP, _BREAK_TURN = (0.35, 0.65), (0.02, 0.1), np.radians(12.0)
+"""Range of the place of a break and of the gap there, over the length, and half-range of the angle between the pieces;
+assumptions."""
+_PLATE_M, _PLATE_PER_DIAMETER = 1.0, 4.0
+"""Diameter of a root plate: that of a log without thickness, and its growth with the mean diameter of the log; assumption."""
+_PLATE_THICKNESS = 0.25  # over its diameter; assumption
+_PLATE_AXIS = 0.3
+"""Height of the butt over the ground, over the diameter of its plate, whose lower part stands in its pit; assumption."""
+_PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
+"""Across a plate, where the distance from the path and from trunks is looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pieces:
+    """Whole logs and pieces of broken ones, (n,) each."""
+
+    log: IntArray  # which log it is of
+    is_top: Mask  # whether it is the upper piece of a broken one
+    xy_m: Array  # (n, 2) middle
+    towards: Array  # from butt to top, rad from east
+    length_m: Array
+    wide_m: Array
+    high_m: Array
+    sunk: Array  # share of the half height
+
+    def along_m(self) -> Array:
+        """Places (n, 9, 2) along them."""
+        return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
+
+
+def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -> PlacedThings:
+    """Lay trunks along the ground under them, some with their root plate, some broken in two, some rotten."""
+    own = layer.section
+    diameter_m = between(own.diameter_m, draws[:, 0])
+    is_uprooted, is_broken = fate[:, 0] < own.uprooted, fate[:, 1] < own.broken
+    # Where a root plate still stands, the log is young.
+    decay = np.where((fate[:, 2] < own.decayed) & ~is_uprooted, between(_DECAY, fate[:, 3]), 0.0)
+    plate_m = np.where(is_uprooted, _PLATE_M + _PLATE_PER_DIAMETER * diameter_m, 0.0)
+    whole = _Pieces(
+        log=np.arange(len(xy_m)),
+        is_top=np.zeros(len(xy_m), np.bool_),
+        xy_m=xy_m,
+        towards=2 * np.pi * draws[:, 2],
+        length_m=between(own.length_m, draws[:, 1]),
+        wide_m=diameter_m * (1 + _DECAYED_WIDER * decay),
+        high_m=diameter_m * (1 - _DECAYED_LOWER * decay),
+        sunk=_SUNK + _DECAYED_SUNK * decay,
+    )
+    pieces = _broken(whole, is_broken, fate[:, 4:])
+    world_T = _laid_down(pieces, site, plate_m)
+    keep = _free(pieces, site) & _free_plates(pieces, plate_m, site)
+    keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
+    species, looks = _sampled_species(layer, draws)[pieces.log], draws[pieces.log]
+    log_looks = np.where(pieces.is_top[:, None], looks[:, [6, 5]], looks[:, 4:6])
+    in_two, has_plate = is_broken[pieces.log], (plate_m[pieces.log] > 0) & ~pieces.is_top
+    butt_T = _plates(world_T, pieces, plate_m)
+    return together(
+        [
+            labelled(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
+            labelled(FloorKind.BROKEN_LOG, keep & in_two, world_T, log_looks, species=species),
+            labelled(FloorKind.ROOT_PLATE, keep & has_plate, butt_T, looks[:, [7, 5]], species=species),
+        ]
+    )
+
+
+def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+    """Lay out what is left of trees that were felled or broke."""
+    own, species = layer.section, _sampled_species(layer, draws)
+    diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
+    keep = site.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
+    place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
+    size = np.column_stack([diameter_m, diameter_m, height_m])
+    world_T = placements(place_m, turned(360 * draws[:, 2]), size)
+    is_broken = draws[:, 6] < own.broken
+    kinds = (FloorKind.STUMP, keep & ~is_broken), (FloorKind.BROKEN_STUMP, keep & is_broken)
+    return together([labelled(kind, which, world_T, draws[:, 4:], species=species) for kind, which in kinds])
+
+
+def _sampled_species(layer: Layer, draws: Array) -> IntArray:
+    numbers = np.array([tree.number for tree in layer.species], np.int64)
+    return numbers[(len(numbers) * draws[:, 3]).astype(int)]
+
+
+def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
+    """Break some of the logs (n,) in two; draws (n, 3) say where, how far apart, and at what angle."""
+    at, gap = between(_BREAK_AT, draws[:, 0]), between(_BREAK_GAP, draws[:, 1])
+    turn = np.where(is_broken, _BREAK_TURN * (2 * draws[:, 2] - 1), 0.0)
+    share = np.where(is_broken, at, 1.0)
+    butt = _piece(whole, -0.5 + share / 2, share, is_broken)
+    # The upper piece is turned about its lower end.
+    low, length_m = (at + gap - 0.5) * whole.length_m, (1 - at - gap) * whole.length_m
+    end_m = _line_m(whole.xy_m, whole.towards, low[:, None])[:, 0]
+    top = replace(
+        _piece(whole, at / 2, 1 - at - gap, is_broken),
+        xy_m=_line_m(end_m, whole.towards + turn, length_m[:, None] / 2)[:, 0],
+        towards=whole.towards + turn,
+        is_top=is_broken,
+    )
+    both = ((getattr(butt, field.name), getattr(top, field.name)) for field in fields(_Pieces))
+    return _Pieces(*(np.concatenate([lower, upper[is_broken]]) for lower, upper in both))
+
+
+def _piece(whole: _Pieces, middle: Array, share: Array, is_broken: Mask) -> _Pieces:
+    """Cut pieces (n,) out of logs, about middles and of lengths that are shares of theirs; as thick as the logs are there."""
+    thick = np.where(is_broken, 1 - 2 * LOG_TAPER * middle, 1.0)
+    return replace(
+        whole,
+        xy_m=_line_m(whole.xy_m, whole.towards, (middle * whole.length_m)[:, None])[:, 0],
+        length_m=share * whole.length_m,
+        wide_m=thick * whole.wide_m,
+        high_m=thick * whole.high_m,
+    )
+
+
+def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
+    """`world_T_shape` (n, 3, 4) of pieces on the ground; the butts of those with plates of diameters (logs,) are raised."""
+    station_m = pieces.length_m[:, None] * _STATIONS
+    ground_m = site.height_m(*np.moveaxis(pieces.along_m(), -1, 0))
+    # Straight line of least squares through the ground at evenly spaced stations.
+    slope = (ground_m * station_m).sum(axis=1) / (np.square(station_m)).sum(axis=1)
+    rest_m = (1 - pieces.sunk) * pieces.high_m / 2
+    butt_m = np.where(pieces.is_top, 0.0, _PLATE_AXIS * plate_m[pieces.log])
+    lift_m = np.maximum(butt_m - rest_m, 0.0)
+    z_m = ground_m.mean(axis=1) + rest_m + lift_m / 2
+    world_R_log = laid(pieces.towards, slope - lift_m / pieces.length_m)
+    size = np.column_stack([pieces.length_m, pieces.wide_m, pieces.high_m])
+    return placements(np.column_stack([pieces.xy_m, z_m]), world_R_log, size)
+
+
+def _plates(world_T: Array, pieces: _Pieces, plate_m: Array) -> Array:
+    """`world_T_shape` (n, 3, 4) of root plates at the butts of pieces, across them; of diameters (logs,)."""
+    along = world_T[:, :, 0] / pieces.length_m[:, None]
+    rise = along[:, 2] / hypot(along[:, 0], along[:, 1])
+    size = plate_m[pieces.log, None] * [_PLATE_THICKNESS, 1.0, 1.0]
+    return placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, laid(pieces.towards, rise), size)
+
+
+def _free(pieces: _Pieces, site: Site) -> Mask:
+    radius_m = np.repeat(pieces.wide_m / 2, len(_STATIONS))
+    along_m = pieces.along_m()
+    clear = site.clear(along_m.reshape(-1, 2), radius_m, radius_m).reshape(along_m.shape[:2])
+    return np.asarray(clear.all(axis=1))
+
+
+def _free_plates(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
+    """Which pieces (n,) have a root plate that keeps clear of the path and of trunks, or none."""
+    clear = np.ones(len(pieces.log), np.bool_)
+    own = np.flatnonzero(~pieces.is_top & (plate_m[pieces.log] > 0))
+    wide_m = plate_m[pieces.log[own]]
+    butt_m = _line_m(pieces.xy_m[own], pieces.towards[own], -pieces.length_m[own, None] / 2)[:, 0]
+    across_m = _line_m(butt_m, pieces.towards[own] + np.pi / 2, wide_m[:, None] * _PLATE_STATIONS)
+    reach_m = np.repeat(_PLATE_THICKNESS * wide_m, len(_PLATE_STATIONS))
+    found = site.clear(across_m.reshape(-1, 2), reach_m, reach_m)
+    clear[own] = found.reshape(across_m.shape[:2]).all(axis=1)
+    return clear
+
+
+def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
+    """Places (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
+    away = np.stack([cos(towards), sin(towards)], axis=-1)
+    return xy_m[:, None] + along_m[..., None] * away[:, None]
+
+
+_SQRT_2_PI = 2.50662827463100050242
+_TAIL = 0.13533528323661269189  # exp(-2): where the approximation of the tails takes over from that of the middle
+_MIDDLE = (
+    (-5.99633501014107895267e1, 9.80010754185999661536e1, -5.66762857469070293439e1, 1.39312609387279679503e1, -1.23916583867381258016e0),
+    (1.0, 1.95448858338141759834e0, 4.67627912898881538453e0, 8.63602421390890590575e1, -2.25462687854119370527e2, 2.00260212380060660359e2, -8.20372256168333339912e1, 1.59056225126211695515e1, -1.18331621121330003142e0),
+)  # fmt: skip
+_TAILS = (
+    (4.05544892305962419923e0, 3.15251094599893866154e1, 5.71628192246421288162e1, 4.40805073893200834700e1, 1.46849561928858024014e1, 2.18663306850790267539e0, -1.40256079171354495875e-1, -3.50424626827848203418e-2, -8.57456785154685413611e-4),
+    (1.0, 1.57799883256466749731e1, 4.53907635128879210584e1, 4.13172038254672030440e1, 1.50425385692907503408e1, 2.50464946208309415979e0, -1.42182922854787788574e-1, -3.80806407691578277194e-2, -9.33259480895457427372e-4),
+)  # fmt: skip
+"""Numerators and denominators, highest power first (Moshier, Cephes Mathematical Library, ndtri.c)."""
+
+
+def normal_quantile(probability: Array) -> Array:
+    """Return the standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, within 1e-15 of their size."""
+    off = probability - 0.5
+    square = off * off
+    middle = (off + off * (square * _ratio(_MIDDLE, square))) * _SQRT_2_PI
+    tail = np.minimum(np.minimum(probability, 1.0 - probability), _TAIL)
+    far = np.sqrt(-2.0 * log(tail))
+    far = far - log(far) / far - _ratio(_TAILS, 1.0 / far) / far
+    return np.where(tail < _TAIL, np.copysign(far, off), middle)
+
+
+def _ratio(fraction: tuple[tuple[float, ...], tuple[float, ...]], x: Array) -> Array:
+    above, below = (np.polyval(np.array(coefficients), x) for coefficients in fraction)
+    return above / below
+
 
 _STONE_M = (0.1, 1.5)  # least and greatest length of a stone; assumption
-
 _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
 """Of the log-normal distribution of lengths, before it is cut at both ends; assumptions."""
-
 _STONE_SHARES = (0.0944070172326103, 0.999311242465033)
 """Of the uncut distribution, the shares below the least and the greatest length."""
-
 _STONE_BURIED = (0.3, 0.6)  # range of the share of a stone's height that is in the ground; assumption
 _STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6  # over its length; assumptions
 _LARGE_STONE_M = 0.4  # stones that long have four times the faces; those of shorter ones are off by less than 3 mm
@@ -182,7 +509,6 @@ def _lay_low(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThing
 
 
 def _along(height_m: HeightField, xy_m: Array) -> Array:
-    """Rotations (n, 3, 3) from level to the slope of the ground at points (n, 2)."""
     x, y = xy_m.T
     east = (height_m(x + _SLOPE_M, y) - height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
     north = (height_m(x, y + _SLOPE_M) - height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
@@ -203,4 +529,4 @@ _KINDS: dict[type[Section], LayerKind] = {
     Moss: LayerKind("moss", Growth.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
     Litter: LayerKind("litter", Growth.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
 }
-"""By section, in the order of their numbers."""
+"""Kinds of layers by section, in the order of their numbers."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
@@ -46,23 +46,19 @@ TREE = np.dtype(
     ]
 )
 """One tree."""
-
 REGENERATION = 255
 """Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
-
 _CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
 _TOP_DBH_RATIO = 1.25  # diameter of the stand's top height trees over its quadratic mean diameter; assumption
 _OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
-
 _LONE_CROWN_BASE = 0.35
 """Height of the lowest branch of a tree that stands alone over that of one in a closed stand; assumption."""
-
 _LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the path: above a walker's head
 _STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
-
-
+_MOST_BASAL_M2_PER_HA = 350.0
+"""Of all storeys: coast redwoods, the densest known, have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59)."""
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
@@ -104,7 +100,7 @@ def foot_discs(trees: Trees, *, table: Table | None = None) -> Array:
 
 
 def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
-    """Where stems are in a walker's way, (n, 2) each: at the foot, and above the head."""
+    """Return the places of stems in a walker's way, (n, 2) each: at the foot, and above the head."""
     foot = places_m(trees, "xy")
     towards = np.radians(trees["lean_towards_deg"])
     shift = _HEAD_ROOM_M * tan(np.radians(trees["lean_deg"]))
@@ -114,8 +110,7 @@ def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
 def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
     """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
     foot, above = in_the_way_m(trees)
-    gap_m: Array = np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
-    return gap_m
+    return np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
 
 
 def density_per_ha(storey: Storey) -> float:
@@ -125,14 +120,22 @@ def density_per_ha(storey: Storey) -> float:
     """
     if storey.stems_per_ha:
         return storey.stems_per_ha
-    share = np.array([one.share for one in storey.species])
-    stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
     basal_m2 = storey.basal_area_m2_per_ha
-    per_ha = basal_m2 / float(np.average(stem_m2, weights=share))
+    per_ha = basal_m2 / _stem_m2(storey)
     if per_ha > MOST_STEMS_PER_HA:
         found = f"found {basal_m2:g}, {per_ha:.0f} stems of that size per ha"
         raise GeometryError("basal_area_m2_per_ha", found, f"at most {MOST_STEMS_PER_HA}")
     return per_ha
+
+
+def _stem_m2(storey: Storey) -> float:
+    share = np.array([one.share for one in storey.species])
+    stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
+    return float(np.average(stem_m2, weights=share))
+
+
+def _basal_area_m2_per_ha(storey: Storey) -> float:
+    return density_per_ha(storey) * _stem_m2(storey)
 
 
 class Stand:
@@ -162,6 +165,10 @@ class Stand:
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         self.species = [share.species for share in section.species]  # of the canopy
+        basal_m2 = sum(map(_basal_area_m2_per_ha, storeys))
+        if basal_m2 > _MOST_BASAL_M2_PER_HA:
+            found = f"found a basal area of {basal_m2:.0f} m2 per ha"
+            raise GeometryError("stems_per_ha", found, f"at most {_MOST_BASAL_M2_PER_HA:g}: fewer or thinner stems")
         crown_m2 = sum(_crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True))
         cover = crown_m2 / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
@@ -180,8 +187,7 @@ class Stand:
         thicker = rivals[:, 3] > own[:, None, 3]
         beaten = ((dx * dx + dy * dy < gap_m * gap_m) & thicker).any(axis=1)
         clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
-        standing: Trees = trees[~beaten & clear]
-        return standing
+        return trees[~beaten & clear]
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
         """All that are sown on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
@@ -247,7 +253,7 @@ def _projection_m2(crown_width_m: Array) -> Array:
 
 
 def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Trees:
-    """Give trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
+    """Set for trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
     species = cohort.species
     dbh_cm = cohort.dbh_cm(uniform[:, 0])
     height_m = cohort.height_m(dbh_cm) * exp(species.height_spread * normal)

@@ -31,36 +31,28 @@ from vlp16emu.types import Array, IntArray, Sway, Window
 from vlp16emu.world.settings import Wind
 
 Stand = NDArray[np.void]
-
 ALONG, ACROSS = 0, 1
 """Components of the gusts' speed: with the mean wind, and level to the left of it."""
-
 _LINES = 256
 _SLOWEST = 0.003  # frequency times gust length over wind speed under which one line stands for all: 1.2 % of the energy
 _FASTEST_HZ = 5.0  # frequency over which one line stands for all: no tree follows it
-
 _DEVIATION = (1.0, 0.8)
 _LENGTH = (1.0, 2.7 / 8.1)  # of the gusts' components, over those along the wind (IEC 61400-1 ed. 3, table B.1)
-
 _DECAY = 10.0
 """Of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
 (Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
-
 KNOT_NS = 100_000_000
 """Between two knots trees move straight on. A tree that swings with amplitude A at f is then off by up to
 A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz; gusts quicker than it made that up to 2.2 times as much. What a window costs to open grows with the number of knots."""
-
 _AIR_KG_M3 = 1.2
 _FRICTION_SHARE = 0.3
 """Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
 78, 1996, table 1: 1 / 3.3)."""
 _SHELTERED = 0.2  # drag on a tree of a lower storey over that on one of the canopy with such a crown; assumption
 _BARE = 0.4  # drag on a crown without leaves over that with leaves; assumption
-
 _IN_LEAF = 0.8
 """Frequency of a broadleaved tree in leaf over that of a conifer of its size. That leaves lower it: Jackson et al.,
 J R Soc Interface 16, 20190116, 2019; by how much: assumption."""
-
 _GREEN_WOOD_KG_M3 = 900.0  # of stems with bark and sap; assumption, fresh logs have 700 to 1100
 _CROWN_MASS = 0.3
 """Branches and leaves over the stem (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors of
@@ -126,7 +118,6 @@ def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _waves(omega_rad_s: Array, t_s: Array, cosine: Array, sine: Array) -> None:
-    """Fill the waves (n, k) of all lines."""
     for line in range(len(omega_rad_s)):
         for k in range(len(t_s)):
             turned = omega_rad_s[line] * t_s[k]
@@ -156,7 +147,7 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """How n trees answer the wind."""
+    """Response of n trees to the wind."""
 
     frequency_hz: Array  # (n,) undamped, of the first swing
     lean_per_stress: Array  # (n,) lean, as a tangent, for each Pa of the wind's shear stress on the canopy
@@ -220,7 +211,7 @@ class TreeSway:
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: Array, start_ns: int, stop_ns: int) -> Window:
-        """Give a window, that of positions (n, 3), the motion of its trees over a span of UTC."""
+        """Return `window`, of positions (n, 3), with the sway of its trees between `start_ns` and `stop_ns`, UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
         trees = trees[np.argsort(trees["id"], kind="stable")]

@@ -1,41 +1,36 @@
-"""Sapling prototypes: a thin stem from the ground with branches and leaves, grown once for a species and height."""
+"""Prototypes of saplings, a thin stem with branches, and of shrubs, several stems; grown once for a species, size and variant."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from vlp16emu.elementary import atan2, cos, hypot, sin
-from vlp16emu.forest.plants.branches import first_order, side_branches, tubes
-from vlp16emu.forest.plants.flora import Table, species_table
+from vlp16emu.forest.plants.branches import first_order, ground_stems, side_branches, tubes
+from vlp16emu.forest.plants.flora import Table, shrub_table, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
-from vlp16emu.forest.plants.meshes import NO_LEAVES, closed
+from vlp16emu.forest.plants.meshes import NO_LEAVES
 from vlp16emu.forest.plants.settings import Season
-from vlp16emu.forest.plants.species import Habit
+from vlp16emu.forest.plants.species import Habit, Shrub
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator
 from vlp16emu.types import Array, Mesh, PlantPart
+from vlp16emu.world.vectors import closed
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
-
 SLENDERNESS = 80.0
 """Height of a sapling over the diameter of its stem at the ground; the stem is a cone; assumptions."""
-
 CROWN_BASE_SHARE, CROWN_WIDTH_SHARE = 0.1, 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""
-
 _LEAF_AREA_INDEX = 2.0  # of a sapling in the shade on the ground under it; assumption
 _FEWEST_WHORLS = 6  # however small it is; assumption
-
 _STEM_SIDES, _BRANCH_SIDES = 6, 4
-
 _EVERY = 2  # of the nodes of a branch's curve, one in so many is used
-
 _LEAN, _BOW, _SWAY, _LOPSIDED = 0.15, 0.08, 0.03, 0.5
 """Of saplings at most: how far the tip is aside, how far the stem bows one way and to and fro, all over the height, and by how
 much the crown reaches further on one side; assumptions."""
-
 _CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)  # heights of a stem's rings over its own
 _BURIED_SHARE = 0.05  # of the height, how far the stem reaches into the ground
 
@@ -75,7 +70,7 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
 
 
 def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
-    """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height."""
+    """Return a sapling that leans, bows and reaches further to the light; its stem has the same sections and height."""
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m
     if len(vertices_m) == 4 * len(mesh.faces):  # leaves are moved, not stretched
@@ -121,3 +116,39 @@ def _cone(foot_m: float, height_m: float) -> Mesh:
     x_m, y_m, z_m = np.outer(corner_m, cos(angle)), np.outer(corner_m, sin(angle)), z[:, None]
     rings_m = np.stack([x_m, y_m, np.broadcast_to(z_m, x_m.shape)], axis=-1)
     return closed(rings_m, np.array([[0, 0, z[0]], [0, 0, height_m]]))
+
+
+SHRUB_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)
+"""Of the meshes of a shrub, in order. A mesh without faces stands where it has no such part."""
+_TWIG_SIDES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ShrubKey:
+    """Name of a shrub's shape, and with the seed all that it is grown from."""
+
+    species: str
+    variant: int
+    height_m: float
+    width_m: float
+    season: Season
+
+    @property
+    def projection_m2(self) -> float:
+        """Ground that it covers."""
+        return np.pi / 4 * self.width_m * self.width_m
+
+
+def shrub_meshes(seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None) -> tuple[Mesh, Mesh, Mesh]:
+    """Meshes of `SHRUB_PARTS`, its origin on the ground and z up, with its kind's leaf area index on the ground that it covers."""
+    shrub = (table or shrub_table())[key.species]
+    size = round(key.height_m * 1e3), round(key.width_m * 1e3)
+    rng = generator(seed, Growth.SHRUB, shrub.number, key.variant, *size)
+    bend_deg = shrub.droop_deg, shrub.crook_deg
+    stems = ground_stems(rng, (key.height_m, key.width_m), shrub.stems, shrub.rise_deg, bend_deg, shrub.slenderness)
+    twigs = side_branches(rng, shrub.twigs, stems, 2)
+    leaves = NO_LEAVES
+    if shrub.foliage.is_borne(key.season):
+        leaf_area_m2 = shrub.leaf_area_index * key.projection_m2
+        leaves = foliage_mesh(rng, shrub.foliage, twigs, leaf_area_m2)
+    return tubes(stems, _STEM_SIDES), tubes(twigs, _TWIG_SIDES), leaves
