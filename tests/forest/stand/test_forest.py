@@ -13,7 +13,7 @@ from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import distance_m
 
-THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=4.0, height_m=5.0)
+THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=5.0, height_m=6.0)
 
 
 def mesh_bytes(meshes):
