@@ -34,6 +34,7 @@ FLOORS = (
         "errors",
         "explain",
         "kernels",
+        "options",
         "output",
         "random",
         "settings",

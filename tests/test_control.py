@@ -75,7 +75,7 @@ class Live:
         self.thread = threading.Thread(target=self._run, kwargs=options)
 
     def _run(self, saved=None, **options):
-        http = Http("127.0.0.1", 0, saved, self._serving)
+        http = Http("127.0.0.1:0", saved, self._serving)
         self.streamed = self.emulator.stream(http=http, stop=self.stop, **options)
 
     def _serving(self, places):
@@ -132,7 +132,7 @@ def test_a_return_mode_is_followed_without_a_gap(receiver, tmp_path):
     assert [event.kind for event in scenario.events] == ["setting"]
     again = [p.payload for p in Emulator(scenario).packets() if p.kind is PacketKind.DATA]
     assert again[: len(payloads)] == payloads[: len(again)]
-    assert not live.streamed.skipped_packets
+    assert not live.streamed.sent.skipped["data"]
 
 
 def azimuths(payload):

@@ -126,7 +126,7 @@ def test_what_was_flown_repeats_the_run_byte_for_byte(flown):
         assert all(payload in repeated for payload in sent), kind  # `in` goes on from where it was
         assert len(sent) > 0.5 * len(flown.repeated[kind])
     streamed = flown.streamed
-    missing = streamed.skipped_packets + 4 * round(streamed.live.left_out_s / 0.005308416)
+    missing = streamed.sent.skipped["data"] + 4 * round(streamed.live.left_out_s / 0.005308416)
     short = len(flown.repeated[PacketKind.DATA]) - len(flown.sent[PacketKind.DATA]) - missing
     assert -4 < short <= 0  # the last step has up to three packets less
 
@@ -157,7 +157,7 @@ def test_lost_poses_are_reported_and_survived(flown):
     (lost,) = live.lost
     assert lost.lasted_s == pytest.approx(1.2, abs=0.3)
     assert live.refused > 0.9 * live.poses  # beside each pose there was noise
-    assert flown.streamed.simulated_s == pytest.approx(RUN_S, abs=0.1)
+    assert flown.streamed.sent.simulated_s == pytest.approx(RUN_S, abs=0.1)
 
 
 def test_packets_follow_poses_soon(flown):
@@ -195,11 +195,11 @@ def test_a_flight_is_put_into_the_present():
     streamed = emulator.stream(duration_s=0.3, poses=PosesIn(news=lambda _: bring()), now=True)
     data.over.set()
     data.join()
-    first = streamed.first
-    assert streamed.moved_s > 0
-    assert abs(first.sensor_ns - first.truth_ns - streamed.moved_s * S_NS) < US_NS  # stamps are whole us
+    first = streamed.sent.first
+    assert streamed.sent.moved_s > 0
+    assert abs(first.sensor_ns - first.truth_ns - streamed.sent.moved_s * S_NS) < US_NS  # stamps are whole us
     assert abs(first.host_ns - first.sensor_ns) < 100 * MS_NS  # a busy machine; idle it is below ten
-    start_us = (emulator.scenario.start_ns // US_NS + streamed.moved_s * 1_000_000) % 3_600_000_000
+    start_us = (emulator.scenario.start_ns // US_NS + streamed.sent.moved_s * 1_000_000) % 3_600_000_000
     assert int.from_bytes(data.payloads[0][1200:1204], "little") - start_us < 250_000
 
 

@@ -52,8 +52,8 @@ def test_a_capture_is_sent_as_it_is(capture, listening):
         payloads = [datagram.payload for datagram in datagrams]
     assert received(listening) == payloads
     assert report.packets + report.position_packets == len(payloads)
-    assert report.capture_s == pytest.approx(0.3, abs=0.01)
-    assert (report.passes, report.moved_s, report.left_out, report.interrupted) == (1, 0, 0, False)
+    assert report.sent.simulated_s == pytest.approx(0.3, abs=0.01)
+    assert (report.passes, report.sent.moved_s, report.left_out, report.interrupted) == (1, 0, 0, False)
 
 
 def test_time_goes_on_from_pass_to_pass(capture):
@@ -93,8 +93,8 @@ def test_the_present_is_in_the_bytes(capture, listening):
     arrived = received(listening)
     for packet, payload in zip(Replay(capture), arrived, strict=True):
         stamp_us = int.from_bytes(payload[1200:1204] if len(payload) == 1206 else payload[198:202], "little")
-        assert stamp_us * 1000 == (stamp_ns(packet) + report.moved_s * S_NS) % HOUR_NS
-    assert report.moved_s != 0
+        assert stamp_us * 1000 == (stamp_ns(packet) + report.sent.moved_s * S_NS) % HOUR_NS
+    assert report.sent.moved_s != 0
 
 
 def test_what_cannot_be_replayed_is_refused(capture, tmp_path):

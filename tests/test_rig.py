@@ -90,7 +90,7 @@ def test_each_unit_has_a_capture_of_its_own(rig, tmp_path):
 def test_what_is_prepared_cannot_be_set(rig, tmp_path):
     """A prepared stream with web interfaces is refused before anything is computed."""
     with pytest.raises(InputError, match="--http: found beside --prepare"):
-        rig[0].stream(prepare=tmp_path / "rig.pcap", http=Http("127.0.0.1", 0))
+        rig[0].stream(prepare=tmp_path / "rig.pcap", http=Http("127.0.0.1:0"))
     assert list(tmp_path.iterdir()) == []
 
 

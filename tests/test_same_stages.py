@@ -70,13 +70,6 @@ def test_a_planted_difference_is_found_at_its_stage(check, hall, name):
     assert out.endswith("different: one thread\n")
 
 
-def test_the_first_stage_is_named(check, hall):
-    """Where several stages differ, the table names the first one in the order of the chain."""
-    code, out = check(lambda _: nudged(nudged(hall, MANY[4]), MANY[3]), "--only", "one thread")
-    assert code == 1
-    assert "| one thread | - | **hits** (same bytes) |" in out
-
-
 def test_the_same_arrays_pass(check, hall):
     """Arrays that are the same give exit code 0, and an environment that changes no answer is said to have no effect."""
     code, out = check(lambda _: hall)

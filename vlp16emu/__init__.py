@@ -11,15 +11,13 @@ from vlp16emu.kernels.hook import keep_compiled
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
-    from vlp16emu.extras.bench.gps_in import GpsIn
-    from vlp16emu.extras.bench.outlets import Outlets
     from vlp16emu.extras.clouds.points import write_points
     from vlp16emu.extras.images.images import write_images
     from vlp16emu.extras.truth.truth import write_truth
     from vlp16emu.extras.verify import Finding, Verification, verify
-    from vlp16emu.run.options import Http, PosesIn, TruthTo
-    from vlp16emu.run.record import Recording
+    from vlp16emu.run.options import GpsIn, Http, Outlets, PosesIn, TruthTo
     from vlp16emu.run.replay import Replayed, replay
+    from vlp16emu.run.report import Recording
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
 
@@ -49,12 +47,12 @@ __all__ = [
 _PLACES = {
     "Emulator": "emulator",
     "Finding": "extras.verify",
-    "GpsIn": "extras.bench.gps_in",
+    "GpsIn": "run.options",
     "Http": "run.options",
     "Labels": "scan",
-    "Outlets": "extras.bench.outlets",
+    "Outlets": "run.options",
     "PosesIn": "run.options",
-    "Recording": "run.record",
+    "Recording": "run.report",
     "Replayed": "run.replay",
     "Scan": "scan",
     "Scenario": "scenario",

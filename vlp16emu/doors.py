@@ -38,7 +38,30 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "scenes": {},  # folders of scene files
     "clouds": {},  # suffix -> writer; ours are in `extras/clouds`
-    "verbs": {},  # name -> function; ours are in `cli/app.py`
+    "verbs": {  # in the order of the help
+        "record": "vlp16emu.cli.record:record",
+        "stream": "vlp16emu.cli.stream:stream",
+        "replay": "vlp16emu.cli.stream:replay",
+        "decode": "vlp16emu.cli.decode:decode",
+        "verify": "vlp16emu.cli.verify:verify",
+        "scenes": "vlp16emu.cli.scenes:scenes",
+        "schema": "vlp16emu.cli.scenes:schema",
+        "plan": "vlp16emu.cli.plan:plan",
+        "doctor": "vlp16emu.cli.doctor:doctor",
+        "cache": "vlp16emu.cli.cache:cache",
+        "truth": "vlp16emu.cli.truth:truth",
+        "points": "vlp16emu.cli.points:points",
+        "bag": "vlp16emu.cli.bag:bag",
+        "images": "vlp16emu.cli.images:images",
+        "picture": "vlp16emu.cli.picture:picture",
+        "view": "vlp16emu.cli.view:view",
+        "dataset": "vlp16emu.cli.dataset:dataset",
+        "score": "vlp16emu.cli.score:score",
+        "compare": "vlp16emu.cli.compare:compare",
+        "fit": "vlp16emu.cli.compare:fit",
+        "forest": "vlp16emu.cli.forest:forest",
+        "accuracy": "vlp16emu.cli.accuracy:accuracy",
+    },
     "parts": {
         "audit": "vlp16emu.extras.accuracy.audit:Audit",
         "bag": "vlp16emu.extras.bag:bag_of_run",
@@ -48,10 +71,12 @@ DOORS: dict[str, dict[str, str]] = {
         "events_schema": "vlp16emu.extras.bench.events:tables",
         "far": "vlp16emu.foliage.far_caster:FarCaster",
         "faults": "vlp16emu.extras.bench.faults:arriving",
+        "gps_in": "vlp16emu.extras.bench.gps_in:GpsReader",
         "forest_site": "vlp16emu.forest.make:ForestSite",
         "hall_site": "vlp16emu.world.hall:HallSite",
         "live": "vlp16emu.extras.live.flight:flying",
         "live_motion": "vlp16emu.extras.live.motion:live_motion",
+        "outlets": "vlp16emu.extras.bench.outlets:Ways",
         "truth": "vlp16emu.extras.truth.truth:Truth",
         "truth_of_records": "vlp16emu.extras.truth.behind:slots_of",
         "web": "vlp16emu.extras.bench.control:web_interfaces",
@@ -92,12 +117,12 @@ def has_door(name: str, group: str = "parts") -> bool:
 
 
 def added(group: str) -> Iterator[tuple[str, Any]]:
-    """Yield name and object of all that other packages add to a group; a warning names those that cannot be loaded."""
+    """Yield name and object of all that other packages add to a group, but for what cannot be loaded."""
     for name, entry in _added(group).items():
         try:
             yield name, _load(entry)
         except InputError as error:
-            _log.warning("%s", error)
+            _log.info("%s", error)  # whoever asks for it by name gets the line as an error
 
 
 @cache

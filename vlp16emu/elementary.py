@@ -27,26 +27,17 @@ _WHOLE = 6755399441055744.0
 _TINY = 2.0**-1022
 """Smallest normal number."""
 _HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
-"""Three times 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
+"""pi / 2: three times 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
 _LARGEST_RAD = 1e12
 _LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-"""Its first 33 bits, so that products with exponents are exact, and the rest."""
+"""ln 2: its first 33 bits, so that products with exponents are exact, and the rest."""
 
 
-class _Unary(Protocol):
+class _Elementary(Protocol):
     @overload
-    def __call__(self, x: float, /) -> float: ...
+    def __call__(self, *x: float) -> float: ...  # type: ignore[overload-overlap]  # numbers are no arrays
     @overload
-    def __call__(self, x: _Numbers, /) -> _Floats: ...
-
-
-class _Binary(Protocol):
-    @overload
-    def __call__(self, x: float, y: float, /) -> float: ...
-    @overload
-    def __call__(self, x: _Numbers | float, y: _Numbers, /) -> _Floats: ...
-    @overload
-    def __call__(self, x: _Numbers, y: _Numbers | float, /) -> _Floats: ...
+    def __call__(self, *x: _Numbers | float) -> _Floats: ...
 
 
 class _Both:
@@ -105,12 +96,8 @@ def _inlined(function: Callable[..., Any]) -> _Both:
     return _Both(function, inlined=True)
 
 
-def _unary(function: Callable[[Any], Any]) -> _Unary:
-    return cast("_Unary", _Broadcast(function))
-
-
-def _binary(function: Callable[[Any, Any], Any]) -> _Binary:
-    return cast("_Binary", _Broadcast(function))
+def _elementary(function: Callable[..., Any]) -> _Elementary:
+    return cast("_Elementary", _Broadcast(function))
 
 
 def _pick(condition: Any, a: Any, b: Any) -> Any:
@@ -128,7 +115,7 @@ def _number(bits: Any) -> Any:
 
 
 def _as_instruction(function: Callable[..., Any], typed: Any, emit: Callable[..., Any], *sorts: Any) -> None:
-    """Say which instruction of LLVM kernels take for `function`: nothing is compiled apart."""
+    """Register the LLVM instruction that kernels take for `function`."""
     numba.extending.type_callable(function)(lambda _context: typed)
     numba.extending.lower_builtin(function, *sorts)(lambda _context, builder, _typed, values: emit(builder, values))
 
@@ -187,25 +174,25 @@ def _cos_sin(x: Any) -> tuple[Any, Any]:
     return cosine, _pick(abs(x) < 2.0**-27, x, _pick((quarter & 2) != 0, -sine, sine))
 
 
-@_unary
+@_elementary
 def sin(x: Any) -> Any:
     """Sine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[1]
 
 
-@_unary
+@_elementary
 def cos(x: Any) -> Any:
     """Cosine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[0]
 
 
-@_unary
+@_elementary
 def tan(x: Any) -> Any:
     """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return sin(x) / cos(x)
 
 
-@_binary
+@_elementary
 def atan2(y: Any, x: Any) -> Any:
     """Angle of (x, y) from the x axis, -pi .. pi, within 1.5 ulp; zeros have signs, as in IEEE 754.
 
@@ -240,19 +227,19 @@ def atan2(y: Any, x: Any) -> Any:
     return _pick(_bits(y) < 0, -angle, angle)
 
 
-@_unary
+@_elementary
 def asin(x: Any) -> Any:
     """Arcsine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
-@_unary
+@_elementary
 def acos(x: Any) -> Any:
     """Arccosine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
-@_unary
+@_elementary
 def exp(x: Any) -> Any:
     """Exponential, within 1 ulp: e_exp.c."""
     x = _pick(x > 720.0, 720.0, _pick(x < -750.0, -750.0, x))
@@ -269,7 +256,7 @@ def exp(x: Any) -> Any:
     return y * _number((_bits(half) + 1023) << 52) * _number((_bits(other) + 1023) << 52)
 
 
-@_unary
+@_elementary
 def expm1(x: Any) -> Any:
     """Return exp(x) - 1, within 3 ulp: Kahan's quotient of two values that are off alike (Higham 2002, section 1.14.1)."""
     y = exp(x)
@@ -293,7 +280,7 @@ def log_of_normal(x: Any) -> Any:
     return e * _LN2[0] - ((half - (s * (half + rest) + e * _LN2[1])) - f)
 
 
-@_unary
+@_elementary
 def log(x: Any) -> Any:
     """Logarithm, within 1 ulp; minus infinity of 0, and NaN below."""
     subnormal = x < _TINY
@@ -301,7 +288,7 @@ def log(x: Any) -> Any:
     return _pick((x > 0.0) & (x < math.inf), y, _pick(x == 0.0, -math.inf, _pick(x < 0.0, math.nan, x)))
 
 
-@_unary
+@_elementary
 def log1p(x: Any) -> Any:
     """Return log(1 + x), within 2 ulp, by a quotient as in `expm1` (Higham 2002, problem 1.5)."""
     y = 1.0 + x
@@ -309,13 +296,13 @@ def log1p(x: Any) -> Any:
     return _pick(y == 1.0, x, _pick(x < 2.0**53, quotient, log(y)))
 
 
-@_binary
+@_elementary
 def power(base: Any, exponent: Any) -> Any:
     """Power of a base from 0 on, within 1 + 2 * |exponent * log(base)| ulp: not for large exponents."""
     return _pick(exponent == 0.0, 1.0, exp(exponent * log(base)))
 
 
-@_unary
+@_elementary
 def tanh(x: Any) -> Any:
     """Hyperbolic tangent, within 4.5 ulp: s_tanh.c."""
     t = expm1(-2.0 * abs(x))
@@ -323,7 +310,7 @@ def tanh(x: Any) -> Any:
     return _pick(x == 0.0, x, _pick(x < 0.0, -y, y))
 
 
-@_binary
+@_elementary
 def hypot(x: Any, y: Any) -> Any:
     """Root of the sum of squares, within 1 ulp, of numbers whose squares are neither infinite nor subnormal."""
     return np.sqrt(x * x + y * y)
@@ -350,7 +337,7 @@ def _fill(which: int, x: _Floats, y: _Floats, out: _Floats) -> None:
 
 
 def norm(vectors: _Floats) -> Any:
-    """Lengths of vectors (..., n), whose squares are summed from the first component on."""
+    """Return lengths of vectors (..., n), whose squares are summed from the first component on."""
     total = vectors[..., 0] * vectors[..., 0]
     for i in range(1, vectors.shape[-1]):
         total = total + vectors[..., i] * vectors[..., i]

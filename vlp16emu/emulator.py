@@ -1,6 +1,7 @@
-"""The public face: a scene's scans as arrays, into a capture, or over UDP."""
+"""The public class: a scene as arrays of scans, as a capture, or over UDP."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from threading import Event
 from typing import Any, Protocol, runtime_checkable
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Engine, Parts
 from vlp16emu.engine.scans import scans_of, world_T_sensor
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.run.record import Recording, record
-from vlp16emu.run.report import Streamed
-from vlp16emu.run.run import Run, Scene, TruthPlace
-from vlp16emu.run.stream import StreamOptions, stream_run
+from vlp16emu.run.options import RecordOptions, StreamOptions
+from vlp16emu.run.record import record
+from vlp16emu.run.report import Recording, Streamed
+from vlp16emu.run.run import Run, Scene
+from vlp16emu.run.stream import StreamHooks, stream_run
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Packet, Returns
@@ -22,7 +24,7 @@ from vlp16emu.types import Packet, Returns
 
 @runtime_checkable
 class TakesPoses(Protocol):
-    """A motion that is made of poses which arrive while it runs."""
+    """Motion whose poses arrive while it runs."""
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None) -> bool:
         """Take a pose."""
@@ -47,7 +49,7 @@ class Emulator:
     Raises
     ------
     InputError
-        where the scene cannot be read, or a part of it cannot be made
+        If the scene cannot be read, or a part of it cannot be made
 
     Examples
     --------
@@ -93,7 +95,7 @@ class Emulator:
         return self.run.name
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
+        """Return the packets due from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
         Raises
         ------
@@ -125,7 +127,7 @@ class Emulator:
     def scans(
         self, *, start_s: float = 0.0, duration_s: float | None = None, unit: int = 1, truth: bool = False
     ) -> Iterator[Scan]:
-        """Whole revolutions of a sensor, without going through packets: distances are not on their 2 mm grid.
+        """Yield whole revolutions of a sensor, straight from the engine: distances are not on the 2 mm grid of packets.
 
         Parameters
         ----------
@@ -137,27 +139,24 @@ class Emulator:
         Raises
         ------
         InputError
-            where there is no such unit
+            If there is no such unit
         TrajectoryError
-            where the walk is over before the span
+            If the walk ends before the span does
         """
         return scans_of(self.engine, self.run.number(unit), self.scenario.span_s(start_s, duration_s), truth=truth)
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
-        """(n, 4, 4) poses of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
+        """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
         return world_T_sensor(self.parts.units[self.run.number(unit)], t_ns)
 
     def record(
         self,
         path: str | Path,
         *,
-        start_s: float = 0.0,
-        duration_s: float | None = None,
-        split: bool = False,
-        truth: TruthPlace | None = None,
         as_due: bool = False,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
+        **options: Any,
     ) -> Recording:
         """Write data and position packets into a pcap file, in the frames of a real sensor; or all that a robot has into a bag.
 
@@ -165,16 +164,15 @@ class Emulator:
         ----------
         path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output;
             a bag with .mcap, .bag, or as a new folder with a slash at its end
-        start_s : since the first pulse
-        duration_s : until the end of the scene if left out
-        split : write the packets of each unit into a file of its own, `NAME_1.pcap` and so on
-        truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
         as_due : stamp packets when they are due, whatever `[capture]` says
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid
+        options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`
 
         Raises
         ------
+        InputError
+            If an option is not right
         OutputError
             If file or folder cannot be written, or are an input of the scene, or the name is that of another format
         ScenarioError
@@ -184,31 +182,21 @@ class Emulator:
         RunError
             If the disk is full; the packets before are kept
         """
-        return record(
-            self.run,
-            path,
-            start_s=start_s,
-            duration_s=duration_s,
-            split=split,
-            truth=truth,
-            as_due=as_due,
-            progress=progress,
-            stop=stop,
-        )
+        return record(self.run, path, RecordOptions(**options), as_due=as_due, progress=progress, stop=stop)
 
     def stream(self, **options: Any) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
 
         Parameters
         ----------
-        options : fields of `StreamOptions`
+        options : fields of `StreamOptions` and of `StreamHooks`
 
         Raises
         ------
         OutputError
             If the receiver is unknown or out of reach, or the sensor's address is not this machine's
         InputError
-            If options exclude each other, or poses are for a scene that is not live
+            If an option is not right, options exclude each other, or poses are for a scene that is not live
         ScenarioError
             If the sensor has no packets
         TrajectoryError
@@ -216,10 +204,13 @@ class Emulator:
         RunError
             If the system cannot send any more
         """
-        return stream_run(self.run, StreamOptions(**options))
+        names = options.keys() & {field.name for field in fields(StreamHooks)}
+        hooks = StreamHooks(**{name: options.pop(name) for name in names})
+        asked = StreamOptions(**options)
+        return stream_run(self.run.with_settings(asked.settings), asked, hooks)
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
-        """Bring a pose into a live scene, from any thread; parameters, result and errors as of `PoseInput.put`.
+        """Bring a pose into a live scene, from any thread; parameters, result and errors as `PoseInput.put`.
 
         Raises
         ------

@@ -1,11 +1,9 @@
-"""Random numbers as a function of what they are for, never of when they are drawn.
+"""Random numbers keyed by what they are for: seed, purpose and counters, such as a firing number and a laser.
 
-A number is keyed by the scenario's seed, a purpose, and up to three counters (a firing number, a
-laser, a sub-ray; or the indices of a tile). Any number can be had at any time, in any order and on
-any thread, which is what makes a run independent of batches and workers.
+Any number can be drawn at any time, in any order and on any thread, which makes a run independent of batches and workers.
 
-The generator is Philox 4x32 with 10 rounds: Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers:
-As Easy as 1, 2, 3", SC 2011, section 3.2 and table 2. Tests hold it to the authors' known answers.
+The generator is Philox 4x32 with 10 rounds: Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3",
+SC 2011, section 3.2 and table 2. Tests hold it to the authors' known answers.
 """
 
 import math
@@ -21,7 +19,7 @@ from vlp16emu.trig import in_quarter
 
 
 class Purpose(IntEnum):
-    """What a random number is for. Values are part of the output: never renumber, only append.
+    """Purposes of random numbers. Values are part of the output: never renumber, only append.
 
     Those of forests are in `vlp16emu.forest.purpose`.
     """
@@ -77,7 +75,7 @@ _NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
     _nrt=False,
 )
 def philox4x32(c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word) -> tuple[_Word, _Word, _Word, _Word]:
-    """Four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1).
+    """Return four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1).
 
     Source: SC 2011 paper, multipliers and Weyl constants of Philox 4x32.
     """
@@ -153,7 +151,7 @@ def _fill(out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, fir
 
 
 def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
-    """Draw uniform numbers in [0, 1) for counters first .. first + count - 1.
+    """Draw uniform numbers in [0, 1), (count,), for counters first .. first + count - 1.
 
     Parameters
     ----------
@@ -161,10 +159,6 @@ def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) 
     purpose : what they are for
     first : counter of the first number, for instance a firing-sequence number
     lane : second counter, for instance a laser
-
-    Returns
-    -------
-    (count,) float64
     """
     out = np.empty(count)
     _fill(out, False, seed, int(purpose), first, lane)  # numba looks through the whole of an enum
@@ -172,14 +166,9 @@ def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) 
 
 
 def normal(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
-    """Draw standard normal numbers for the same arguments, the first of `normal_pair`.
-
-    Returns
-    -------
-    (count,) float64
-    """
+    """Draw standard normal numbers, (count,), for the arguments of `uniform`: the first ones of `normal_pair`."""
     out = np.empty(count)
-    _fill(out, True, seed, int(purpose), first, lane)  # numba looks through the whole of an enum
+    _fill(out, True, seed, int(purpose), first, lane)
     return out
 
 
@@ -219,7 +208,7 @@ def _rounded_beyond(edge: float, numbers: Any) -> Any:
 
 
 def generator(seed: int, purpose: IntEnum, *key: int) -> np.random.Generator:
-    """Numpy generator of its own for a thing that stands still, such as a tile or a tree.
+    """Return a numpy generator for a thing that stands still, such as a tile or a tree.
 
     Parameters
     ----------

@@ -13,15 +13,15 @@ import numpy as np
 from vlp16emu.elementary import around_zero
 
 ZERO = cast("int", np.int64(0))
-"""What is called with the literal 0 is compiled once more for that type."""
+"""A zero that is no literal: numba compiles a function once more for the literal 0."""
 
 _HALF_PI = 1.57079632673412561417, 6.07710050650619224932e-11
-"""Its first 33 bits, so that products with whole numbers below 2**20 are exact, and the rest."""
+"""pi / 2: its first 33 bits, so that products with whole numbers below 2**20 are exact, and the rest."""
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, fastmath=False, _nrt=False)
 def in_quarter(quarter: float, y: float) -> tuple[float, float]:
-    """Cosine and sine of so many right angles, 0 .. 4, and y, up to pi / 4."""
+    """Return cosine and sine of `quarter` right angles, 0 .. 4, plus y, up to pi / 4."""
     c, s = around_zero(y)
     odd = (quarter == 1.0) | (quarter == 3.0)
     cosine, sine = s if odd else c, c if odd else s
@@ -31,7 +31,7 @@ def in_quarter(quarter: float, y: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, fastmath=False, _nrt=False)
 def cos_sin(angle_rad: float) -> tuple[float, float]:
-    """Cosine and sine of an angle, within 2e-16, beyond a million radians within its last bit; for use in kernels."""
+    """Return cosine and sine of an angle, within 2e-16, beyond a million radians within its last bit; for use in kernels."""
     quarters = math.floor(angle_rad * (2.0 / math.pi) + 0.5)
     y = (angle_rad - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]
     return in_quarter(quarters - 4.0 * math.floor(0.25 * quarters), y)
@@ -39,5 +39,5 @@ def cos_sin(angle_rad: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False, _nrt=False, forceinline=True)
 def fold(x: float) -> float:
-    """Go to and fro between 0 and 1, with a period of 1."""
+    """Return a triangular wave between 0 and 1 with a period of 1."""
     return 2.0 * abs(x - math.floor(x) - 0.5)

@@ -27,7 +27,7 @@ IntArray = I8
 
 
 class ReturnMode(StrEnum):
-    """Which echoes the sensor reports (63-9243 Rev D, section 6)."""
+    """Echoes that the sensor reports (63-9243 Rev D, section 6)."""
 
     STRONGEST = "strongest"
     LAST = "last"
@@ -52,7 +52,7 @@ class PpsState(IntEnum):
 
 
 class PacketKind(StrEnum):
-    """What a packet is: a sensor's, a sentence of the receiver, the level after an edge of its pulse, an inertial sample."""
+    """Kind of a packet: of the sensor, a sentence of the receiver, the level after an edge of its pulse, an inertial sample."""
 
     DATA = "data"
     POSITION = "position"
@@ -107,7 +107,7 @@ ShapeKey = Hashable
 
 
 def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
-    """Guard arrays: their dtype, their number of axes, and every axis that is not None."""
+    """Check the dtype of arrays, their number of axes, and every axis that is not None."""
     for name, shape in shapes.items():
         array = getattr(owner, name)
         fits = (
@@ -124,7 +124,7 @@ def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Where the body is at n instants; n = 1 stands for a body that never moves."""
+    """Poses of the body at n instants; n = 1 stands for a body that never moves."""
 
     t_ns: IntArray
     """(n,) UTC."""
@@ -169,7 +169,7 @@ class Firings:
             _check(self, "f8", beam_axis=places)
 
     @classmethod
-    def rays(cls, t_ns: int, origin_m: NDArray[np.float64], direction: NDArray[np.float64]) -> Self:
+    def rays(cls, t_ns: int, origin_m: F8, direction: F8) -> Self:
         """Make rays of no sensor, all at one instant; places and directions broadcast to (k, L, 3)."""
         origin_m, direction = (np.ascontiguousarray(of) for of in np.broadcast_arrays(origin_m, direction))
         shape = direction.shape[:2]
@@ -179,15 +179,15 @@ class Firings:
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What sub-rays met, pulse by pulse in order of sequence, then of laser. Those of a pulse carry equal energy."""
+    """Hits of sub-rays, pulse by pulse in order of sequence, then of laser. Those of a pulse carry equal energy."""
 
-    count: NDArray[np.uint16]
+    count: U2
     """(k, L) sub-rays of each pulse, at least 1; n in all."""
-    range_m: NDArray[np.float32]
+    range_m: F4
     """(n,) from the pulse's origin; +inf where nothing was met."""
-    surface: NDArray[np.uint32]
+    surface: U4
     """(n,) row of the window's surface table; `NO_SURFACE` where nothing was met."""
-    cos_incidence: NDArray[np.float32]
+    cos_incidence: F4
     """(n,) between the ray and the surface normal, 0..1; 0 where nothing was met."""
 
     def __post_init__(self) -> None:
@@ -197,9 +197,7 @@ class Hits:
         _check(self, "f4", range_m=(None,), cos_incidence=(n,))
 
     @classmethod
-    def one_ray_each(
-        cls, range_m: NDArray[np.float32], surface: NDArray[np.uint32], cos_incidence: NDArray[np.float32]
-    ) -> Self:
+    def one_ray_each(cls, range_m: F4, surface: U4, cos_incidence: F4) -> Self:
         """Make hits of pulses that are one ray each, from arrays (k, L)."""
         count = np.ones(range_m.shape, np.uint16)
         return cls(count, range_m.reshape(-1), surface.reshape(-1), cos_incidence.reshape(-1))
@@ -207,20 +205,20 @@ class Hits:
 
 @dataclass(frozen=True, slots=True)
 class Returns:
-    """What the detector makes of it. Last axis: strongest, last, second strongest."""
+    """Returns of the detector. Last axis: strongest, last, second strongest."""
 
     firings: Firings
-    distance_m: NDArray[np.float32]
+    distance_m: F4
     """(k, L, 3) not yet on the 2 mm grid; 0 where there is no such return."""
-    reflectivity: NDArray[np.uint8]
+    reflectivity: U1
     """(k, L, 3) 0..100 diffuse, 101..255 retroreflective."""
-    surface: NDArray[np.uint32] | None = None
+    surface: U4 | None = None
     """(k, L, 3) truth, only when asked for, as all that follows."""
     surfaces: NDArray[np.void] | None = None
     """(m,) `SURFACE`, the table that `surface` points into."""
-    range_m: NDArray[np.float32] | None = None
+    range_m: F4 | None = None
     """(k, L, 3) before errors of range; 0 where there is no such return."""
-    share: NDArray[np.float32] | None = None
+    share: F4 | None = None
     """(k, L, 3) of the footprint that met the surface, wherever."""
 
     def __post_init__(self) -> None:
@@ -249,7 +247,7 @@ class Packet:
 
 @dataclass(frozen=True, slots=True)
 class GnssFix:
-    """What a GNSS receiver says about one whole UTC second."""
+    """Fix of a GNSS receiver at one whole UTC second."""
 
     t_ns: int
     """UTC, a whole second."""
@@ -265,9 +263,9 @@ class GnssFix:
 class Mesh:
     """Faces of one surface, in the coordinates of the shape they belong to."""
 
-    vertices_m: NDArray[np.float32]
+    vertices_m: F4
     """(v, 3)."""
-    faces: NDArray[np.uint32]
+    faces: U4
     """(f, 3) triangles or (f, 4) planar quads, counter-clockwise seen from outside."""
 
     def __post_init__(self) -> None:
@@ -277,12 +275,12 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Sway:
-    """How m placements of a window move: sheared, a point h over a foot by h times `shear`, steadily between knots."""
+    """Motion of m placements of a window: sheared, a point h over a foot by h times `shear`, linear between knots."""
 
     start_ns: int
     """UTC of the first knot."""
     step_ns: int
-    """From knot to knot."""
+    """Time from knot to knot."""
     placement: IntArray
     """(m,) in the window, ascending."""
     foot_z_m: Array
@@ -298,7 +296,7 @@ class Sway:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """What is within reach of a stretch of the walk: placed shapes and their surfaces.
+    """Placed shapes and their surfaces within reach of a stretch of the walk.
 
     A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] + j`.
     """
@@ -306,16 +304,16 @@ class Window:
     origin_m: Array
     """(3,) world; geometry is handed to the caster relative to it."""
     shapes: tuple[ShapeKey, ...]
-    shape: NDArray[np.int32]
+    shape: I4
     """(n,) index into `shapes`."""
     world_T_shape: Array
     """(n, 3, 4) affine; rigid, or scaled for crowns."""
-    first_surface: NDArray[np.uint32]
+    first_surface: U4
     """(n,) row of `surfaces` of the placement's first mesh."""
     surfaces: NDArray[np.void]
     """(m,) `SURFACE`."""
     sway: Sway | None = None
-    """What moves, over the time that the window is for; None where all stands still."""
+    """Motion over the time of the window; None if nothing moves."""
 
     def __post_init__(self) -> None:
         n = len(self.shape)
@@ -333,7 +331,7 @@ HeightField = Callable[[Array, Array], Array]
 
 
 class World(Protocol):
-    """What stands there, all at rest."""
+    """A world at rest: it describes windows and grows shapes."""
 
     @property
     def near_m(self) -> float:
@@ -341,13 +339,13 @@ class World(Protocol):
 
     @property
     def seed(self) -> int:
-        """Of what is random in it."""
+        """Seed of the world's random numbers."""
 
     def shape_name(self, key: ShapeKey) -> str:
-        """All that decides a shape, in words; empty where it is not kept on disk."""
+        """Return all that decides a shape, in words; empty if it is not kept on disk."""
 
     def window(self, track_m: Array) -> Window:
-        """Everything within reach of sensor positions (n, 3); must depend on nothing else."""
+        """Return everything within reach of sensor positions (n, 3); it depends on nothing else."""
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Grow the meshes of a shape; the same key always gives the same bytes, on any thread."""

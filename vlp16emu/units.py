@@ -11,10 +11,12 @@ US_NS = 1_000
 MS_NS = 1_000_000
 S_NS = 1_000_000_000
 HOUR_NS = 3_600 * S_NS
+INCLUSIVE = 1.0 + 2.0**-21
+"""Factor on a greatest range: what lies just there is within it, although geometry is rounded to float32."""
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Nearest whole number of nanoseconds.
+    """Return the nearest whole number of nanoseconds.
 
     Raises
     ------

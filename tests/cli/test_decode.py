@@ -43,7 +43,7 @@ def xyz_in(path):
             return arrays["xyz_m"]
     if path.suffix == ".ply":
         return np.asarray(trimesh.load(path).vertices)
-    return np.loadtxt(path, delimiter=",", skiprows=1, usecols=(1, 2, 3))
+    return np.loadtxt(path, delimiter=",", skiprows=1, usecols=(2, 3, 4))
 
 
 def test_the_summary_is_what_the_packets_say(cli, bench):
@@ -126,7 +126,7 @@ def test_npz_holds_all_arrays(cli, bench, tmp_path):
     assert cli("decode", bench, "--out", out).code == 0
     points = decode_data(payloads(bench), keep_no_returns=False)
     with np.load(out) as arrays:
-        assert set(arrays) == {*NAMES, "is_last", "clock_ns"}
+        assert set(arrays) == {*NAMES, "is_last", "clock_ns", "t_ns"}
         for name in (*NAMES, "is_last"):
             np.testing.assert_array_equal(arrays[name], getattr(points, name))
         np.testing.assert_array_equal(arrays["clock_ns"], points.time_ns)
@@ -138,11 +138,13 @@ def test_csv_names_its_units(cli, bench, tmp_path):
     tree = cli("decode", bench, "--out", out, "--json").tree
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert ",".join(rows[0]) == "time_s,x_m,y_m,z_m,distance_m,azimuth_deg,reflectivity,ring,laser,is_last"
+    assert ",".join(rows[0]) == "t_utc_s,clock_s,x_m,y_m,z_m,distance_m,azimuth_deg,reflectivity,ring,laser,is_last"
     assert len(rows) == tree["points"]
     points = decode_data(payloads(bench), keep_no_returns=False)
-    for column, values, step in (("x_m", points.xyz_m[:, 0], 1e-4), ("time_s", points.time_ns / 1e9, 1e-9)):
+    for column, values, step in (("x_m", points.xyz_m[:, 0], 1e-4), ("clock_s", points.time_ns / 1e9, 1e-9)):
         np.testing.assert_allclose([float(row[column]) for row in rows], values, atol=step)
+    clock_ns = [int(row["t_utc_s"].replace(".", "")) % (3600 * 10**9) for row in rows]
+    np.testing.assert_array_equal(clock_ns, points.time_ns)  # UTC to the nanosecond, in whole hours
 
 
 def test_ply_opens_elsewhere(cli, bench, tmp_path):
@@ -155,7 +157,7 @@ def test_ply_opens_elsewhere(cli, bench, tmp_path):
     data = cloud.metadata["_ply_raw"]["vertex"]["data"]
     np.testing.assert_array_equal(data["ring"], points.ring)
     np.testing.assert_array_equal(data["intensity"], points.reflectivity)
-    np.testing.assert_allclose(data["time"], points.time_ns / 1e9, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(data["time"] % 3600, points.time_ns / 1e9, rtol=0, atol=3e-7)
 
 
 @pytest.mark.parametrize("verb", ["decode", "points"])

@@ -2,8 +2,8 @@
 
 import pytest
 
-from vlp16emu.cli.stream import _times, behind_line
-from vlp16emu.run.report import Behind
+from vlp16emu.cli.printer import behind_text
+from vlp16emu.cli.stream import behind_line
 from vlp16emu.scenario import load
 from vlp16emu.sinks import FellBehind, Late
 
@@ -30,11 +30,10 @@ def test_a_stop_is_no_fault_of_the_settings():
     ("count", "text"),
     [
         (0, "never"),
-        (1, "once, by 5.01 s, at 12.3 s: the process stood still"),
-        (2, "2 times, by 5.01 s at most, first at 12.3 s: the process stood still"),
+        (1, "once, by 5.01 s, at 12.3 s: the process stood still or got no core"),
+        (2, "2 times, by 5.01 s at most, first at 12.3 s: the process stood still or got no core"),
     ],
 )
 def test_times_are_summed_up(count, text):
     """Without such a time it is never; one is given as it is; of several the worst and the first."""
-    times = [Behind(12.3 + 10 * i, 5.01, False, None, "the process stood still") for i in range(count)]
-    assert _times(times, 5.01) == text
+    assert behind_text([FellBehind(12.3 + 10 * i, 5.01, False, None, 5.01) for i in range(count)]) == text

@@ -6,8 +6,9 @@ import threading
 
 import pytest
 
+from vlp16emu.cli.printer import audit_text
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import Progress, audit_rows
+from vlp16emu.cli.terminal import Progress
 from vlp16emu.kernels import compiler
 from vlp16emu.run.report import AuditFinding
 
@@ -88,4 +89,4 @@ def test_an_interval_that_gives_no_order_of_magnitude_is_left_out(low_m, high_m,
         invented=0.0,
         other_echo=0.0,
     )
-    assert f"RMSE 25.7 mm before noise ({said}), 0.0 % lost" in audit_rows(found)["range error"]
+    assert f"RMSE 25.7 mm before noise ({said}), 0.0 % lost" in audit_text(found)

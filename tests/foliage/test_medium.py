@@ -98,18 +98,6 @@ def blocks():
     return world, library, tiles, made
 
 
-def records(block):
-    """Voxels of a block that hold anything, in order of records: (n, 3), from the block's lowest corner."""
-    cells = []
-    for place in np.ndindex(block.mask.shape):
-        word = int(block.mask[place])
-        for bit in range(64):
-            if word >> bit & 1:
-                assert int(block.first[place]) + (word & (1 << bit) - 1).bit_count() == len(cells)
-                cells.append([4 * p + o for p, o in zip(place, (bit >> 4, bit >> 2 & 3, bit & 3), strict=True)])
-    return np.array(cells)
-
-
 @pytest.mark.parametrize("knot", range(3))
 def test_blocks_hold_all_the_area_of_what_stands_on_them(blocks, knot):
     """Over nine tiles, area in voxels is that of the faces whose middles lie over them, to 3 %, by each elevation."""
@@ -168,32 +156,6 @@ def test_owners_have_their_shares(blocks):
                     assert area_of[number, int(row) + mesh] == pytest.approx(true, rel=0.1)
                     checked += 1
     assert checked >= 2
-
-
-def test_labels_are_of_what_is_there(blocks):
-    """Every owner of a voxel has a face or a cell of its own within it or a quarter of a metre off."""
-    world, _, tiles, made = blocks
-    for (ix, iy), block in made.items():
-        cells, corner_m = records(block), world.corner_m(ix, iy)
-        corner_m[2] = 2.0 * block.bottom
-        ends = np.append(block.first_owner[1:], len(block.owner))
-        reach = {}
-        for number, (dx, dy) in enumerate(itertools.product((-1, 0, 1), repeat=2)):
-            tile = tiles.get((ix + dx, iy + dy))
-            if tile is None:
-                continue
-            for which, place, row in zip(tile.shape, tile.world_T_shape, tile.first_surface, strict=True):
-                for mesh, own in enumerate(world.shape(tile.keys[which])):
-                    points_m = own.vertices_m @ place[:, :3].T + place[:, 3] - corner_m
-                    reach[number, int(row) + mesh] = points_m.min(axis=0), points_m.max(axis=0)
-        seen = 0
-        for cell, begin, end in zip(cells, block.first_owner.tolist(), ends.tolist(), strict=True):
-            for owner in range(begin, end):
-                low_m, high_m = reach[place_of(block.owner[owner])]
-                assert (cell * VOXEL_M < high_m + 0.25).all()
-                assert ((cell + 1) * VOXEL_M > low_m - 0.25).all()
-                seen += 1
-        assert seen > 100
 
 
 def test_a_block_depends_on_its_neighbours_only(blocks):

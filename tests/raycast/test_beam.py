@@ -7,7 +7,7 @@ from raycast.reference import sub_rays
 from scipy.special import ive
 from scipy.stats import kstest, norm, spearmanr
 
-from vlp16emu.raycast.displace import displace
+from vlp16emu.raycast.displace import displace, offset_tangents
 
 
 def unit_points(pulses, rays, first=0, seed=7, model="fixed"):
@@ -146,12 +146,16 @@ def test_firings_without_a_width_are_refused():
 
 
 def test_offset_displaces_evenly_inside_the_beam():
-    """Along the beam a point even in a ball has the distribution function (2 + 3z - z^3) / 4; misses stay misses."""
+    """Along the beam and to both sides a point even in an ellipsoid has the distribution (2 + 3z - z^3) / 4; misses stay misses."""
     range_m = np.full((20_000, 2), 20.0, np.float32)
     range_m[:, 1] = np.inf
-    displace(range_m, lab.beam("offset"), 0)
+    displace(range_m, lab.beam("offset"), 5)
     assert np.isinf(range_m[:, 1]).all()
-    half_m = np.sqrt((0.0127 + 0.06) * (0.0095 + 0.03)) / 2
-    z = (range_m[:, 0].astype(float) - 20.0) / half_m
-    assert np.abs(z).max() <= 1.01
-    assert kstest(z, lambda z: (2 + 3 * z - z**3).clip(0, 4) / 4).pvalue > 0.001
+    sequence, laser = 5 + np.arange(20_000), np.zeros(20_000, np.int64)
+    sideways_m = 20.0 * offset_tangents(np.full(20_000, 20.0, np.float32), lab.beam("offset"), sequence, laser, 2)
+    half_m = np.array([0.0127 + 0.06, 0.0095 + 0.03]) / 2
+    along_m = np.sqrt(range_m[:, 0].astype(float) ** 2 - (sideways_m**2).sum(axis=1)) - 20.0
+    parts = np.column_stack([sideways_m / half_m, along_m / np.sqrt(half_m.prod())])
+    assert (parts**2).sum(axis=1).max() <= 1.001
+    for part in parts.T:
+        assert kstest(part, lambda z: (2 + 3 * z - z**3).clip(0, 4) / 4).pvalue > 0.001

@@ -7,7 +7,6 @@ import pytest
 from raycast import lab
 from raycast.reference import ReferenceCaster
 
-from vlp16emu.raycast.beam import LINE
 from vlp16emu.raycast.near import EmbreeCaster
 
 WIDE = ["fixed", "adaptive", "angle", "offset"]
@@ -43,14 +42,6 @@ def test_hits_are_those_of_the_slow_twin(workers, model):
     assert_same(fast, slow, range_m=2e-5)
 
 
-def test_a_line_is_the_default(workers):
-    """Without a word on the beam, each pulse is one ray along its middle."""
-    scene, firings = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)), lab.pulses(64)
-    plain, said = (scene.cast(firings, lab.NEAR_M, lab.FAR_M, *beam) for beam in ((), (LINE,)))
-    assert (plain.range_m == said.range_m).all()
-    assert (plain.count == 1).all()
-
-
 @pytest.mark.parametrize("model", ["none", *WIDE])
 def test_threads_do_not_matter(workers, model):
     """Eight casts at once on a shared scene give the bits of one cast alone."""
@@ -79,10 +70,3 @@ def test_a_fan_of_sub_rays_may_have_any_number(workers):
     for rays in (2, 7, 13):
         few = scene.cast(firings, lab.NEAR_M, lab.FAR_M, lab.beam("fixed", rays=rays))
         assert (few.range_m.reshape(-1, rays) == many.range_m.reshape(-1, 19)[:, :rays]).all()
-
-
-def test_nothing_in_sight_is_all_misses(workers):
-    """An adaptive beam in an empty window ends after its first round."""
-    hits = cast(EmbreeCaster(lab.world(lab.soup), workers), lab.pulses(8), lab.beam("adaptive"), count=0)
-    assert (hits.count == 8).all()
-    assert np.isinf(hits.range_m).all()

@@ -74,14 +74,6 @@ def test_a_shear_moves_points_level_by_their_height_over_the_foot():
         assert went_m == pytest.approx(np.array([0.2, -0.1, 0.0]) * over_foot_m, abs=1e-9)
 
 
-def test_batches_do_not_matter_where_things_move(workers):
-    """Cast in one go or in pieces of eight firings: the same bits."""
-    window, _ = swaying()
-    scene = EmbreeCaster(lab.world(lab.soup), workers).open(window)
-    pieces = [scene.cast(lab.pulses(8, first=first), lab.NEAR_M, lab.FAR_M) for first in range(0, 64, 8)]
-    lab.assert_same_bits(scene.cast(lab.pulses(64), lab.NEAR_M, lab.FAR_M), lab.joined(pieces))
-
-
 def test_more_knots_than_embree_takes_are_refused(workers):
     """A window that lasts too long is refused by the number of its knots."""
     long, _ = swaying(knots=130)

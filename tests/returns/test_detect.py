@@ -31,12 +31,12 @@ def split(detector, firings, pulses, table):
     return make
 
 
-@pytest.mark.parametrize(
-    ("range_m", "distance_m"), [(0.49, 0), (0.5, 0.5), (20, 20), (100, 100), (100.01, 0), (np.inf, 0)]
-)
-def test_range_limits(lone, range_m, distance_m):
-    """What is nearer than the least range, farther than the greatest, or nowhere gives no return."""
-    assert (lone(range_m).distance_m[..., :2] == np.float32(distance_m)).all()
+@pytest.mark.parametrize("max_range_m", [100.0, 131.07])
+def test_range_limits(lone, max_range_m):
+    """What is nearer than the least range, farther than the greatest, or nowhere gives no return; what is just there does."""
+    for range_m, is_seen in ((0.49, 0), (0.5, 1), (20, 1), (max_range_m, 1), (max_range_m + 0.001, 0), (np.inf, 0)):
+        distance_m = lone(range_m, 0.9, max_range_m=max_range_m).distance_m[..., :2]
+        assert (distance_m == (np.float32(range_m) if is_seen else 0)).all()
 
 
 def test_blanked_targets_keep_their_reflectivity(lone):

@@ -85,3 +85,22 @@ def test_azimuths_stay_in_the_circle(head):
     assert points.azimuth_deg.max() < 360
     assert points.azimuth_deg[0] == pytest.approx(359.999)
     assert points.azimuth_deg[1] == pytest.approx(359.999 + 2_304e-9 * 3600 - 360)
+
+
+def test_tangents_move_points_aside_at_their_distance(head):
+    """Points off their pulses are as far from the sensor, and lie to greater azimuths and upwards by their tangents."""
+    _, on = placed(head)
+    tangents = np.random.default_rng(1).uniform(-0.01, 0.01, (128, 2))
+    firings = head.aim(0, 8, carried, beam_axis=True)
+    poses = carried(firings.t_ns.ravel())
+    off = place(head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses, tangents)
+    origin_m, across = firings.origin_m.reshape(-1, 3), firings.beam_axis.reshape(-1, 3)
+    up = np.cross(across, firings.direction.reshape(-1, 3))
+    np.testing.assert_allclose(np.linalg.norm(off.world_m - origin_m, axis=1), DISTANCE_M, rtol=1e-12)
+    moved = (off.world_m - on.world_m) / DISTANCE_M[:, None]
+    np.testing.assert_allclose(
+        np.stack([(moved * axis).sum(axis=1) for axis in (across, up)], axis=1), tangents, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        off.world_m, np.einsum("nab,nb->na", poses.world_R_body, off.sensor_m) + poses.world_p_body_m, atol=1e-11
+    )

@@ -12,9 +12,8 @@ import pytest
 from vlp16emu import emulator as emulators
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, point_file
-from vlp16emu.extras.clouds.gps_time import adjusted_gps_s
 from vlp16emu.extras.clouds.labels import label_scheme, scheme_names
-from vlp16emu.extras.clouds.las import echoes_of, local_wkt
+from vlp16emu.extras.clouds.las import adjusted_gps_s, echoes_of, local_wkt
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.types import PlantPart, Semantic
 
@@ -174,7 +173,7 @@ def test_pcd_is_read_by_pcls_tools(cloud, tmp_path):
     names = next(line.split()[1:] for line in lines if line.startswith("FIELDS"))
     table = np.array([line.split() for line in lines[lines.index("DATA ascii") + 1 :]], float)
     wanted = {"x": own["world_m"][:, 0], "intensity": own["reflectivity"], "instance": own["instance"]}
-    for name, array in (wanted | {"treeID": own["tree_id"], "time": own["since_start_ns"] / 1e9}).items():
+    for name, array in (wanted | {"treeID": own["tree_id"], "time": own["t_ns"] / 1e9}).items():
         np.testing.assert_allclose(table[:, names.index(name)], array, rtol=1e-6, atol=1e-6, err_msg=name)
 
 

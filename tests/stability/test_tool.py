@@ -1,6 +1,5 @@
 """`tools/stability`: its table and its exit code."""
 
-import json
 import math
 
 import pytest
@@ -33,23 +32,8 @@ def test_table_has_a_line_for_each_row(tool, capsys):
     assert lines[-1] == "2 rows, none failed"
 
 
-@pytest.mark.parametrize("arguments", [(), ("--json",), ("--quick",)])
+@pytest.mark.parametrize("arguments", [(), ("--quick",)])
 def test_a_row_that_failed_is_an_exit_code(tool, capsys, arguments):
     """One row out of its bound makes the exit code 1, whatever is printed."""
     assert tool([HELD, FAILED], *arguments) == 1
     assert "failed" in capsys.readouterr().out
-
-
-def test_json_tells_the_same(tool, capsys):
-    """JSON has all fields and the verdict, and no infinity, which it does not know."""
-    tool([HELD, FAILED], "--json")
-    first, second = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert first == {
-        "case": "a wall",
-        "quantity": "error, m",
-        "error": 0.001,
-        "bound": 0.002,
-        "refusal": "",
-        "verdict": "held",
-    }
-    assert second["error"] is None

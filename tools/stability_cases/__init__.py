@@ -1,6 +1,6 @@
 """Stiff and extreme cases, each a function that gives rows of case, quantity, error and bound."""
 
-from stability_cases import clock, coordinates, crowds, echoes, entries, entry_files, faces, paths, ranges, turning
+from stability_cases import clock, coordinates, crowds, echoes, entries, faces, paths, ranges, turning
 from stability_cases.row import Case, Row, check
 
 __all__ = ["QUICK", "SLOW", "Case", "Row", "check"]
@@ -11,8 +11,6 @@ QUICK: tuple[Case, ...] = (
     coordinates.far_walks,
     ranges.every_range,
     ranges.grazing,
-    ranges.distance_steps,
-    ranges.azimuth_steps,
     crowds.thin_twig,
     faces.slivers,
     faces.doubled,
@@ -31,15 +29,10 @@ QUICK: tuple[Case, ...] = (
     paths.recordings,
     paths.midnight,
     entries.every_key,
-    entries.scenes,
     entries.options,
     entries.python,
-    entry_files.trajectory_files,
-    entry_files.stem_lists,
-    entry_files.mesh_files,
-    entry_files.ground_files,
 )
 """Cases that the tests carry out too."""
 
-SLOW: tuple[Case, ...] = (crowds.throng, crowds.too_many, entry_files.species_files)
+SLOW: tuple[Case, ...] = (crowds.throng, crowds.too_many)
 """Cases of many seconds, for the tool alone."""

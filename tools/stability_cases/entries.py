@@ -1,11 +1,9 @@
-"""Numbers that are none, at every door: keys of scenes, settings, options, Python."""
+"""Numbers that are none: in keys of scenes, options and arguments in Python; tests of readers have those in files."""
 
-import copy
 import io
-import json
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
@@ -16,8 +14,6 @@ from pydantic import ValidationError
 from stability_cases.row import Row, refused
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
-from vlp16emu.engine import assemble
-from vlp16emu.errors import InputError
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.scenario.schema import schema
 
@@ -107,50 +103,6 @@ def every_key() -> Iterator[Row]:
     line = f"{missed[0]} took it" if missed else "found nan, inf or -inf in each"
     name = f"NaN and infinity in {len({path for path, _ in tried})} keys of scenes"
     yield Row(name, "not refused", len(missed), 0, line)
-
-
-def _leaves(tree: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    if isinstance(tree, dict | list):
-        for key, child in tree.items() if isinstance(tree, dict) else enumerate(tree):
-            yield from _leaves(child, (*path, key))
-    elif isinstance(tree, int | float) and not isinstance(tree, bool):
-        yield path
-
-
-def _with(tree: Any, path: Sequence[str | int], value: float) -> Any:
-    """Tree with another number in one place."""
-    tree = copy.deepcopy(tree)
-    node = tree
-    for key in path[:-1]:
-        node = node[key]
-    node[path[-1]] = value
-    return tree
-
-
-def refusal(scene: str, *settings: str) -> str:
-    """Line with which a scene is turned down before anything is cast; empty where it is not."""
-    try:
-        assemble(load(scene, settings))
-    except InputError as error:
-        return "" if "\n" in str(error) else str(error)
-    return ""
-
-
-def scenes() -> Iterator[Row]:
-    """Files and settings of scenes that are sound but for one number."""
-    lines = []
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "scene.json")
-        for scene in ("static_bench", "two_pucks", "reference_forest"):
-            tree = load(scene).model_dump(mode="json", by_alias=True, exclude_none=True)
-            for i, path in enumerate(_leaves(tree)):
-                if _is_meant(str(path[-1]), _VALUES[i % 3]):
-                    continue
-                file.write_text(json.dumps(_with(tree, path, _VALUES[i % 3])), encoding="utf-8")
-                lines.append(refusal(str(file)).replace(f"{folder}/", ""))
-                if all(isinstance(key, str) for key in path):
-                    lines.append(refusal(scene, f"{'.'.join(map(str, path))}={_WORDS[i % 3]}"))
-    yield Row(f"NaN or infinity in {len(lines)} whole scenes", "not refused", lines.count(""), 0, lines[-1])
 
 
 def options() -> Iterator[Row]:

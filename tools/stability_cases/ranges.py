@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from stability_cases.lab import PULSES, beam, cast, decoded_m, detected, opened, pulses, quads
 from stability_cases.row import Row
-from vlp16emu.packets import DISTANCE_LSB_M, LASERS, data_fields, data_payloads
-from vlp16emu.types import Firings, ReturnMode, Returns, SensorModel
+from vlp16emu.packets import DISTANCE_LSB_M
+from vlp16emu.types import Firings
 
 Array = NDArray[np.float64]
 
@@ -59,45 +59,3 @@ def grazing() -> Iterator[Row]:
         wide = detected(scene, firings, beam("adaptive"))
         fit = np.isfinite(wide.distance_m) & (wide.distance_m >= 0) & (wide.distance_m <= 131.07)
         yield Row(f"floor at {incidence_deg:g} deg, wide beam", "returns out of limits", float((~fit).sum()), 0)
-
-
-def _returns(distance_m: NDArray[np.float32], reading_deg: Array) -> Returns:
-    """Make returns of given distances (k, 16) and readings (k,)."""
-    shape = (len(reading_deg), LASERS)
-    zero = np.zeros((*shape, 3))
-    firings = Firings(
-        0, np.zeros(shape, np.int64), np.zeros(shape[0], np.int64), zero[..., 0], reading_deg, zero, zero, None
-    )
-    three_m = np.repeat(distance_m[..., None], 3, axis=2)
-    return Returns(firings, three_m, np.zeros((*shape, 3), np.uint8), None, None)
-
-
-def _packed(distance_m: NDArray[np.float32], reading_deg: Array) -> NDArray[np.void]:
-    returns = _returns(distance_m, reading_deg)
-    return data_fields(data_payloads(returns, ReturnMode.STRONGEST, SensorModel.VLP_16))
-
-
-def distance_steps() -> Iterator[Row]:
-    """Pack distances on, just below and just above each half step of 2 mm, against whole numbers.
-
-    500 times a float32 is exact in float64, so `rint` of it is the code rounded half to even, whatever code divides by.
-    """
-    half = ((np.arange(250, 65_535) + 0.5) * DISTANCE_LSB_M).astype(np.float32)
-    around = np.concatenate([np.nextafter(half, np.float32(0)), half, np.nextafter(half, np.float32(200))])
-    distance_m = np.resize(around, (-(-len(around) // PULSES) * 24, LASERS))
-    fields = _packed(distance_m, np.zeros(len(distance_m)))
-    expected = np.rint(distance_m.astype(np.float64) * 500).ravel()
-    wrong = int((fields["blocks"]["records"]["distance_lsb"].ravel() != expected).sum())
-    ties = int((half.astype(np.float64) * 500 % 1 == 0.5).sum())
-    yield Row(f"distances about each half step, {ties} on it", "codes not half to even", wrong, 0)
-
-
-def azimuth_steps() -> Iterator[Row]:
-    """Pack readings on each hundredth of a degree, a millionth of a degree below the next, and at the very wrap."""
-    code = np.arange(36_000)
-    wrap = np.nextafter(360.0, 0.0)
-    reading_deg = np.concatenate([code / 100, (code + 1) / 100 - 1e-6, np.full(24, wrap)])
-    expected = np.concatenate([code, code, np.zeros(24, np.int64)])
-    fields = _packed(np.ones((2 * len(reading_deg), LASERS), np.float32), np.repeat(reading_deg, 2))
-    wrong = int((fields["blocks"]["azimuth_cdeg"].ravel() != expected).sum())
-    yield Row("readings on and below each 0.01 deg, and at 360", "codes not rounded down", wrong, 0)

@@ -1,4 +1,4 @@
-"""All verbs together, and the one place where errors become lines and exit codes."""
+"""The program: its verbs, and the one place where errors become lines and exit codes."""
 
 import gc
 import io
@@ -6,112 +6,89 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+import threading
+import warnings
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-from vlp16emu.cli.accuracy import accuracy
-from vlp16emu.cli.bag import bag
-from vlp16emu.cli.cache import cache
-from vlp16emu.cli.compare import compare, fit
-from vlp16emu.cli.dataset import dataset
-from vlp16emu.cli.decode import decode
-from vlp16emu.cli.doctor import doctor
-from vlp16emu.cli.forest import forest
-from vlp16emu.cli.images import images
-from vlp16emu.cli.picture import picture
-from vlp16emu.cli.plan import plan
-from vlp16emu.cli.points import points
-from vlp16emu.cli.record import record
-from vlp16emu.cli.replay import replay
-from vlp16emu.cli.scenes import scenes, schema
-from vlp16emu.cli.score import score
-from vlp16emu.cli.stream import stream
-from vlp16emu.cli.terminal import ENDINGS, INTERRUPTED
-from vlp16emu.cli.truth import truth
-from vlp16emu.cli.verify import verify
-from vlp16emu.cli.view import view
-from vlp16emu.doors import door, has_door
+from vlp16emu.cli.printer import INTERRUPTED
+from vlp16emu.cli.terminal import ENDINGS, was_stopped
+from vlp16emu.cli.verb import command
+from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import Vlp16emuError
 
-_EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
-    record: (
+_LEFT_S = 0.8
+"""How long a command that is interrupted may take to remove what it has not finished."""
+
+_EXAMPLES = {
+    "record": (
         "birch_walk walk.pcap --duration 10",
         "birch_walk dual.pcap --set sensor.return_mode=dual --set seed=7",
         "my_forest.toml walk.pcap --json > walk.json",
     ),
-    stream: (
+    "stream": (
         "birch_walk",
         "static_bench --to 192.168.1.10 --duration 3600",
         "birch_walk --to 192.168.1.255 --as-sensor",
     ),
-    replay: ("walk.pcap", "field_day.pcap --loop --now --to 192.168.1.10"),
-    decode: ("walk.pcap", "walk.pcap --out walk.ply"),
-    bag: ("walk.pcap walk.mcap --truth truth", "field_day.pcap field_day.bag"),
-    points: (
+    "replay": ("walk.pcap", "field_day.pcap --loop --now --to 192.168.1.10"),
+    "decode": ("walk.pcap", "walk.pcap --out walk.ply"),
+    "bag": ("walk.pcap walk.mcap --truth truth", "field_day.pcap field_day.bag"),
+    "points": (
         "birch_walk walk.ply --duration 5 --truth",
         "walk.pcap walk.laz --trajectory truth",
         "birch_walk walk.npz --set sensor.return_mode=dual",
         "static_bench bench.csv --set sensor.model=free --set sensor.beams=64",
     ),
-    images: ("birch_walk views --duration 5", "birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1"),
-    picture: (
+    "images": ("birch_walk views --duration 5", "birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1"),
+    "picture": (
         "birch_walk walk.png --duration 20",
         "reference_forest walk.gif --duration 10 --colour species",
         "walk.pcap walk.png --trajectory truth",
     ),
-    view: ("birch_walk", "my_forest.toml --save my_path.toml", "field_day.pcap"),
-    truth: ("birch_walk truth --duration 60", "birch_walk truth --truth-rate 1000 --set imu.preset=consumer"),
-    dataset: ("bench_set.toml bench_set", "bench_set.toml bench_set --workers 0"),
-    score: (
+    "view": ("birch_walk", "my_forest.toml --save my_path.toml", "field_day.pcap"),
+    "truth": ("birch_walk truth --duration 60", "birch_walk truth --truth-rate 1000 --set imu.preset=consumer"),
+    "dataset": ("bench_set.toml bench_set", "bench_set.toml bench_set --workers 0"),
+    "score": (
         'truth --trajectory estimate.tum --align se3 --out report --require "ate_m<0.3"',
         "truth --stems stems.csv --inventory trees.csv --truth-points labelled.npz",
     ),
-    verify: ("walk.pcap", "walk.pcap --json"),
-    compare: ("walk.pcap field_day.pcap", "walk.pcap field_day.pcap --picture units.png --json"),
-    fit: ("field_day.pcap --out unit.toml",),
-    forest: (
+    "verify": ("walk.pcap", "walk.pcap --json"),
+    "compare": ("walk.pcap field_day.pcap", "walk.pcap field_day.pcap --picture units.png --json"),
+    "fit": ("field_day.pcap --out unit.toml",),
+    "forest": (
         "birch_walk",
         "old_growth --picture old_growth.png --inventory trees.csv",
         "my_forest.toml --radius 15 --ground ground.asc --glb twin.glb",
     ),
-    accuracy: ("birch_walk", "reference_forest --out report --pulses 20000", "static_bench --json"),
-    plan: ("birch_walk", "old_growth --set sensor.return_mode=dual", "reference_forest --ideal --json"),
-    doctor: ("", "--json"),
-    cache: ("", "--clear"),
-    scenes: (),
-    schema: ("> scene.schema.json",),
+    "accuracy": ("birch_walk", "reference_forest --out report --pulses 20000", "static_bench --json"),
+    "plan": ("birch_walk", "old_growth --set sensor.return_mode=dual", "reference_forest --ideal --json"),
+    "doctor": ("", "--json"),
+    "cache": ("", "--clear"),
+    "schema": ("> scene.schema.json",),
 }
 """What follows the verb in the examples of its help."""
 
 
-class _Verbs(TyperGroup):
-    """Our verbs, and those that other packages add; these are looked for where a verb is not ours."""
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        command = super().get_command(ctx, cmd_name)
-        if command is None and has_door(cmd_name, "verbs"):
-            own = typer.Typer(add_completion=False, rich_markup_mode=None)
-            own.command(cmd_name)(door(cmd_name, "verbs"))
-            command = typer.main.get_command(own)
-        return command
-
-
-app = typer.Typer(
-    cls=_Verbs,
-    add_completion=False,
-    rich_markup_mode=None,  # plain text reads well in every terminal, file and pipe
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
-for verb, examples in _EXAMPLES.items():
-    lines = "\n".join(f"  vlp16emu {verb.__name__} {words}".rstrip() for words in examples)
-    app.command(epilog=f"Examples:\n\n\b\n{lines}" if examples else None)(verb)
+def program(names: Iterable[str]) -> typer.Typer:
+    """Return the program with some verbs."""
+    made = typer.Typer(
+        add_completion=False,
+        rich_markup_mode=None,  # plain text reads well in every terminal, file and pipe
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    )
+    made.callback(invoke_without_command=True)(_root)
+    for name in names:
+        lines = "\n".join(f"  vlp16emu {name} {words}".rstrip() for words in _EXAMPLES.get(name, ()))
+        epilog = f"Examples:\n\n\b\n{lines}" if lines else None
+        made.command(name, epilog=epilog)(command(door(name, "verbs")))
+    return made
 
 
-@app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
     *,
@@ -138,6 +115,9 @@ def run(arguments: Sequence[str]) -> int:
     Exit code: 0 done, 1 failed while running or rules broken, 2 bad input, 130 interrupted
     """
     try:
+        first = next((word for word in arguments if not word.startswith("-")), None)
+        is_verb = first is not None and has_door(first, "verbs")
+        app = program([first] if first and is_verb else DOORS["verbs"])  # the others need not be loaded
         return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
     except Vlp16emuError as error:
         _complain(str(error))
@@ -159,7 +139,14 @@ def main() -> None:
     # What runs side by side is threads of ours: those of OpenBLAS, for products of a few rows, wait in a loop.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(500_000)  # libraries bring 300 000 objects, none of them garbage
+    for number in range(3):  # a file that a run opens must not take the place of a closed standard stream
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
     logging.basicConfig(format="warning: %(message)s")
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, in front of the line that says what is wrong
     for number in ENDINGS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
@@ -171,24 +158,38 @@ def main() -> None:
         code = run(sys.argv[1:])
         gc.freeze()  # Python need not look through all of it at the end
         print(end="", flush=True)
-    except BrokenPipeError:  # whoever read our output has had enough
-        _drop_output()
     except OSError as error:
-        if error.filename is not None or error.errno is None:  # files are looked after where they are written
-            raise
-        _drop_output()
-        if not code:  # else the reason has been printed
-            _complain(f"standard output: {error.strerror}")
-            code = 1
+        code = _code_of(error, code)
     if code == INTERRUPTED:
         os._exit(code)  # Python would wait for threads that grow and cast what nobody wants any more
-    sys.exit(1 if code is None else code)
+    sys.exit(code)
+
+
+def _code_of(error: OSError, code: int | None) -> int:
+    """Complain of an error that no verb expects, and return the exit code; `code` is that of a verb that came to its end."""
+    try:
+        print(end="", flush=True)
+    except OSError:  # it is standard output that cannot be written
+        _drop_output()
+    else:
+        where = "the system" if error.filename is None else error.filename
+        _complain(f"{where}: {error.strerror or error}")
+        return 1
+    if was_stopped.is_set():  # with its terminal gone
+        return INTERRUPTED
+    if code or isinstance(error, BrokenPipeError):  # the reason has been printed, or the reader has had enough
+        return code or 1
+    _complain(f"standard output: {error.strerror}")
+    return 1
 
 
 def _interrupt(_signal: int, _frame: object) -> None:
-    """End the command; the next signal ends the process at once."""
+    """End the command, within a second whatever it does; the next signal ends the process at once."""
     for number in ENDINGS:
         signal.signal(number, lambda *_: os._exit(INTERRUPTED))
+    timer = threading.Timer(_LEFT_S, os._exit, [INTERRUPTED])
+    timer.daemon = True
+    timer.start()
     raise KeyboardInterrupt
 
 
@@ -198,5 +199,5 @@ def _drop_output() -> None:
 
 
 def _complain(message: str) -> None:
-    if sys.stderr is not None:  # else nobody listens
+    with suppress(OSError, AttributeError):  # standard error may be closed
         print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)

@@ -2,17 +2,18 @@
 
 from typing import Annotated, Any
 
-from vlp16emu.cli.arguments import AsJson, option
+from vlp16emu.cli.arguments import AsJson
+from vlp16emu.cli.printer import count, print_json, print_rows, size
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import count, print_json, print_rows, size
 from vlp16emu.errors import InputError
+from vlp16emu.options import Option
 
 
 def cache(
     *,
-    clear: Annotated[bool, option("--clear", "Remove all of it; files that are not ours stay where they are.")] = False,
+    clear: Annotated[bool, Option("Remove all of it; files that are not ours stay where they are.")] = False,
     compile_all: Annotated[
-        bool, option("--compile", "Compile the kernels of all runs that are not there, for images and CI.")
+        bool, Option("Compile the kernels of all runs that are not there, for images and CI.", name="--compile")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -36,8 +37,7 @@ def cache(
         folder = str(kept.folder) if kept.folder else None
         tree[name] = {"folder": folder, "files": files, "bytes": used, "most_bytes": kept.most_bytes}
         limit = "" if clear else f" of at most {size(kept.most_bytes)}"
-        rows[name] = f"{count(files)} files, {size(used)}{limit}"
-        rows[f"{name} in"] = folder or "no folder: nothing is kept"
+        rows[name] = f"{count(files)} files, {size(used)}{limit}, in {folder or 'no folder: nothing is kept'}"
     if as_json:
         print_json(tree)
     else:

@@ -4,8 +4,9 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile, option
-from vlp16emu.cli.terminal import print_json, print_rows
+from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.printer import print_json, print_rows
+from vlp16emu.options import Option
 
 if TYPE_CHECKING:
     from vlp16emu.extras.compare import Compared
@@ -13,10 +14,10 @@ if TYPE_CHECKING:
 
 def compare(
     file: CaptureFile,
-    other: CaptureFile,
+    other: Annotated[Path, Option("The capture to compare it with.", name="OTHER.pcap")],
     *,
     picture: Annotated[
-        Path | None, option("--picture", "Draw spectra and histograms; needs the extra 'picture'.", "OUT.png")
+        Path | None, Option("Draw spectra and histograms; needs the extra 'picture'.", "OUT.png")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -26,10 +27,9 @@ def compare(
     minute of each capture is read at most. Scatter of ranges and of reflectivity also depends on what a capture shows:
     walls compare with walls, foliage with foliage.
     """
-    from vlp16emu.errors import spare
     from vlp16emu.extras.compare import compared, draw, read_sequences
     from vlp16emu.extras.plots import check_matplotlib
-    from vlp16emu.output import OutputFile
+    from vlp16emu.output import OutputFile, spare
 
     if picture is not None:
         check_matplotlib()
@@ -57,17 +57,14 @@ def _line(row: "Compared") -> str:
 
 
 def fit(
-    file: CaptureFile,
-    *,
-    out: Annotated[Path | None, option("--out", "Write them to a file instead.", "UNIT.toml")] = None,
+    file: CaptureFile, *, out: Annotated[Path | None, Option("Write them to a file instead.", "UNIT.toml")] = None
 ) -> None:
     """Print the [noise] and [sensor] tables of the unit that made a capture, for a scene file.
 
     The beat of its ranges has the phase of the capture's first pulse. A minute is read at most.
     """
-    from vlp16emu.errors import spare
     from vlp16emu.extras.compare import fitted, read_sequences
-    from vlp16emu.output import OutputFile
+    from vlp16emu.output import OutputFile, spare
 
     if out is not None:
         spare((file,), out)

@@ -3,32 +3,28 @@
 from pathlib import Path
 from typing import Annotated
 
-from vlp16emu.cli.arguments import AsJson, argument, number, option
-from vlp16emu.cli.terminal import Progress, count, finish, size, tree_of
-from vlp16emu.errors import InputError
+from vlp16emu.cli.arguments import MOST_THREADS, AsJson
+from vlp16emu.cli.printer import finish
+from vlp16emu.cli.terminal import Progress
+from vlp16emu.options import Option
 
 
 def dataset(
-    spec: Annotated[Path, argument("SPEC.toml", "File that describes the dataset.")],
-    out: Annotated[Path, argument("OUT", "Folder: new, or of an earlier run.")],
+    spec: Annotated[Path, Option("File that describes the dataset.", name="SPEC.toml")],
+    out: Annotated[Path, Option("Folder: new, or of an earlier run.", name="OUT")],
     *,
     workers: Annotated[
         int | None,
-        number(
-            "--workers",
+        Option(
             "Processes on this machine, one per core if left out; 0 is this process alone. Never changes a byte.",
             "N",
-            0,
-            1024,
+            ge=0,
+            le=MOST_THREADS,
         ),
     ] = None,
-    cluster: Annotated[
-        bool, option("--cluster", "Let Dask keep the processes on this machine; they talk over TLS, on loopback.")
-    ] = False,
     scheduler: Annotated[
         str | None,
-        option(
-            "--scheduler",
+        Option(
             "A Dask scheduler, such as tcp://127.0.0.1:8786, whose workers have this version and see OUT under the same path.",
             "ADDRESS",
         ),
@@ -42,22 +38,8 @@ def dataset(
     """
     from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
 
-    if cluster and scheduler:
-        raise InputError("--cluster", "found beside --scheduler", "one of both")
     walks = walks_of(load_spec(spec), spec.absolute().parent)
-    total_s = sum(walk.scenario.duration_s for walk in walks)
-    with Progress(total_s) as progress:
-        result = make_dataset(
-            walks,
-            out,
-            workers=workers,
-            cluster=cluster,
-            scheduler=scheduler,
-            progress=lambda done_s: progress.show("making walks", done_s),
-        )
-    rows = {
-        "walks": f"{count(result.walks)}, {count(result.made)} of them new",
-        "size": size(result.bytes),
-        "sha256": result.sha256,
-    }
-    finish(tree_of(result), result.manifest, rows, as_json=as_json)
+    with Progress(sum(walk.scenario.duration_s for walk in walks)) as bar:
+        show = lambda done_s: bar.show("making walks", done_s)  # noqa: E731
+        result = make_dataset(walks, out, workers=workers, scheduler=scheduler, progress=show)
+    finish(result, as_json=as_json)

@@ -5,16 +5,26 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli.arguments import AsJson, SceneName, Settings, number, option
+from vlp16emu.cli.arguments import AsJson, SceneName, Settings
+from vlp16emu.cli.printer import (
+    members,
+    print_files,
+    print_json,
+    print_rows,
+    print_table,
+    rows_of,
+    table_of,
+    text_of,
+    tree_of,
+)
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import count, print_files, print_json, print_rows, tree_of
 from vlp16emu.errors import InputError
+from vlp16emu.options import Option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
-    from vlp16emu.extras.sheets.figures import StandRow
-    from vlp16emu.extras.sheets.summary import ForestSummary, NamedThing, Things, WorldSummary
+    from vlp16emu.extras.sheets.summary import WorldSummary
     from vlp16emu.extras.sheets.survey import Survey
     from vlp16emu.scenario import Scenario
 
@@ -26,19 +36,13 @@ def forest(
     scene: SceneName,
     *,
     settings: Settings = None,
-    radius: Annotated[
-        float,
-        number(
-            "--radius", "How far from the path things count, are drawn and go into the twin.", "M", 1.0, 300, shown="30"
-        ),
+    radius_m: Annotated[
+        float, Option("How far from the path things count, are drawn and go into the twin.", "M", ge=1, le=300)
     ] = 30.0,
-    inventory: Annotated[
-        Path | None, option("--inventory", "Write all trees in the sensor's reach, one per line.", "OUT.csv")
-    ] = None,
+    inventory: Annotated[Path | None, Option("Write all trees in the sensor's reach, one per line.", "OUT.csv")] = None,
     seen: Annotated[
         Path | None,
-        option(
-            "--seen",
+        Option(
             "With --inventory, for each tree the returns from its stem in a run with this truth"
             " (`record --truth DIR --truth-returns`), the share of the stem that has any, and the arc at breast height.",
             "DIR",
@@ -46,23 +50,17 @@ def forest(
     ] = None,
     stems: Annotated[
         Path | None,
-        option(
-            "--stems",
+        Option(
             "Write the stems of those trees, and the branches of those within the radius, as circles along their axes,"
             " with radii, for QSM and taper.",
             "OUT.csv",
         ),
     ] = None,
     ground: Annotated[
-        Path | None,
-        option("--ground", "Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc"),
+        Path | None, Option("Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc")
     ] = None,
-    glb: Annotated[
-        Path | None, option("--glb", "Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")
-    ] = None,
-    picture: Annotated[
-        Path | None, option("--picture", "Draw a plan and a section; needs the extra 'picture'.", "OUT.png")
-    ] = None,
+    glb: Annotated[Path | None, Option("Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")] = None,
+    picture: Annotated[Path | None, Option("Draw a plan and a section; needs the extra 'picture'.", "OUT.png")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Report what stands along the path of the sensor.
@@ -70,7 +68,7 @@ def forest(
     Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
     path; of a hall, its things.
     """
-    from vlp16emu.errors import spare
+    from vlp16emu.output import spare
     from vlp16emu.scenario import find, load
     from vlp16emu.scenario.find import named_files
 
@@ -88,7 +86,7 @@ def forest(
 
         check_matplotlib()
     compile_first(scenario.world.kind)
-    summary = _surveyed(scene, scenario, radius, wanted, seen)
+    summary = _surveyed(scene, scenario, radius_m, wanted, seen)
     if as_json:
         written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})
@@ -139,64 +137,12 @@ def _subtitle(summary: "WorldSummary") -> str:
 
 
 def _print(summary: "WorldSummary") -> None:
-    from vlp16emu.extras.sheets.summary import ForestSummary
-
-    about = {"seed": str(summary.seed)}
-    if summary.path.length_m:
-        about["path"] = f"{summary.path.length_m:.0f} m"
-    if isinstance(summary, ForestSummary):
-        about |= _about(summary)
-    print_rows(f"{summary.scene}: {summary.title}", about)
-    if isinstance(summary, ForestSummary):
-        _print_trees(summary.trees)
-        if summary.things:
-            print_rows("on the ground", {kind: _kind(things) for kind, things in summary.things.items()})
-    if summary.named:
-        print_rows("things", {one.name: _placed(one) for one in summary.named})
-
-
-def _about(summary: "ForestSummary") -> dict[str, str]:
-    """Write rows of area, ground and pattern."""
-    ground = summary.relief
-    rows = {
-        "looked at": f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m of the path",
-        "ground": f"from {ground.low_m:.1f} m to {ground.high_m:.1f} m, slope"
-        f" {ground.slope_mean_deg:.0f} deg on average, {ground.slope_max_deg:.0f} deg at most",
-    }
-    if summary.clark_evans is not None:
-        rows["Clark-Evans index"] = f"{summary.clark_evans:.2f} (1 random, less in clumps, more if regular)"
-    return rows | {"trees in reach": count(summary.trees_in_reach)}
-
-
-def _print_trees(rows: "Sequence[StandRow]") -> None:
-    columns = ("trees", "stems", "per ha", "DBH, cm", "height, m", "m2/ha", "m3/ha", "LAI")
-    cells = [
-        (
-            row.species.replace("_", " "),
-            count(row.stems),
-            f"{row.stems_per_ha:.0f}",
-            f"{row.dbh_mean_cm:.1f} ({row.dbh_min_cm:.1f} to {row.dbh_max_cm:.1f})",
-            f"{row.height_mean_m:.1f} (to {row.height_max_m:.1f})",
-            f"{row.basal_area_m2_per_ha:.1f}",
-            f"{row.stem_m3_per_ha:.0f}",
-            f"{row.leaf_area_index:.2f}",
-        )
-        for row in rows
-    ]
-    widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
-    for line in (columns, *cells):
-        first, *others = (text.rjust(width) for text, width in zip(line, widths, strict=True))
-        print("  ".join([line[0].ljust(len(first)), *others]))
-
-
-def _kind(things: "Things") -> str:
-    text = f"{count(things.count)}, {things.per_ha:.0f} per ha, {things.measure}"
-    text += f" {things.least_m:.2f} m to {things.greatest_m:.2f} m"
-    names = ", ".join(f"{name.replace('_', ' ')} {number}" for name, number in things.species.items())
-    return f"{text}: {names}" if names else text
-
-
-def _placed(thing: "NamedThing") -> str:
-    place = ", ".join(f"{value:.2f}" for value in thing.place_m)
-    extent = " x ".join(f"{value:.2f}" for value in thing.size_m)
-    return f"at ({place}) m, {extent} m"
+    figures = dict(members(summary))
+    tables = {name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named")}
+    print_rows(f"{summary.scene}: {summary.title}", rows_of(figures))
+    if tables["trees"]:
+        print_table(table_of(tables["trees"]))
+    if tables["things"]:
+        print_rows("on the ground", {kind: text_of(things) for kind, things in tables["things"].items()})
+    if tables["named"]:
+        print_rows("things", {one.name: text_of(one) for one in summary.named})

@@ -1,45 +1,45 @@
 """`vlp16emu images`: what a camera in the place of the sensor sees of a scene."""
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 from vlp16emu.cli import arguments as args
-from vlp16emu.cli.arguments import argument, checked, option, pixels
+from vlp16emu.cli.arguments import finite, pixels
+from vlp16emu.cli.printer import finish
 from vlp16emu.cli.start import make_emulator, running
-from vlp16emu.cli.terminal import count, finish, size, tree_of
+from vlp16emu.options import Option
+from vlp16emu.run.options import Span, WhichUnit
 
 
 def images(
     scene: args.SceneName,
-    folder: Annotated[Path, argument("OUT", "Folder, new or empty.")],
+    folder: Annotated[Path, Option("Folder, new or empty.", name="OUT")],
+    span: Span,
     *,
-    kind: Annotated[str, option("--kind", "panorama, all around; or pinhole, towards azimuth 0.", "KIND")] = "panorama",
-    image_size: Annotated[
-        str | None, option("--size", "Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out.", "WxH")
+    kind: Annotated[str, Option("panorama, all around; or pinhole, towards azimuth 0.", "KIND")] = "panorama",
+    size_px: Annotated[
+        object | None,
+        Option(
+            "Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out.",
+            "WxH",
+            parse=pixels,
+            expected="width and height in pixels, such as 2048x512",
+        ),
     ] = None,
-    fov: Annotated[
+    fov_deg: Annotated[
         float | None,
-        option(
-            "--fov",
-            "Of a pinhole camera, from left to right; 90 if left out.",
+        Option(
+            "Field of view of a pinhole camera, from left to right; 90 if left out.",
             "DEG",
-            checked("--fov", float, math.isfinite, "a number of degrees"),
+            parse=finite,
+            expected="a number of degrees",
         ),
     ] = None,
-    every: Annotated[
-        float,
-        option(
-            "--every",
-            "Simulated seconds from image to image.",
-            "S",
-            checked("--every", float, math.isfinite, "a number of seconds"),
-        ),
+    every_s: Annotated[
+        float, Option("Simulated seconds from image to image.", "S", parse=finite, expected="a number of seconds")
     ] = 1.0,
-    duration: args.Duration = None,
-    start: args.Start = 0.0,
     settings: args.Settings = None,
-    unit: args.WhichUnit = 1,
+    unit: WhichUnit = 1,
     threads: args.Threads = 0,
     as_json: args.AsJson = False,
 ) -> None:
@@ -48,17 +48,10 @@ def images(
     They lie on the points of `vlp16emu points` and `record` at the same instant: cameras.json and poses.tum
     say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
     """
-    expected = "width and height in pixels, such as 2048x512"
-    wanted_px = None if image_size is None else pixels(image_size, expected)
     emulator = make_emulator(scene, settings, threads=threads)
     from vlp16emu.extras.images.images import write_images
 
-    with running(emulator, "casting", start, duration) as span:
-        run = write_images(emulator, folder, kind=kind, size=wanted_px, fov_deg=fov, every_s=every, unit=unit, **span)
-    rows = {
-        "scene": run.scene,
-        "camera": f"{run.kind}, {run.width} x {run.height} pixels, in the place of sensor {run.unit}",
-        "images": count(run.images),
-        "size": size(run.bytes),
-    }
-    finish(tree_of(run), run.folder, rows, as_json=as_json)
+    with running(emulator, "casting", span) as hooks:
+        camera = {"kind": kind, "size": size_px, "fov_deg": fov_deg, "every_s": every_s}
+        run = write_images(emulator, folder, **camera, unit=unit, **vars(span), **hooks)  # type: ignore[arg-type]
+    finish(run, as_json=as_json)

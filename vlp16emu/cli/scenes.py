@@ -1,7 +1,7 @@
 """`vlp16emu scenes` and `vlp16emu schema`: what can be recorded by name, and what a scene file may say."""
 
 from vlp16emu.cli.arguments import AsJson
-from vlp16emu.cli.terminal import print_json, print_rows
+from vlp16emu.cli.printer import print_json, print_rows
 
 
 def scenes(*, as_json: AsJson = False) -> None:
@@ -12,21 +12,15 @@ def scenes(*, as_json: AsJson = False) -> None:
     from vlp16emu.scenario import load, scene_files
 
     known = {name: (load(str(path)), path) for name, path in scene_files().items()}
-    if as_json:
-        rows = [
-            {
-                "name": name,
-                "title": scenario.title,
-                "duration_s": scenario.duration_s,
-                "motion": scenario.motion.kind,
-                "world": scenario.world.kind,
-                "file": str(path),
-            }
-            for name, (scenario, path) in known.items()
-        ]
-        print_json({"scenes": rows})
+    if not as_json:
+        print_rows("scenes", {name: f"{s.duration_s:g} s  {s.title}" for name, (s, _) in known.items()})
         return
-    print_rows("scenes", {name: f"{s.duration_s:g} s  {s.title}" for name, (s, _) in known.items()})
+    rows = [
+        {"name": name, "title": s.title, "duration_s": s.duration_s}
+        | {"motion": s.motion.kind, "world": s.world.kind, "file": path}
+        for name, (s, path) in known.items()
+    ]
+    print_json({"scenes": rows})
 
 
 def schema() -> None:

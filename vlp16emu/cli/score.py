@@ -1,4 +1,4 @@
-"""`vlp16emu score`: what a pipeline under test made of a run, against its truth."""
+"""`vlp16emu score`: what a pipeline under test made of a run, against its ground truth."""
 
 import json
 from pathlib import Path
@@ -6,57 +6,40 @@ from typing import Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, WhichUnit, argument, checked, one_of, option
-from vlp16emu.cli.terminal import make_folder, print_json, print_rows
+from vlp16emu.cli.arguments import AsJson
+from vlp16emu.cli.printer import print_json, print_rows
+from vlp16emu.cli.terminal import make_folder
+from vlp16emu.options import Option
 from vlp16emu.output import OutputFile
+from vlp16emu.run.options import WhichUnit
 
 
 def score(
-    truth: Annotated[Path, argument("TRUTH_DIR", "Folder that `record --truth` has written.")],
+    truth: Annotated[Path, Option("Folder that `record --truth` has written.", name="TRUTH_DIR")],
     *,
-    trajectory: Annotated[
-        Path | None, option("--trajectory", "Estimated poses, TUM; KITTI with --times.", "FILE")
-    ] = None,
-    times: Annotated[
-        Path | None, option("--times", "A time in seconds for each pose of KITTI, one to a line.", "FILE")
-    ] = None,
+    trajectory: Annotated[Path | None, Option("Estimated poses, TUM; KITTI with --times.", "FILE")] = None,
+    times: Annotated[Path | None, Option("A time in seconds for each pose of KITTI, one to a line.", "FILE")] = None,
     align: Annotated[
-        str, one_of("--align", "How the poses are laid on the truth; nothing else is moved.", "none", "yaw", "se3")
+        str, Option("How the poses are laid on the truth; nothing else is moved.", words=("none", "yaw", "se3"))
     ] = "none",
     map_file: Annotated[
-        Path | None, option("--map", "Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")
+        Path | None, Option("Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE", "--map")
     ] = None,
-    points: Annotated[
-        Path | None, option("--points", "Points with labels `leaf_wood`, `instance` (or `treeID`).", "FILE")
-    ] = None,
-    stems: Annotated[
-        Path | None, option("--stems", "Stems found: x, y, dbh (m) or dbh_cm, number.", "FILE.csv")
-    ] = None,
-    inventory: Annotated[Path | None, option("--inventory", "True trees, of `forest --inventory`.", "FILE.csv")] = None,
-    truth_points: Annotated[Path | None, option("--truth-points", "True points, of `points --truth`.", "FILE")] = None,
-    radius: Annotated[
-        float,
-        option(
-            "--radius",
-            "Within which a stem is one of the truth.",
-            "M",
-            checked("--radius", float, lambda m: 0 < m <= 10, "a number above 0 and at most 10"),
-            shown="0.5",
-        ),
-    ] = 0.5,
+    points: Annotated[Path | None, Option("Points with labels `leaf_wood`, `instance` (or `treeID`).", "FILE")] = None,
+    stems: Annotated[Path | None, Option("Stems found: x, y, dbh (m) or dbh_cm, number.", "FILE.csv")] = None,
+    inventory: Annotated[Path | None, Option("True trees, of `forest --inventory`.", "FILE.csv")] = None,
+    truth_points: Annotated[Path | None, Option("True points, of `points --truth`.", "FILE")] = None,
+    radius_m: Annotated[float, Option("Farthest that a found stem is from a true one.", "M", gt=0, le=10)] = 0.5,
     unit: WhichUnit = 1,
-    out: Annotated[
-        Path | None, option("--out", "Write score.json and score.html; needs the extra 'score'.", "DIR")
-    ] = None,
+    out: Annotated[Path | None, Option("Write score.json and score.html; needs the extra 'score'.", "DIR")] = None,
     require: Annotated[
-        list[str] | None,
-        option("--require", "A threshold; exit code 1 where it is missed. Repeatable.", "SCORE<NUMBER"),
+        list[str] | None, Option("A threshold; exit code 1 if it is missed. Repeatable.", "SCORE<NUMBER")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Score a pipeline's trajectory, map, labels and stems against the truth of a run.
 
-    Scores what is given, from files of any tool. Exit code 1 where a threshold is missed.
+    Scores what is given, from files of any tool. Exit code 1 if a threshold is missed.
     """
     from vlp16emu.extras.plots import check_matplotlib
     from vlp16emu.extras.score.card import ScoreInputs, limits_of, make_card
@@ -66,7 +49,7 @@ def score(
     if out is not None:
         check_matplotlib()
     card = make_card(
-        ScoreInputs(truth, trajectory, times, map_file, points, stems, inventory, truth_points, unit, align, radius)
+        ScoreInputs(truth, trajectory, times, map_file, points, stems, inventory, truth_points, unit, align, radius_m)
     )
     missed = card.missed(limits)
     tree = {**card.tree(), "missed": missed}

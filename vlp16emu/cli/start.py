@@ -1,4 +1,4 @@
-"""The start of a run."""
+"""Start of a run on the command line."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
+from vlp16emu.run.options import Span
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 def make_emulator(
     scene: str, settings: Sequence[str] | None, *, ideal: bool = False, threads: int = 0, audit: bool = False
 ) -> "Emulator":
-    """Make the emulator of a command line; arguments and errors as of `Emulator`."""
+    """Return the emulator of a command line; arguments and errors as `Emulator`."""
     from vlp16emu.scenario import load
 
     scenario = load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
@@ -25,20 +26,15 @@ def make_emulator(
 
 
 @contextmanager
-def running(emulator: "Emulator", task: str, start_s: float, duration_s: float | None) -> Iterator[dict[str, Any]]:
-    """Keywords of a run: its span, what shows its progress, and what Ctrl-C sets."""
-    begin_s, end_s = emulator.scenario.span_s(start_s, duration_s, where="--start")
+def running(emulator: "Emulator", task: str, span: Span) -> Iterator[dict[str, Any]]:
+    """Yield the keywords of a run that show its progress and end it after a signal."""
+    begin_s, end_s = emulator.scenario.span_s(span.start_s, span.duration_s, where="--start")
     with stop_on_ctrl_c() as stop, Progress(end_s - begin_s) as bar:
-        yield {
-            "start_s": start_s,
-            "duration_s": duration_s,
-            "progress": lambda done_s: bar.show(task, done_s),
-            "stop": stop,
-        }
+        yield {"progress": lambda done_s: bar.show(task, done_s), "stop": stop}
 
 
 def compile_first(world: str | None) -> None:
-    """Compile the kernels of runs in a kind of world (None: all) that are not on disk, and say on stderr how far that is."""
+    """Compile the kernels of runs in a kind of world (None: all) that are not on disk, with a count on stderr."""
     from vlp16emu.kernels.compiler import compile_kernels
 
     group = "forest" if world not in (None, "hall") else world

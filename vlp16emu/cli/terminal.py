@@ -1,39 +1,28 @@
-"""What verbs do on a terminal: interrupts, a progress bar with the time left, and the rows that several of them print."""
+"""Signals that end a run, and a progress bar with the time left."""
 
-import json
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
-
-import typer
+from typing import Self
 
 from vlp16emu.errors import OutputError
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-    from vlp16emu.run.report import AuditFinding
-    from vlp16emu.sensor.head import Turn
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
-
 ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-"""By these a run is ended from outside."""
+"""Signals that end a run."""
+was_stopped = threading.Event()
+"""Set once a signal has ended a run that goes on to its report."""
 
 _STDERR = 2
 
 
 @contextmanager
 def stop_on_ctrl_c() -> Iterator[threading.Event]:
-    """Event that Ctrl-C, SIGTERM and a hangup set; a second one interrupts at once.
+    """Yield an event that Ctrl-C, SIGTERM and a hangup set; a second one interrupts at once.
 
     An exception could come between a packet's write and its count, so that report and file would differ.
     """
@@ -48,9 +37,11 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
 
     def note(_signal: int, _frame: object) -> None:
         stop.set()
+        was_stopped.set()
         restore()
-        if os.isatty(_STDERR):  # print is not to be called in the midst of a print
-            os.write(_STDERR, b"\nfinishing what is under way; Ctrl-C again stops at once\n")
+        with suppress(OSError):  # the terminal may be gone; print is not to be called in the midst of a print
+            if os.isatty(_STDERR):
+                os.write(_STDERR, b"\nfinishing what is under way; Ctrl-C again stops at once\n")
 
     for number in before:
         signal.signal(number, note)
@@ -66,7 +57,7 @@ _REFRESH_S = 0.5
 
 
 class Progress:
-    """Bar on stderr; nothing where stderr is no terminal.
+    """Bar on stderr; nothing if stderr is no terminal.
 
     Drawn by the thread that shows it: a thread of its own would disturb the pacing of packets. Before the first one it
     counts the seconds by a thread of its own.
@@ -129,23 +120,12 @@ class Progress:
             self._draw(task, done_s)
 
     def say(self, line: str) -> None:
-        """Print a line on stderr at once, above the bar where there is one."""
-        if self._bar is not None:
-            self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-        else:
-            print(line, file=sys.stderr, flush=True)
-
-
-def tree_of(result: "DataclassInstance") -> dict[str, Any]:
-    """Put a result into the types of JSON; what it says of its `turn` goes beside the rest."""
-
-    def flat(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        tree = dict[str, Any]()
-        for name, value in pairs:
-            tree |= value if name == "turn" else {name: value}
-        return tree
-
-    return asdict(result, dict_factory=flat)
+        """Print a line on stderr at once, above the bar if there is one."""
+        with suppress(OSError):  # the terminal may be gone
+            if self._bar is not None:
+                self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+            else:
+                print(line, file=sys.stderr, flush=True)
 
 
 def make_folder(out: Path) -> None:
@@ -154,92 +134,9 @@ def make_folder(out: Path) -> None:
     Raises
     ------
     OutputError
-        where it cannot be made
+        If it cannot be made
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error
-
-
-def print_json(tree: Mapping[str, object]) -> None:
-    """Print one JSON object."""
-    print(json.dumps(tree, indent=2))
-
-
-def print_rows(title: str, rows: Mapping[str, str]) -> None:
-    """Print a title and under it names and values in two columns."""
-    print(title)
-    width = max(map(len, rows))
-    for name, value in rows.items():
-        print(f"  {name:<{width}}  {value}")
-
-
-def finish(tree: Mapping[str, Any], place: object, rows: Mapping[str, str], *, as_json: bool) -> None:
-    """Print what a run has written in some place, as JSON or in rows; exit as interrupted if `tree` says so."""
-    interrupted = tree.get("interrupted")
-    if as_json:
-        print_json(tree)
-    else:
-        print_rows(f"{'interrupted, kept' if interrupted else 'wrote'} {place}", rows)
-    if interrupted:
-        raise typer.Exit(INTERRUPTED)
-
-
-def print_files(files: Iterable[Path]) -> None:
-    """Print the names and sizes of files that were written."""
-    for path in files:
-        print(f"wrote {path}, {size(path.stat().st_size)}")
-
-
-def count(number: int) -> str:
-    """Write a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
-    return f"{number:,}".replace(",", " ")
-
-
-def size(number_of_bytes: int) -> str:
-    """Write a file's size in MB of a million bytes."""
-    return f"{number_of_bytes / 1e6:.1f} MB"
-
-
-def light_rows(beam: str, noise: str, weather: str | None) -> dict[str, str]:
-    """Rows of the active models of beam, noise and weather; none for clear air."""
-    return {"beam": beam, "noise": noise} | ({} if weather is None else {"weather": weather})
-
-
-def revolutions(turns: "Sequence[Turn]") -> str:
-    """Write how far sensors turned, once for those that turned alike."""
-    texts = (
-        f"{round(turn.revolutions, 1):.12g} of {count(round(turn.sequences_per_revolution))} firing "
-        f"sequences, {turn.azimuth_step_deg:.4g} deg apart"
-        for turn in turns
-    )
-    return "; ".join(dict.fromkeys(texts))
-
-
-_WIDEST = 10.0
-"""Quotient of the ends of an interval beyond which it does not give as much as the order of magnitude."""
-
-
-def audit_rows(found: "AuditFinding | None") -> dict[str, str]:
-    """Row of what an audit found; none without one."""
-    if found is None:
-        return {}
-    if found.exact:
-        return {"range error": "rounding to float32 only: by the scene's choice a pulse is one ray"}
-    if found.range_rmse_m is None:
-        return {"range error": f"not known: {found.pulses} pulses cast again had no return"}
-    low_m, high_m = found.range_rmse_low_m, found.range_rmse_high_m
-    if low_m is None or high_m is None:
-        sure = "interval not known from so few"
-    elif high_m > _WIDEST * low_m:
-        sure = "run too short for an interval"
-    else:
-        sure = f"95 %: {1e3 * low_m:.1f} to {1e3 * high_m:.1f} mm"
-    lost, invented, other = (
-        f"{100 * (share or 0.0):.1f} %" for share in (found.lost, found.invented, found.other_echo)
-    )
-    return {
-        "range error": f"RMSE {1e3 * found.range_rmse_m:.1f} mm before noise ({sure}), "
-        f"{lost} lost, {invented} invented, {other} of another echo"
-    }

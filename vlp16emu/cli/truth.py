@@ -4,22 +4,22 @@ from pathlib import Path
 from typing import Annotated
 
 from vlp16emu.cli import arguments as args
-from vlp16emu.cli.arguments import argument
+from vlp16emu.cli.printer import finish, size
 from vlp16emu.cli.start import make_emulator, running
-from vlp16emu.cli.terminal import finish, size
+from vlp16emu.options import Option
+from vlp16emu.run.options import Span, TruthPackets, TruthRate, TruthReturns, TruthTo
 
 
 def truth(
     scene: args.SceneName,
-    folder: Annotated[Path, argument("DIR", "Folder to write: new, empty, or of an earlier run.")],
+    folder: Annotated[Path, Option("Folder to write: new, empty, or of an earlier run.", name="DIR")],
+    span: Span,
     *,
-    duration: args.Duration = None,
-    start: args.Start = 0.0,
+    rate_hz: TruthRate = TruthTo.rate_hz,
+    per_packet: TruthPackets = TruthTo.per_packet,
+    per_return: TruthReturns = TruthTo.per_return,
     settings: args.Settings = None,
     ideal: args.Ideal = False,
-    truth_rate: args.TruthRate = 200,
-    truth_packets: args.TruthPackets = False,
-    truth_returns: args.TruthReturns = False,
     as_json: args.AsJson = False,
 ) -> None:
     """Write the ground truth of a run without casting its pulses: trajectory, IMU, GNSS, rig, scenario.
@@ -28,13 +28,9 @@ def truth(
     """
     emulator = make_emulator(scene, settings, ideal=ideal)
     from vlp16emu.extras.truth.truth import write_truth
-    from vlp16emu.run.options import TruthTo
 
-    with running(emulator, "writing", start, duration) as span:
-        wanted = TruthTo(folder, truth_rate, truth_packets, truth_returns)
-        simulated_s = write_truth(emulator, wanted, **span)
+    with running(emulator, "writing", span) as hooks:
+        simulated_s = write_truth(emulator, TruthTo(folder, rate_hz, per_packet, per_return), **vars(span), **hooks)
     sizes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
-    interrupted = span["stop"].is_set()
-    tree = {"folder": str(folder), "files": sizes, "simulated_s": simulated_s, "interrupted": interrupted}
-    rows = {"simulated": f"{simulated_s:.1f} s", **{name: size(n) for name, n in sizes.items()}}
-    finish(tree, folder, rows, as_json=as_json)
+    found = {"folder": folder, "simulated_s": simulated_s, "interrupted": hooks["stop"].is_set()}
+    finish(found | ({"files": sizes} if as_json else {name: size(n) for name, n in sizes.items()}), as_json=as_json)

@@ -4,10 +4,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli.arguments import SceneOrCapture, Settings, WhichUnit, number, option
+from vlp16emu.cli.arguments import SceneOrCapture, Settings
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import Progress
 from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.options import Option
+from vlp16emu.run.options import WhichUnit
 
 if TYPE_CHECKING:
     import viser
@@ -20,31 +22,28 @@ def view(
     unit: WhichUnit = 1,
     truth: Annotated[
         Path | None,
-        option(
-            "--truth",
+        Option(
             "Of a capture: what `record --truth DIR --truth-returns` has written beside it, for places in the world and labels.",
             "DIR",
         ),
     ] = None,
     save: Annotated[
         Path | None,
-        option(
-            "--save", "File to which the page saves the scene with the path drawn in it; comments stay.", "OUT.toml"
-        ),
+        Option("File to which the page saves the scene with the path drawn in it; comments stay.", "OUT.toml"),
     ] = None,
-    radius: Annotated[
-        float, number("--radius", "How far from the path the stand is drawn.", "M", 1.0, 100, shown="25")
-    ] = 25.0,
+    radius_m: Annotated[float, Option("How far from the path the stand is drawn.", "M", ge=1, le=100)] = 25.0,
     host: Annotated[
-        str, option("--host", "Address of this machine to listen on; others can then see the page.", "ADDRESS")
+        str, Option("Address of this machine to listen on; others can then see the page.", "ADDRESS")
     ] = "127.0.0.1",
-    port: Annotated[int, number("--port", "Port of the page, 0 for any that is free.", "N", 0, 65_535)] = 8016,
+    port: Annotated[int, Option("Port of the page, 0 for any that is free.", "N", ge=0, le=65_535)] = 8016,
 ) -> None:
     """Show a scene in the browser: the stand, the path, and the sweep at any time; draw the path anew.
 
     Of a capture its sweeps, with what is wrong with its packets marked. Needs the extra 'viewer'. Ctrl-C ends it.
     """
-    capture = Path(scene) if Path(scene).suffix == ".pcap" else None
+    from vlp16emu.packets.capture import is_capture_name
+
+    capture = Path(scene) if is_capture_name(scene) else None
     if save is not None and (settings or capture):
         raise InputError("--save", "found beside --set or a capture", "a scene as its file has it")
     if truth is not None and capture is None:
@@ -58,7 +57,7 @@ def view(
         if capture is not None:
             _show_capture(server, capture, truth, unit)
         else:
-            _show_scene(server, scene, settings, unit, radius, save)
+            _show_scene(server, scene, settings, unit, radius_m, save)
 
 
 def _show_capture(server: "viser.ViserServer", capture: Path, truth: Path | None, unit: int) -> None:

@@ -3,9 +3,8 @@
 Builds no geometry yet.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -32,14 +31,11 @@ from vlp16emu.types import Firings, Hits, ReturnMode, Returns, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.site import Sway
 
+if TYPE_CHECKING:
+    from vlp16emu.engine.engine import Engine
+
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
-_OF_WORLD: tuple[Callable[[Scenario], object], ...] = (
-    lambda scenario: (scenario.world, scenario.world_seed, scenario.wind),
-    lambda scenario: (scenario.motion, scenario.motion_seed, scenario.gps, scenario.start_ns),
-    lambda scenario: [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)],
-)
-"""What decides a world and the way through it."""
 
 
 class Optics(Protocol):
@@ -125,29 +121,24 @@ class Parts:
         return self.wind is not None or any(unit.motion.moves for unit in self.units)
 
 
-class Like(Protocol):
-    """Another run, whose world may be this one's too."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """What decides it."""
-
-    @property
-    def parts(self) -> Parts:
-        """What it is made of."""
-
-
 def in_one_world(one: Scenario, other: Scenario) -> bool:
     """Whether runs go the same way through the same world, so that only their sensors may differ."""
-    return all(of_world(one) == of_world(other) for of_world in _OF_WORLD) and not takes_poses(one.motion)
+    return not takes_poses(one.motion) and _way(one) == _way(other)
 
 
-def assemble(scenario: Scenario, like: Like | None = None) -> Parts:
+def _way(scenario: Scenario) -> tuple[object, ...]:
+    """Return what decides a world and the way through it."""
+    world, motion = (scenario.world, scenario.world_seed, scenario.wind), (scenario.motion, scenario.motion_seed)
+    reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
+    return *world, *motion, scenario.gps, scenario.start_ns, reach
+
+
+def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     """Make the parts that a scenario describes.
 
     Parameters
     ----------
-    like : another run; if it is in one world with this one, carrier and world are taken from it
+    like : another run; if both are in one world, carrier and world are those of the other
 
     Raises
     ------
@@ -158,22 +149,13 @@ def assemble(scenario: Scenario, like: Like | None = None) -> Parts:
         carrier, world, wind = like.parts.carrier, like.parts.world, like.parts.wind
     else:
         carrier, world, wind = _world(scenario)
-    imu = scenario.imu
-    return Parts(
-        units=tuple(
-            _unit(scenario, number, mounted(carrier, mount, scenario.start_ns))
-            for number, (_, mount) in enumerate(_sensors(scenario))
-        ),
-        carrier=carrier,
-        imu=ImuSampler(
-            mounted(carrier, imu.mount, scenario.start_ns), imu, start_ns=scenario.start_ns, seed=scenario.sensor_seed
-        )
-        if imu
-        else None,
-        world=world,
-        wind=wind,
-        gps=_gps(scenario),
-    )
+    start_ns, imu = scenario.start_ns, scenario.imu
+    mounts = [mounted(carrier, mount, start_ns) for _, mount in _sensors(scenario)]
+    sampler = None
+    if imu:
+        sampler = ImuSampler(mounted(carrier, imu.mount, start_ns), imu, start_ns=start_ns, seed=scenario.sensor_seed)
+    units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(mounts))
+    return Parts(units, carrier, sampler, world, wind, _gps(scenario))
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
@@ -272,10 +254,11 @@ def _gps(scenario: Scenario) -> GpsInput:
 
 def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
     start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s)
-    phase_deg = getattr(section, "phase_lock_deg", None)
-    free = phase_deg is None
-    angle_deg = section.start_azimuth_deg if free else in_phase_deg(phase_deg, section.rpm, start_ns)
-    swings = Swing.sample(seed, section.speed_error_rpm if free else 0.0, section.speed_wander_rpm)
+    phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
+    angle_deg, error_rpm = section.start_azimuth_deg, section.speed_error_rpm
+    if phase_deg is not None:
+        angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
+    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm)
     rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
     beams = with_angle_errors(
         beams_of(section),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from vlp16emu.doors import door
-from vlp16emu.engine.build import Like, Parts, Unit, assemble, with_events
+from vlp16emu.engine.build import Parts, Unit, assemble, with_events
 from vlp16emu.engine.position import make_receiver, position_packets
 from vlp16emu.engine.timeline import Packer, TruthOf
 from vlp16emu.engine.windows import Batching, OwnWindows, Windows, in_order, windows_of
@@ -84,13 +84,15 @@ class Engine:
     """Ground truth that data packets carry behind their records."""
 
     @classmethod
-    def of(cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: Like | None = None) -> Self:
+    def of(
+        cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: "Engine | None" = None
+    ) -> Self:
         """Set up a scenario; no geometry is built yet.
 
         Parameters
         ----------
         threads : workers, 0 for one per core
-        like : another engine; what that one has grown and built of the same world is used again
+        like : another engine, whose world is used again if it is the same
 
         Raises
         ------
@@ -104,7 +106,7 @@ class Engine:
         return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
+        """Return the packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
         Raises
         ------
@@ -132,7 +134,7 @@ class Engine:
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
     ) -> Iterator[Returns]:
-        """Yield the returns of a unit before packing, in whole blocks that hold at least the span; with their surfaces if `truth`."""
+        """Return the returns of a unit before packing, in whole blocks that hold at least the span; with their surfaces if `truth`."""
         blocks, of = self.batching.blocks(*self.span_ns(start_s, stop_s)), self.parts.units[unit]
         return self._scans(of, of.detector, blocks, self.threads, truth=truth)
 
@@ -178,10 +180,13 @@ class Engine:
     ) -> Iterator[Returns]:
         """Scan blocks on several threads; yield their returns in order of blocks."""
         together = 1 if self.prompt or self.truth_of else unit.beam.together
+        block, seed = self.batching.block, self.parts.world.seed
+
+        def work(run: range, opened: Future[Geometry]) -> Returns:
+            return self._scan(Job(unit, detector, run, block, seed, truth), opened)
+
         runs = self.windows.runs(blocks, together, threads)
-        of_run = self.batching.block, self.parts.world.seed, truth
-        jobs = (Job(unit, detector, run, *of_run) for run in runs)
-        return in_order(self._scan, jobs, self.windows, threads=threads, stop=blocks.stop)
+        return in_order(work, runs, self.windows, threads=threads, stop=blocks.stop)
 
     def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:
         return scan(job, opened.result(), self.taps)

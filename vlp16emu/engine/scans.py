@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.engine.build import Unit
 from vlp16emu.engine.engine import Engine
 from vlp16emu.packets import SEQUENCES_PER_BLOCK
+from vlp16emu.raycast.displace import offset_tangents
 from vlp16emu.scan import Chunk, Scan, cut_scans
 from vlp16emu.sensor.place import place
 from vlp16emu.types import SURFACE, ReturnMode, Returns
@@ -23,7 +24,7 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
     Raises
     ------
     TrajectoryError
-        where the walk is over before the span
+        If the walk is over before the span
     """
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
@@ -90,7 +91,10 @@ def points_of(
     sequence, laser, number = np.nonzero(sent)
     distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
     poses = unit.motion.poses_at(pulse_ns)
-    placed = place(beams, firings, sequence, laser, distance_m, poses)
+    tangents = None
+    if unit.beam.section.model == "offset":
+        tangents = offset_tangents(distance_m, unit.beam, firings.index + sequence, laser, t_ns.shape[1])
+    placed = place(beams, firings, sequence, laser, distance_m, poses, tangents)
     points: dict[str, NDArray[Any]] = {
         "t_ns": pulse_ns,
         "world_m": placed.world_m,

@@ -57,7 +57,7 @@ class Timeline:
     """Spans of time since the first pulse in which no packet of any kind leaves."""
 
     def _stop_of(self, span: Stretch, stop_ns: int) -> int:
-        """Find the firing sequence after the last of a span that a packet due before a time since the first pulse may have."""
+        """Find the end of the firing sequences of a span whose packets are due before a time since the first pulse."""
         last = -(-stop_ns // self.head.beams.sequence_ns) - 1
         return last if span.stop is None else min(span.stop, last)
 
@@ -76,7 +76,7 @@ class Timeline:
         return every[np.repeat(inside, 2)]
 
     def _begin_of(self, span: Stretch, start_ns: int) -> int:
-        """Find the firing sequence at which the packets of a span begin that may be due from a time on."""
+        """Find the firing sequence at which the packets of a span begin that are due from a time on."""
         if span.fov_deg is not None:
             return span.first
         period_ns = span.per_packet * self.head.beams.sequence_ns
@@ -123,7 +123,7 @@ class Timeline:
         )
 
     def is_silent(self, since_ns: int) -> bool:
-        """Whether nothing is sent at a time since the first pulse."""
+        """Return whether nothing is sent at a time since the first pulse."""
         return any(begin <= since_ns < end for begin, end in self.silences_ns)
 
 
@@ -132,7 +132,7 @@ class Packer:
 
     Parameters
     ----------
-    truth_of : where packets carry the ground truth of their records
+    truth_of : ground truth of the records that packets carry; None for none
     """
 
     def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:
@@ -157,10 +157,11 @@ class Packer:
         if skipped := min(-self._lost % per_packet, _count(rows)):
             self._lost += skipped
             rows = _rows(rows, slice(skipped, None))
-        rows = _joined([self._left, rows]) if self._left else rows
+        rows = _joined(self._left, rows) if self._left else rows
         whole = _count(rows) // per_packet * per_packet
         self._left = _rows(rows, slice(whole, None)) if whole < _count(rows) else None
-        yield from self._packed(_rows(rows, slice(whole)))
+        if whole:
+            yield from self._packed(_rows(rows, slice(whole)))
 
     def _rows(self, returns: Returns, first: int, stop: int) -> Returns:
         """Take what is sent of the firing sequences `first` to `stop` - 1."""
@@ -189,24 +190,18 @@ def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     return Returns(firings, surfaces=returns.surfaces, **taken)
 
 
-def _joined(some: list[Returns]) -> Returns:
-    """Put the rows of returns behind each other, and their tables of surfaces."""
-    first, arrays = some[0], dict[str, NDArray[Any]]()
-    for name in _BY_SEQUENCE:
-        arrays[name] = np.concatenate([getattr(each.firings, name) for each in some])
-    firings = Firings(index=first.firings.index, beam_axis=None, **arrays)
-    if first.surfaces is None:
-        joined = {name: np.concatenate([getattr(each, name) for each in some]) for name in _BY_RETURN[:2]}
-        return Returns(firings, **joined)
-    tables = [each.surfaces for each in some if each.surfaces is not None]
-    begins = np.cumsum([0, *map(len, tables[:-1])])
-    moved = [
-        replace(each, surface=np.where(each.surface == NO_SURFACE, NO_SURFACE, each.surface + np.uint32(begin)))
-        for each, begin in zip(some, begins.tolist(), strict=True)
-        if each.surface is not None
-    ]
-    joined = {name: np.concatenate([getattr(each, name) for each in moved]) for name in _BY_RETURN}
-    return Returns(firings, surfaces=np.concatenate(tables), **joined)
+def _joined(one: Returns, other: Returns) -> Returns:
+    """Put the rows of two returns behind each other, and their tables of surfaces."""
+
+    def both(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
+        there = [name for name in names if getattr(first, name) is not None]
+        return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in there}
+
+    if one.surfaces is not None and other.surface is not None:
+        moved = other.surface + np.uint32(len(one.surfaces))
+        other = replace(other, surface=np.where(other.surface == NO_SURFACE, NO_SURFACE, moved))
+    firings = Firings(index=one.firings.index, beam_axis=None, **both(one.firings, other.firings, _BY_SEQUENCE))
+    return Returns(firings, **both(one, other, (*_BY_RETURN, "surfaces")))
 
 
 def _count(returns: Returns) -> int:

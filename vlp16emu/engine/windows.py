@@ -28,17 +28,16 @@ SEGMENT = 64
 """Blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking."""
 
 _RAYS = 8
-_PULSES = 16 * BLOCK
 _LONGEST_NS = 110_000_000
 _SEGMENT_NS = 6_800_000_000
 _POLL_S = 0.05
-"""How often whoever waits looks whether the run shall end."""
+"""How often a thread that waits looks whether the run shall end."""
 _LEAD, _LAG = 3 / 8, 1 / 4
 """Shares of a segment: how long before its use a window is opened, and how far behind the present the sky over the antenna
 is asked for, at most (1.4 s). Workers share the rest."""
 
 _CASTERS: WeakValueDictionary[int, Caster] = WeakValueDictionary()
-"""Of runs that are kept, by their world's identity: runs in one world share what is built of it."""
+"""Casters of worlds in use, by the identity of the world: runs in one world share what is built of it."""
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -46,7 +45,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Batching:
-    """How the run of a sensor is cut: a VLP-16's into blocks of `BLOCK` and segments of `SEGMENT`.
+    """Sizes of the blocks and segments of a run: of a VLP-16 `BLOCK` and `SEGMENT`.
 
     Blocks of other sensors have no more pulses than that and last no longer, but have whole packets of 8 rays.
     """
@@ -65,7 +64,7 @@ class Batching:
     @property
     def block(self) -> int:
         """Firing sequences of a block, or of a part of one."""
-        most = min(_PULSES // self.lasers, _LONGEST_NS // self.sequence_ns)
+        most = min(16 * BLOCK // self.lasers, _LONGEST_NS // self.sequence_ns)
         return max(most // (_RAYS * self.parts), 1) * _RAYS
 
     @property
@@ -89,7 +88,7 @@ class Batching:
 
 
 class Windows(Generic[S]):
-    """The world in windows, each opened once as long as it is in use, whoever asks for it.
+    """The world in windows, each opened once as long as it is in use.
 
     Two are kept: the one of the present segment and the one before or after it; with very many threads more.
 
@@ -97,8 +96,8 @@ class Windows(Generic[S]):
     ----------
     open_segment : opens the window of a segment, or of what else `name_of` gives; called on a thread of its own
     batching : of the run
-    moves : whether each segment needs a window; where nothing moves that of segment 0 serves all
-    threads : workers, which may be that many blocks ahead of whoever else asks
+    moves : whether each segment needs a window; if nothing moves, the window of segment 0 serves all
+    threads : workers, which may be that many blocks ahead of the receiver
     """
 
     kept = 2
@@ -127,13 +126,7 @@ class Windows(Generic[S]):
             self.stop = before
 
     def wait(self, future: Future[T]) -> T:
-        """Give the result of a future.
-
-        Raises
-        ------
-        CancelledError
-            where the event of `stopped_by` is set before there is one
-        """
+        """Return the result of a future; `CancelledError` if the event of `stopped_by` is set before there is one."""
         while not future.done():
             if self.stop.is_set():
                 raise CancelledError
@@ -180,7 +173,7 @@ class Windows(Generic[S]):
 
 @contextmanager
 def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[ThreadPoolExecutor]:
-    """Give a pool of threads, which are waited for at its end; but not where `stop` is set, or Ctrl-C is pressed."""
+    """Return a pool of threads, whose end is waited for unless `stop` is set or Ctrl-C is pressed."""
     pool = ThreadPoolExecutor(threads, name)
     try:
         yield pool
@@ -191,26 +184,15 @@ def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[Thre
     pool.shutdown()
 
 
-class OfBlocks(Protocol):
-    """A piece of work on a run of blocks."""
-
-    @property
-    def blocks(self) -> range:
-        """Numbers of the blocks, within one window."""
-
-
-J = TypeVar("J", bound=OfBlocks)
-
-
 def in_order(
-    work: Callable[[J, Future[S]], T], jobs: Iterable[J], windows: Windows[S], *, threads: int, stop: int
+    work: Callable[[range, Future[S]], T], runs: Iterable[range], windows: Windows[S], *, threads: int, stop: int
 ) -> Iterator[T]:
-    """Yield the results of `work(job, window of its blocks)` in the order of jobs, a few computed ahead.
+    """Yield the results of `work(run of blocks, its window)` in order, a few computed ahead.
 
     Parameters
     ----------
     work : called on a worker thread; the future may still be running
-    jobs : without gaps, unless the windows leave blocks out
+    runs : without gaps, unless the windows leave blocks out
     threads : workers
     stop : number of the block after the last
 
@@ -221,10 +203,10 @@ def in_order(
     """
     pending: deque[Future[T]] = deque()
     with workers(threads, "work", windows.stop) as pool:
-        for job in jobs:
-            pending.append(pool.submit(work, job, windows.at_block(job.blocks.start)))
+        for run in runs:
+            pending.append(pool.submit(work, run, windows.at_block(run.start)))
             # Now and not at once: the first packet should not wait for the second window.
-            windows.at_block(min(job.blocks.stop - 1 + windows.lead, stop - 1))
+            windows.at_block(min(run.stop - 1 + windows.lead, stop - 1))
             if len(pending) > threads:
                 yield windows.wait(pending.popleft())
         while pending:
@@ -232,7 +214,7 @@ def in_order(
 
 
 def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> Window:
-    """Give what is within reach of a segment of the walk; the arguments are those of `windows_of`."""
+    """Return what is within reach of a segment of the walk; parameters as of `windows_of`."""
     edges_ns = start_ns + batching.edges_ns(segment)
     tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
     track_m = np.concatenate(tracks_m)

@@ -1,4 +1,4 @@
-"""Whether this machine is fit for each verb, and what mends what is not."""
+"""Checks of this machine for all verbs, with a remedy for each failure."""
 
 import os
 import platform
@@ -15,7 +15,7 @@ from vlp16emu.store import user_store
 
 _EXTRAS = {
     "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
-    "cluster": (("distributed", "cryptography"), "dataset --cluster, --scheduler"),
+    "cluster": (("distributed",), "dataset --scheduler"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
     "images": (("OpenEXR", "PIL"), "images"),
@@ -33,7 +33,7 @@ _CASTER = "raycast."
 
 
 def all_checks() -> Iterator[Check]:
-    """Look at all that any verb needs, one thing after the other."""
+    """Yield the results of all checks, one after the other."""
     yield _cores()
     yield _kernels()
     yield _embree()
@@ -74,7 +74,7 @@ def _embree() -> Check:
 
 
 def _instructions() -> str:
-    """Name the widest instructions of this processor that Embree has kernels for."""
+    """Return the widest instruction set of this processor that Embree has kernels for."""
     try:
         flags = set(Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split())
     except OSError:

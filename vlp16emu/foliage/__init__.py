@@ -1,1 +1,1 @@
-"""What is far, as a medium of voxels: a caster beside Embree."""
+"""Far vegetation as a medium of voxels: a caster beside Embree."""

@@ -1,4 +1,4 @@
-"""Shapes as a medium takes them: their projected area in cells of 0.25 m, or face by face where there are few.
+"""Clouds: the projected area of shapes in cells of 0.25 m, or face by face if they are few.
 
 A shape is measured once, less what its faces hide of each other, and its cloud put down wherever it stands
 (`vlp16emu.foliage.medium`).
@@ -22,7 +22,7 @@ from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
 TILTS = 64
 """Classes of faces by the sine of their normal's elevation."""
 _PIXELS = 32
-"""Of a voxel's edge, 16 mm each, in which faces are drawn."""
+"""Pixels along a voxel's edge in which faces are drawn, 16 mm each."""
 _CELL_M = 0.25
 _FEW_FACES = 2000
 """Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
@@ -44,7 +44,7 @@ PROJECTION = _projection()
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """A shape, as a medium takes it."""
+    """Projected area of a shape, for a medium."""
 
     place_m: F4
     """(n, 3) where its area lies, in the shape's own frame; none of shapes with few faces."""
@@ -111,7 +111,7 @@ def _measured(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
 
 @cache
 def _met() -> list[tuple[NDArray[np.intp], F8]]:
-    """For each knot the cosines (`TILTS` x 64) with which light meets faces all around: their order, and in that order."""
+    """Return for each knot the order of the cosines (`TILTS` x 64) at which light meets faces all around, and the sorted cosines."""
     at = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
     found = []
@@ -153,7 +153,7 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
 
 
 def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
-    """Share of each face's area (f,) that is left where leaves that hide each other are taken for leaves at random.
+    """Return the share of each face's area (f,) that leaves at random need to hide as much.
 
     The faces of each mesh are drawn as seen along x and along y, voxel by voxel. Leaves at random that hide as much of a
     voxel's face have -log(1 - hidden) of its area (Beer's law); the sum of areas is more where leaves grow in clumps.

@@ -70,9 +70,9 @@ def _nearest(
     up: float,
     square: float,
 ) -> tuple[float, float, float]:
-    """Where a ray from `q` is nearest to an axis along `s`: range, height along the axis, and distance squared.
+    """Return range, height along the axis and squared distance where a ray from `q` is nearest to an axis along `s`.
 
-    Of the ray's direction `up` is along the axis and `w`, `square` long squared, is across it.
+    The ray's direction is `up` along the axis and `w` across it, whose length squared is `square`.
     """
     lift = q[0] * s[0] + q[1] * s[1] + q[2] * s[2]
     nearest_m = -(q[0] * w[0] + q[1] * w[1] + q[2] * w[2]) / square

@@ -1,7 +1,4 @@
-"""What is far, kept from window to window and in the store.
-
-Clouds of shapes, blocks of tiles, and the medium that they make up.
-"""
+"""Media of windows, made of blocks of tiles and clouds of shapes that are kept from window to window and in the store."""
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
@@ -23,13 +20,13 @@ from vlp16emu.types import F4, F8, I4, U1, Mesh, ShapeKey, World
 from vlp16emu.world.polyline import distance_m
 
 STRAY_M = 1.0
-"""How far a sensor may be from the positions that a window is for."""
+"""Greatest distance of a sensor from the positions of its window."""
 _TILE_M = COLUMNS * VOXEL_M
 _BRICKS = COLUMNS // BRICK
 _NO_GROUND_M = np.float32(-1e6)
 _AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
 _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
-"""Of a library before anything is measured: where only stems and ground are far."""
+"""Cloud of a library before anything is measured, if only stems and ground are far."""
 
 
 def _recalled_cloud(world: World, key: ShapeKey, parts: U1) -> Cloud:
@@ -44,7 +41,7 @@ def _recalled_cloud(world: World, key: ShapeKey, parts: U1) -> Cloud:
 
 
 class Far:
-    """Makes the medium of windows, whoever asks for them one after the other.
+    """Maker of the media of windows.
 
     Parameters
     ----------
@@ -61,7 +58,7 @@ class Far:
         self._shelf = Shelf()
 
     def is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
-        """Which of the placements that `window.far` marks may be met by light that has not yet come to the medium."""
+        """Return which placements of `window.far` light may meet before it comes to the medium."""
         own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
         stretch = np.sqrt((np.square(window.world_T_shape[:, :, :3])).sum(axis=1).max(axis=-1))
         radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
@@ -80,7 +77,7 @@ class Far:
         return near[window.far]
 
     def tiles(self, window: TiledWindow) -> dict[Name, FarTile]:
-        """Ask for the tiles of a window, and those beside them, and measure their shapes."""
+        """Return the tiles of a window and their neighbours, with their shapes measured."""
         around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
         tiles = dict(zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True))
         self._measure(tiles.values())

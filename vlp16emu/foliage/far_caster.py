@@ -1,4 +1,4 @@
-"""Scenes of windows whose tiles are seen from afar: what is near as faces, what is far as a medium."""
+"""Casting of tiled windows: near faces by Embree, the far rest as a medium."""
 
 import math
 import threading
@@ -20,7 +20,7 @@ from vlp16emu.types import F8, Window
 from vlp16emu.world.polyline import distance_m
 
 _LEVEL = float(LEVEL) - 1e-4
-"""Where pulses are all less steep than this, so are their rays in float32."""
+"""Slope below which the rays of a pulse are level in float32, too."""
 
 
 class FarGeometry(EmbreeGeometry):
@@ -117,7 +117,7 @@ class FarCaster(EmbreeCaster):
         return FarGeometry(near, window.track_m, beyond if beyond.meshes else None, medium)
 
     def _is_reached(self, window: TiledWindow, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of some placements may be met by light that has not yet come to the medium."""
+        """Return which of some placements light may meet before it comes to the medium."""
         part = _part(window, kept)
         radius_m = np.array([mesh.radius_m for mesh in self._grown(part, self._begun(part))])
         stretch = np.sqrt(np.square(part.world_T_shape[:, :, :3]).sum(axis=1).max(axis=-1, initial=0.0))

@@ -45,14 +45,14 @@ class Stems(NamedTuple):
 
 
 class Medium(NamedTuple):
-    """What is far in a window, relative to the window's origin."""
+    """Far medium of a window, relative to the window's origin."""
 
     near_m: float
     """Range at which it begins; nothing where it is infinite."""
     corner_m: tuple[float, float, float]
-    """Of the grid of bricks."""
+    """Corner of the grid of bricks."""
     corner: tuple[int, int, int]
-    """The same in voxels of the world."""
+    """Corner of the grid, in voxels of the world."""
     brick: U8
     """(x, y, z, 2) of each brick which voxels hold anything, and in which a stem may be met, as in `Block`."""
     first: U4
@@ -76,7 +76,7 @@ AHEAD = 16
 """Slabs that are looked at before the voxels in them: without branches that nobody can foretell."""
 
 AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))
-"""Where further rows of lanes begin in `Lanes.row`."""
+"""Offsets of further rows of lanes in `Lanes.row`."""
 
 
 class Lanes(NamedTuple):
@@ -107,7 +107,7 @@ class Lanes(NamedTuple):
 
 
 def lanes() -> Lanes:
-    """Make room for lanes."""
+    """Return empty lanes."""
     row = np.zeros(_END, np.float32)
     return Lanes(
         row,

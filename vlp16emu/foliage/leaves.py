@@ -72,10 +72,10 @@ def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
 
 
 class Weights(NamedTuple):
-    """How much the codes of a voxel count for light of some elevation, which is between two knots."""
+    """Weights of a voxel's codes for light of an elevation between two knots."""
 
     bits: np.uint32
-    """Where the code of the lower knot begins."""
+    """First bit of the code of the lower knot."""
     low: np.float32
     high: np.float32
     """Times the length of a slab."""

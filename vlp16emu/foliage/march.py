@@ -1,4 +1,4 @@
-"""The way of light through what is far: ground as a grid, stems as tapered cones, foliage as a medium of voxels.
+"""The march of light through the far medium: ground as a grid, stems as tapered cones, foliage as voxels.
 
 A pulse goes through slabs of voxels along the axis that it is most parallel to. The voxel that its middle passes in a slab
 decides for all its sub-rays: how much foliage there is in it (`vlp16emu.foliage.leaves`), and whether ground or a stem may
@@ -23,7 +23,7 @@ _SLABS = np.arange(AHEAD, dtype=np.float32)
 
 
 class Passage(NamedTuple):
-    """What takes the rays of a cast through a medium."""
+    """Medium and scratch of a cast, for `kernel.go_on`."""
 
     medium: Medium
     lanes: Lanes
@@ -46,7 +46,7 @@ class _Way(NamedTuple):
     to_middle: np.float32
     """Range at the middle of slab k."""
     p1: np.float32
-    """In voxels along the axes one and two: place at the middle of slab k, and its change per slab."""
+    """Place in voxels along the axes one and two at the middle of slab k, and its change per slab."""
     p2: np.float32
     d1: np.float32
     d2: np.float32
@@ -56,13 +56,13 @@ class _Grid(NamedTuple):
     """A grid along the axes main, one and two."""
 
     size: tuple[int, int, int]
-    """In voxels."""
+    """Size in voxels."""
     stride: tuple[np.uint32, np.uint32, np.uint32]
-    """From brick to brick."""
+    """Stride from brick to brick."""
     shift: tuple[np.uint32, np.uint32, np.uint32]
     """Bits in a brick from voxel to voxel."""
     corner: tuple[int, int, int]
-    """In voxels of the world."""
+    """Corner in voxels of the world."""
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)

@@ -11,10 +11,10 @@ from vlp16emu.foliage.voxel import BRICK, FINER, GROUND, VOXEL_M
 from vlp16emu.types import F4, F8, U4, U8
 
 ASIDE_M = 0.26 + 0.16
-"""How far beside a voxel a stem may be that is looked for in it: half a voxel, for a ray is looked at in the middle of
+"""Greatest distance beside a voxel of a stem that is looked for in it: half a voxel, for a ray is looked at in the middle of
 each voxel that it passes, and the half width of a beam of 3 mrad at 100 m."""
 _ABOVE_M = 0.26 + 0.16
-"""The same above and below: rays rise by no more than they go along."""
+"""Greatest distance above and below: rays rise by no more than they go along."""
 
 
 def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
@@ -28,7 +28,6 @@ def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
 
 
 def _reach_m(stems: NDArray[np.void]) -> F8:
-    """How far stems reach from their axes at the knots, (n, knots), bent as they are."""
     reach_m: F8 = stems["radius_m"] + hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
     return reach_m
 
@@ -59,7 +58,7 @@ def stem_columns(line: F8, aside_m: float, from_m: float, to_m: float) -> tuple[
 
 @numba.njit(cache=True, nogil=True)
 def stem_beside(line: F8, aside_m: float, from_m: float, to_m: float, x: int, y: int) -> bool:
-    """Whether a stem between two heights comes so near to a column of voxels."""
+    """Return True if a stem between two heights comes within `aside_m` of a column of voxels."""
     # From the middle of the column to the axis as seen from above, which is a piece of a straight line.
     a = (x + 0.5) * VOXEL_M - line[0] - line[3] * from_m
     b = (y + 0.5) * VOXEL_M - line[1] - line[4] * from_m

@@ -1,4 +1,4 @@
-"""Foliage from afar: voxels of 0.5 m with the leaf and wood area of the very shapes that stand there.
+"""Far foliage: voxels of 0.5 m with the leaf and wood area of the very shapes that stand there.
 
 A shape with many faces is measured once: its projected area in cells of 0.25 m (`Cloud`). Placements add these areas, and
 those of shapes with few faces face by face, to the voxels of a tile of the world (`Block`); tiles make up the medium of a
@@ -28,7 +28,7 @@ from vlp16emu.types import F8, I8, U4, U8
 
 T = TypeVar("T", bound=np.generic)
 Name = tuple[int, int]
-"""Of a tile."""
+"""Name of a tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class Laid(NamedTuple):
     first: U4
     """Records in the array of the shelf."""
     records: slice
-    """What it takes of the shelf."""
+    """Place of its records on the shelf."""
     owners: slice
 
 

@@ -1,4 +1,4 @@
-"""What worlds say of the squares that are seen from afar: the contract of forests and of the medium that they become.
+"""Far tiles: the contract between forests and the medium that they become.
 
 A window with tiles is cast as faces to `near_m`, and beyond as a medium; any other one as faces alone.
 """
@@ -22,15 +22,15 @@ STEM = np.dtype(
         ("row", "<u4", 2),  # of the tile's surfaces: root flare, and the stem above it
     ]
 )
-"""A stem from afar, or the second leader of one: circles across its axis."""
+"""A far stem, or the second leader of one: circles across its axis."""
 
 EXACT = 255
-"""In place of the `PlantPart` of a `FarTile`'s mesh: `STEM`s stand for it, and it is no medium."""
+"""Stands for the `PlantPart` of a `FarTile`'s mesh that is exact as `STEM`s, and no medium."""
 
 
 @dataclass(frozen=True, slots=True)
 class FarTile:
-    """A square of the world, 20 m wide, as it is seen from afar: what becomes a medium, and what stays exact."""
+    """A far square of the world, 20 m wide: what becomes a medium, and what stays exact."""
 
     corner_m: F8
     """(3,) south-west corner; the height is a multiple of 2 m, near the ground."""
@@ -76,7 +76,7 @@ class TiledWorld(World, Protocol):
 
     @property
     def name(self) -> str:
-        """All that decides its `far_tile`s, as a digest; empty where nothing of it is kept on disk."""
+        """Return a digest of all that decides its `far_tile`s; empty if nothing of it is kept on disk."""
 
     def far_tile(self, ix: int, iy: int) -> FarTile:
-        """Describe a square of the world as it is seen from afar; the same square is always the same."""
+        """Return a far square of the world; the same square is always the same."""

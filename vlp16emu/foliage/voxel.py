@@ -14,7 +14,7 @@ FINER = 2
 KNOTS = np.array([0.0, 0.3, 1.0])
 """Sines of the elevations at which projected areas are known: level, 17 degrees, and upright."""
 QUANTILES = 16
-"""Of the cosine of incidence, at middles of equal shares of the projected area."""
+"""Quantiles of the cosine of incidence, at middles of equal shares of the projected area."""
 
 CODES, MOST_PER_M = 127, 24.0
 """Greatest code, and its projected area per volume."""
@@ -22,7 +22,7 @@ TAU_PER_M = (MOST_PER_M * np.square(np.arange(CODES + 1) / CODES)).astype(np.flo
 """Projected area per volume of each of the codes that voxels have."""
 
 LAW_BIT, TILE_BIT, SHARE_BIT = np.uint64(32), np.uint64(52), np.uint64(56)
-"""Where the parts of an owner begin, its row being the first."""
+"""First bits of the parts of an owner; its row begins at bit 0."""
 LAW_MASK = np.uint64((1 << 20) - 1)
 
 GROUND = np.uint32(1 << 21)

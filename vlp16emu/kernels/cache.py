@@ -17,7 +17,6 @@ from vlp16emu.checked import PACKAGE, CheckedFolder, digest_of, read_checked
 
 SOURCES = (
     "elementary.py",
-    "extras/clouds/text.py",
     "extras/live",
     "extras/recorded",
     "foliage",

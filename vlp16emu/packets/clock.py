@@ -22,7 +22,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 _STEADY_NS = S_NS
 """Steps of the sensor's clock up to this leave its hour alone, whatever the host's clock does."""
 _CLOSE_NS = S_NS
-"""A clock so close to the host's is taken for one that follows UTC, if no position packet tells."""
+"""A clock so close to the host's is taken for one that follows UTC, if no position packet says it."""
 _LOOKED_AT = 10_000
 """Packets of a unit among which its first position packet is looked for: 7 s in dual return."""
 _PERIOD_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
@@ -80,6 +80,10 @@ class PacketClock:
             self.host_ahead_ns = fired_ns - sensor_ns
         return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
 
+    def position_ns(self, stamp_ns: int, timestamp_us: int) -> int:
+        """Return UTC of a position packet by the chosen clock."""
+        return stamp_ns if self.clock is Clock.HOST else self.sensor_ns(stamp_ns, timestamp_us)
+
 
 class UnitClock(NamedTuple):
     """What the first packets of a unit say of its clock."""
@@ -128,9 +132,9 @@ def unit_clocks(
 
 
 def packet_clock(path: Path, unit: Sender | None, name: str | None = None, *, where: str = "clock") -> PacketClock:
-    """Return the clock for the packets of one unit, as `unit_clocks`; of a pipe, which can be read only once, the sensor's."""
-    if name is None and not path.is_file():
-        return PacketClock()
+    """Return the clock for the packets of one unit, as `unit_clocks`; by default the sensor's for a pipe, which is read only once."""
+    if path.is_fifo() and name != Clock.GPS and (name is None or name in tuple(Clock)):
+        return PacketClock(Clock(name or Clock.SENSOR))
     return unit_clocks(path, [unit], name, where=where)[0].make()
 
 
@@ -158,7 +162,7 @@ class _Seen:
                 self.behind_ns = second_ns - datagram.stamp_ns
 
     def is_known(self, *, wants_sentence: bool) -> bool:
-        """Return whether more packets would tell no more."""
+        """Return whether more packets would change nothing."""
         if self.data is None:
             return False
         return self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT

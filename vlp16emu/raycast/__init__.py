@@ -1,7 +1,4 @@
-"""Where light meets surfaces: sub-rays of each pulse through what is near and what is far. The only border to float32.
-
-The settings are here by name, the models in the files of the room.
-"""
+"""Ray casting: the sub-rays of each pulse against near faces and the far medium. The only border to float32."""
 
 from vlp16emu.raycast.settings import Beam
 

@@ -1,4 +1,4 @@
-"""When a pulse has sub-rays enough.
+"""Decision whether a pulse has enough sub-rays.
 
 After each round of eight two things are asked. First, what is the range of the strongest echo still worth? The error that
 is meant is the mean absolute error of that range, where another echo taken for it counts as the resolution. It is
@@ -19,9 +19,9 @@ from vlp16emu.types import F4, F8, NO_SURFACE, U4
 
 _NONE = np.uint32(NO_SURFACE)
 _LEAST_SQUARED = np.float32(1e-12)
-"""Of a range, in m2."""
+"""Least square of a range, in m2."""
 _PER_RAY = 5200.0
-"""What a ray must buy, over the 3.5th power of the target, so that scenes/reference_forest and birch_walk come out at their
+"""Error that a ray must take off, over the 3.5th power of the target, so that scenes/reference_forest and birch_walk come out at their
 target or below, from 0.02 to 0.05 m: in m-2.5, fitted."""
 _MOST = 0.65
 """No error is estimated to be more, in resolutions: half of one for another echo, and what eight rays of one echo leave."""
@@ -35,12 +35,12 @@ _PLAIN = 0.4, 2.0
 
 
 class RayBudget(NamedTuple):
-    """How many sub-rays are wanted."""
+    """Number of sub-rays that the pulses of a beam need."""
 
     most: int
-    """Of a pulse."""
+    """Most sub-rays of a pulse."""
     adaptive: bool
-    """Whether `enough` is asked after each round if there must be more."""
+    """True if `enough` decides after each round."""
     worth_m: float
     """Error that each ray must take off; see `worth_of_ray_m`."""
     resolution_m: float
@@ -51,13 +51,13 @@ class RayBudget(NamedTuple):
 
 
 def worth_of_ray_m(target_m: float) -> float:
-    """Error that each ray must take off, so that the mean error comes to a target."""
+    """Return the error that each ray must take off, so that the mean error comes to a target."""
     return _PER_RAY * target_m * target_m * target_m * math.sqrt(target_m)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8) -> bool:
-    """Whether n sub-rays decide on the strongest echo well enough for the target, and on whether it is seen.
+    """Return True if n sub-rays give the strongest echo well enough for the target, and tell whether it is seen.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, threshold: float) -> bool:
-    """Whether rays beyond doubt come to an echo, or to none, where they must sum up to the threshold."""
+    """Return True if the rays clearly make an echo, or none, against the threshold."""
     most, total = np.float32(0.0), np.float32(0.0)
     for i in range(range_m.shape[0]):
         if surface[i] != _NONE:
@@ -92,7 +92,7 @@ def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, thre
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
-    """Whether the strongest echo may be seen or not by chance of where n sub-rays went, rather than of noise."""
+    """Return True if the places of n sub-rays, rather than noise, decide whether the strongest echo is seen."""
     first, last, strongest = _strongest(order, 0, met, budget.resolution_m / 2)
     squares = 0.0
     for a in range(first, last + 1):
@@ -143,7 +143,7 @@ def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, o
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _strongest(order: F8, first: int, stop: int, resolution_m: float) -> tuple[int, int, float]:
-    """First, last and energy of the strongest stretch no longer than the resolution, among sorted echoes."""
+    """Return first, last and energy of the strongest stretch no longer than the resolution, among sorted echoes."""
     best, best_first, best_last = 0.0, first, first - 1
     near, energy = first, 0.0
     for far in range(first, stop):

@@ -11,11 +11,11 @@ from vlp16emu.types import F4, F8, I8, U4
 LANES = ROUND
 """Rays of a row."""
 ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
-"""Where rows of lanes begin in `Batch.row`, and how long it is."""
+"""Offsets of rows of lanes in `Batch.row`, and its length."""
 
 
 class PulseBatch(NamedTuple):
-    """What is cast: the pulses of a batch, and how wide they are."""
+    """Pulses that are cast, and their width."""
 
     origin_m: F8
     """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
@@ -24,11 +24,11 @@ class PulseBatch(NamedTuple):
     time: F4
     """(k, L) between the scene's first knot and its last, 0..1."""
     near_m: F8
-    """(L,) where each laser's light begins."""
+    """(L,) range at which each laser's light begins."""
     reach_m: float
     """Range at which what is near ends; `far_m` where it does not."""
     far_m: float
-    """Where the light is given up."""
+    """Range at which the light is given up."""
     order: I8
     """(k / 8,) first sequence of each packet, in the order of casting."""
     sigmas: F4
@@ -39,7 +39,7 @@ class PulseBatch(NamedTuple):
 
 
 class MetRays(NamedTuple):
-    """What rays meet: three arrays of one length."""
+    """Hits of rays: three arrays of one length."""
 
     range_m: F4
     surface: U4

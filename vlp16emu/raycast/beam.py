@@ -1,4 +1,4 @@
-"""What a pulse's light covers, and where its sub-rays go.
+"""Footprint of a pulse, and the sub-rays that sample it.
 
 At range D the beam is `spot + divergence * D` wide: on a VLP-16 horizontally 12.7 mm + 3.0 mrad, vertically
 9.5 mm + 1.5 mrad. Divergences are full angles, the growth of the beam's diameter (VLS-128 manual, appendix F.2.3,
@@ -31,7 +31,7 @@ _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / (
 ROUND = 8
 """Sub-rays per round: a packet."""
 _Y = 4 * ROUND
-"""Where the row of the first direction begins, which until then holds a coordinate of the profile."""
+"""Offset of the row of the first direction, which holds a coordinate of the profile until then."""
 _TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
 """Revolutions at once, in which what stands in one direction stays in the cache; and, over all of them, sub-rays of a
 direction as a rule, and at most."""
@@ -131,7 +131,7 @@ _REACH = np.append(np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).m
     np.float32
 )
 FARTHEST = float(_REACH[-1])
-"""How far any sub-ray is off the middle at most, in standard deviations."""
+"""Greatest distance of a sub-ray from the middle, in standard deviations."""
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -182,7 +182,7 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def reach_of(first: int, support: bool) -> np.float32:
-    """How far sub-rays `first` and on, which are laid together, are off the middle at most, in standard deviations."""
+    """Return the greatest distance of the round of sub-rays `first` from the middle, in standard deviations."""
     return _REACH[first // ROUND] if support and first < len(_SUPPORT) else _REACH[-1]
 
 

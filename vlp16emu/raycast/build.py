@@ -1,4 +1,4 @@
-"""What Embree casts against: shapes with their buffers, and instances of them at rest or in motion."""
+"""Embree scenes: shapes with their buffers, and instances of them at rest or in motion."""
 
 import math
 import threading
@@ -21,10 +21,10 @@ from vlp16emu.types import F4, F8, I8, U4, U8, Mesh, Window
 
 
 class Shape(NamedTuple):
-    """A shape as Embree takes it."""
+    """Shape in pieces, ready for Embree."""
 
     faces: tuple[Faces, ...]
-    """Of each mesh, by pieces."""
+    """Faces of each mesh, in order of pieces."""
     begin: I8
     """(pieces + 1, meshes) first face of each piece."""
     boxes_m: F8
@@ -42,7 +42,7 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
 
 
 _WIDER_M = 2.0**-10
-"""By which edges are farther out for Embree than they are: its rays are off by 1 um at 15 m and 8 um at 100 m, and by
+"""Margin by which edges are moved outwards for Embree: its rays are off by 1 um at 15 m and 8 um at 100 m, and by
 1 / cosine as much in the plane of a face that light grazes. Twice as much casts 4 % slower in `scenes/spruce_walk`."""
 _SHARPEST = 0.25
 """Sine of the angle at a corner; that of a sharper one, such as the tip of a blade of grass, moves no farther, and its edges
@@ -68,7 +68,7 @@ class EmbreeMesh:
         self._wider = list[NDArray[np.generic]]()  # Embree has their addresses
 
     def scene(self, piece: int) -> int:
-        """Address of the scene of a piece, which is built the first time.
+        """Return the address of the scene of a piece; build it the first time.
 
         Raises
         ------
@@ -180,7 +180,7 @@ class Placed:
         self._pieces = [(mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)]
 
     def scene(self, kept: NDArray[np.bool_]) -> int:
-        """Build the scene of some pieces (n,); give its address, which is good as long as this is.
+        """Build the scene of some pieces (n,) and return its address, valid for the life of this object.
 
         Raises
         ------
@@ -241,26 +241,26 @@ _set_transform = types.ExternalFunction(
 
 
 class InstanceMotion(NamedTuple):
-    """How the instances of a scene move while it lasts."""
+    """Motion of the instances of a scene."""
 
     start_ns: int
     """UTC of the first knot."""
     span_ns: int
-    """To the last one; 0 where nothing moves."""
+    """Time from the first knot to the last; 0 if nothing moves."""
     shear: F4
     """(k, n, 2) as in `Sway`, of all placements; no knots where nothing moves."""
     foot_m: F8
     """(n,) height in the window at which a placement does not move; empty where nothing moves."""
 
     def times(self, t_ns: I8) -> F4:
-        """Ray times 0..1 of any shape, for UTC; before and after the span its ends."""
+        """Return ray times 0..1 at UTC instants of any shape, clipped to the span."""
         if not self.span_ns:
             return np.zeros(t_ns.shape, np.float32)
         return np.clip((t_ns - self.start_ns) / self.span_ns, 0.0, 1.0).astype(np.float32)
 
 
 def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, F4]]:
-    """Motion of a window's placements.
+    """Return the motion of a window's placements.
 
     Returns
     -------

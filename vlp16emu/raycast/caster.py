@@ -1,4 +1,4 @@
-"""Which caster a world gets: one of faces, or one that knows what is far as a medium."""
+"""Casters, and the choice between one of faces alone and one with a far medium."""
 
 import math
 from concurrent.futures import Executor

@@ -53,7 +53,7 @@ class EmbreeMissingError(Vlp16emuError):
 
 
 def library_path() -> Path:
-    """Where the wheel keeps the library.
+    """Return the path of the library in the wheel.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def library() -> ctypes.CDLL:
 
 
 def device() -> int:
-    """Give the one device of the process; beside a second one Embree would keep a thread busy for ever.
+    """Return the one device of the process; beside a second one Embree would keep a thread busy for ever.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def device() -> int:
 
 @cache
 def _new_device() -> int:
-    """Make a device, configured also by `VLP16EMU_EMBREE`, which is for tests: `isa=sse4.2`, `verbose=1`."""
+    """Make a device; tests add to its configuration by `VLP16EMU_EMBREE`: `isa=sse4.2`, `verbose=1`."""
     # One thread per build: our own workers build shapes side by side.
     own = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
     handle: int | None = library().rtcNewDevice(",".join(filter(None, own)).encode())
@@ -121,21 +121,13 @@ def _allocator() -> ctypes.CDLL | None:
 
 
 def give_memory_back() -> None:
-    """Give freed memory back to the system: without this a long run, or many in one process, takes ever more.
-
-    Freed blocks of many threads and sizes are left between live ones. Where the allocator is not glibc nothing is done.
-    """
+    """Return freed memory to the system, if the allocator is glibc: its free blocks between live ones would grow for ever."""
     if libc := _allocator():
         libc.malloc_trim(0)
 
 
 def check(doing: str) -> None:
-    """Look whether Embree failed on this thread at what it was to do: it reports errors to no other.
-
-    Raises
-    ------
-    RunError : where it failed, for instance because memory ran out
-    """
+    """Raise a `RunError` if Embree failed on this thread, to which alone it reports, for instance for want of memory."""
     if error := library().rtcGetDeviceError(device()):
         raise RunError(f"Embree could not {doing}: {_meaning(error)}")
 

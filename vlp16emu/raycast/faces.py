@@ -1,4 +1,4 @@
-"""Geometry of windows as casters want it: triangles, and transforms relative to the window."""
+"""Triangles of meshes, and transforms relative to the window."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ def faces_of(mesh: Mesh) -> Faces:
 
 
 def relative_to_window(window: Window) -> F8:
-    """window_T_shape (n, 3, 4): placements relative to the window's origin, still in float64."""
+    """Return window_T_shape (n, 3, 4): placements relative to the window's origin, in float64."""
     transforms = window.world_T_shape.copy()
     transforms[:, :, 3] -= window.origin_m
     return transforms

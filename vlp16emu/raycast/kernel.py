@@ -12,25 +12,17 @@ import numba
 import numpy as np
 
 from vlp16emu.raycast.adaptive import RayBudget, enough
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Batch, MetRays, PulseBatch
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Batch, PulseBatch
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter
 from vlp16emu.trig import ZERO
-from vlp16emu.types import F4, I8, U2, U4
-
-_USUAL = 10
-"""Sub-rays of a pulse, for which there is room at first; memory of this size is used again and needs no clearing."""
-
-
-@numba.njit(cache=True, nogil=True)
-def _hits(n: int) -> MetRays:
-    return MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32))
+from vlp16emu.types import F4, U2, U4
 
 
 def go_on(passage: Any, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32) -> None:
     """Let the rays of pulses that have met nothing near go on through what is far.
 
-    Whoever has something far says how, by `numba.extending.overload`: casting what is near needs none of it.
+    A far medium overloads it by `numba.extending.overload`: casting near faces needs none of it.
 
     Parameters
     ----------
@@ -77,7 +69,7 @@ def cast_pulses(
     batch: Batch,
     budget: RayBudget,
     count: U2,
-) -> tuple[F4, U4, F4]:
+) -> U4:
     """Cast the sub-rays of every pulse, by rounds of eight.
 
     Parameters
@@ -86,11 +78,11 @@ def cast_pulses(
 
     Returns
     -------
-    Ranges, surfaces and cosines (n,) in order of pulses.
+    (3, n) in order of pulses: bits of the ranges, surfaces, bits of the cosines
     """
-    n, pulses = ZERO, PACKET * count.shape[1]
+    pulses = PACKET * count.shape[1]
     set_filter(packet)
-    room, begin = _hits(count.size * _USUAL), np.empty(count.shape[0] // PACKET, np.int64)
+    groups = [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
     for first in light.order:
         todo, have = pulses, ZERO
         for q in range(pulses):
@@ -101,18 +93,15 @@ def cast_pulses(
             if passage is not None:
                 go_on(passage, light, batch, todo, rays, reach_of(have, budget.adaptive))
             todo, have = _settle(near, budget, batch, todo, have, rays), have + rays
-        need = n + ROUND
-        for q in range(pulses):
-            need += batch.have[q]
-        if need > room.range_m.size:
-            longer = _hits(max(2 * room.range_m.size, need))
-            _copy(room, ZERO, longer, ZERO, n)
-            room = longer
-        begin[first // PACKET] = n
-        n = _take(batch, first, count, room, n)
-    hits = _hits(n)
-    _put_in_order(room, begin, count, hits)
-    return hits.range_m, hits.surface, hits.cos_incidence
+        groups[first // PACKET] = _taken(batch, first, count)
+    n = ZERO
+    for group in groups:
+        n += group.shape[1]
+    hits, n = np.empty((3, n), np.uint32), ZERO
+    for group in groups:
+        hits[:, n : n + group.shape[1]] = group
+        n += group.shape[1]
+    return hits
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -179,7 +168,7 @@ def _put_down(
     reach_m: float,
     far_m: float,
 ) -> None:
-    """Put down what rays have met, of pulse q all (step 0) or one of each pulse from q on (step 1); cast what is left on."""
+    """Store hits, of all rays of pulse q (step 0) or of one ray of each pulse from q on (step 1); send the others on."""
     instance, valid, row, surface = packet.instance, packet.valid, batch.row, batch.surface
     missed = 0
     for r in range(count):
@@ -199,7 +188,7 @@ def _put_down(
 def _send_on(
     beyond: Target, packet: RayPacket, batch: Batch, q: int, step: int, count: int, reach_m: float, far_m: float
 ) -> None:
-    """Give the rays that go on to the medium, and cast them against what is cast as faces at any range."""
+    """Store the rays that go on for the medium, and cast them against what is cast as faces at any range."""
     own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface
     if step == 0:
         for at in range(3 * LANES):
@@ -248,38 +237,22 @@ def _settle(near: Target, budget: RayBudget, batch: Batch, todo: int, have: int,
     return left
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _take(batch: Batch, first: int, count: U2, room: MetRays, n: int) -> int:
-    """Count the hits of eight sequences and append them to n others, in order of pulses; return how many there are then."""
-    most = batch.scratch.shape[1]
+@numba.njit(cache=True, nogil=True)
+def _taken(batch: Batch, first: int, count: U2) -> U4:
+    """Count the hits of eight sequences and return them in order of pulses, (3, n) as in `cast_pulses`."""
+    most, n = batch.scratch.shape[1], ZERO
+    for q in range(PACKET * count.shape[1]):
+        count[first + q % PACKET, q // PACKET] = batch.have[q]
+        n += batch.have[q]
+    hits, n = np.empty((3, n), np.uint32), ZERO
+    range_bits, surface, cosine_bits = hits[0], hits[1], hits[2]
+    range_m, cosine = range_bits.view(np.float32), cosine_bits.view(np.float32)
     for i in range(PACKET):
         for j in range(count.shape[1]):
-            q = PACKET * j + i
-            count[first + i, j] = batch.have[q]
-            for have in range(0, batch.have[q], ROUND):  # a round, also where the last has less
-                _copy(batch.hits, q * most + have, room, n + have, ROUND)
-            n += batch.have[q]
-    return n
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _put_in_order(room: MetRays, begin: I8, count: U2, hits: MetRays) -> None:
-    """Put hits into the order of pulses; those of each eight sequences begin at a place of their own."""
-    n = ZERO
-    for group in range(begin.size):
-        own = ZERO
-        for i in range(PACKET):
-            for j in range(count.shape[1]):
-                own += count[PACKET * group + i, j]
-        _copy(room, begin[group], hits, n, own)
-        n += own
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _copy(source: MetRays, begin: int, target: MetRays, at: int, count: int) -> None:
-    for s in range(count):
-        target.range_m[at + s] = source.range_m[begin + s]
-    for s in range(count):
-        target.surface[at + s] = source.surface[begin + s]
-    for s in range(count):
-        target.cos_incidence[at + s] = source.cos_incidence[begin + s]
+            begin, own = (PACKET * j + i) * most, batch.have[PACKET * j + i]
+            for s in range(own):
+                range_m[n + s] = batch.hits.range_m[begin + s]
+                surface[n + s] = batch.hits.surface[begin + s]
+                cosine[n + s] = batch.hits.cos_incidence[begin + s]
+            n += own
+    return hits

@@ -19,22 +19,23 @@ from vlp16emu.raycast.kernel import cast_lines, cast_pulses
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
+from vlp16emu.units import INCLUSIVE
 
 _SECTOR_DEG = 1.6
-"""What is near in one direction stays in the cache from revolution to revolution: with eight of them a fifth less time for
+"""Width of a sector: its faces stay in the cache from revolution to revolution; with eight of them a fifth less time for
 one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. Sectors of 12 degrees gain half of that."""
 
 
 class Stages(NamedTuple):
-    """What pulses go through, one after the other."""
+    """Stages that rays go through, one after the other."""
 
     near: Target
     reach_m: float
     """Range at which the next stages begin."""
     beyond: Target | None = None
-    """What is cast as faces from there on."""
+    """Faces that are cast at any range beyond."""
     passage: Any = None
-    """What takes the rays on from there, by the overload of `kernel.go_on`."""
+    """Far medium, by the overload of `kernel.go_on`."""
 
 
 class EmbreeGeometry:
@@ -52,7 +53,7 @@ class EmbreeGeometry:
         self._near = target_of(near, kept)
 
     def stages(self, far_m: float, rise: float, *, as_far: bool) -> Stages:  # noqa: ARG002 - nothing is far
-        """Return what rays meet up to a range that rise or fall by so much per metre, at most."""
+        """Return the stages of rays up to range `far_m` that rise or fall by at most `rise` per metre."""
         return Stages(self._near, far_m)
 
     def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
@@ -75,6 +76,7 @@ class EmbreeGeometry:
             raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
         lean = FARTHEST * beam.sigmas[2:].max()
         rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
+        far_m *= INCLUSIVE
         near, reach_m, *beyond = self.stages(far_m, rise, as_far=as_far)
         pulses = PulseBatch(
             firings.origin_m,
@@ -92,7 +94,8 @@ class EmbreeGeometry:
         room = ray_packet(), batch_of(PACKET * shape[1], beam.budget.most if beam.has_width else 1)
         if beam.has_width:
             count = np.empty(shape, np.uint16)
-            return Hits(count, *cast_pulses(near, *beyond, pulses, *room, beam.budget, count))
+            range_bits, surface, cosine_bits = cast_pulses(near, *beyond, pulses, *room, beam.budget, count)
+            return Hits(count, range_bits.view(np.float32), surface, cosine_bits.view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
         cast_lines(near, *beyond, pulses, *room, *met)
         if beam.section.model == "offset":

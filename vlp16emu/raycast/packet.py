@@ -32,7 +32,7 @@ LEVEL = np.float32(sin(math.radians(20.0)))
 _intersect = types.ExternalFunction("rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp))
 
 ORG, _TNEAR, DIR, TIME, _TFAR, _MASK, _ID, _FLAGS, _SIZE = (PACKET * row for row in (0, 3, 4, 7, 8, 9, 10, 11, 21))
-"""Where rows of RTCRayHit8 begin, each of eight 4-byte words (rtcore_ray.h)."""
+"""Offsets of the rows of RTCRayHit8, each of eight 4-byte words (rtcore_ray.h)."""
 _HIT_PRIMITIVE, _HIT_MESH, _HIT_INSTANCE = 5, 6, 7
 """Rows of the RTCHitN of a candidate."""
 _ALIGN = 64
@@ -48,12 +48,12 @@ _LIMIT, _NORMAL, _FACING, _STATE = (PACKET * row for row in (0, 1, 4, 5))
 
 
 class Target(NamedTuple):
-    """What is cast against as faces."""
+    """Faces that rays are cast against."""
 
     scene: int
     """Address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing."""
     steep: int
-    """The same for rays that are not `LEVEL`; 0 also where none such is cast."""
+    """Address of the scene for rays that are not `LEVEL`; 0 also if no such ray is cast."""
     window_origin_m: F8
     """(3,) taken from the origins in float64, before the step to float32."""
     first_surface: U4
@@ -228,7 +228,7 @@ def _decide(arguments: int) -> None:
 
 @numba.extending.intrinsic
 def _filter(typingctx: Any) -> Any:
-    """Give the address of `_decide` as a function of C; it is a part of the kernel that asks."""
+    """Return the address of `_decide` as a C function, compiled into the kernel that asks."""
     kind = types.Dispatcher(_decide)
     decision = kind.get_call_type(typingctx, (types.uint64,), {})
 
@@ -304,7 +304,7 @@ def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
-    """Range, surface and cosine of incidence of what ray r met.
+    """Return range, surface and cosine of incidence of the hit of ray r.
 
     The normal in the window is that of the shape times the transpose of `shape_T_window`; where the shape is sheared level
     it changes in height only. Its product with the direction is the same in both.

@@ -1,4 +1,4 @@
-"""How much of the sky a point sees."""
+"""Share of the sky that surfaces hide from a point."""
 
 import math
 
@@ -14,9 +14,9 @@ _SECTORS = 16
 
 
 def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, far_m: float) -> float:
-    """Share of the sky that surfaces hide, 0..1, each direction counting by its solid angle.
+    """Return the share of the sky that surfaces hide, 0..1, by solid angle.
 
-    Crowns overhead are a medium, as from afar: they hide as much, and need not be built where no pulse meets them.
+    Crowns overhead are cast as the far medium: they hide as much, and need not be built if no pulse meets them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Patches of brighter and darker surface, and relief: bark, ground and walls are not of one reflectance, nor walls quite flat."""
+"""Texture and relief: patches of brighter and darker surface on bark, ground and walls, and walls that are not quite flat."""
 
 import math
 from dataclasses import replace
@@ -19,12 +19,12 @@ _SAME_M = 0.1
 _SPREAD = math.sqrt(3.0)
 """Half-width of an even distribution of variance one."""
 _STANDING_OUT = math.sqrt(11.0)
-"""The same for the fifth power of an even distribution: most of a wall is flat, and little of it stands out far."""
+"""Half-width for the fifth power of an even distribution: most of a wall is flat, and little of it stands out far."""
 _TEXTURE = ZERO + Purpose.TEXTURE
 
 
 def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> Hits:
-    """Make what was met brighter and darker, nearer and farther from place to place, by the texture and relief of each surface.
+    """Return hits with the texture and relief of each surface: brighter and darker, nearer and farther from place to place.
 
     The brightness goes as the cosine of incidence does, and makes nothing brighter than a white surface. Relief moves
     what is met along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
@@ -34,63 +34,51 @@ def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int
     surfaces : (m,) `SURFACE`, the window's table
     seed : of the world
     """
-    met = firings.origin_m, firings.direction, hits.count, hits.range_m, hits.surface
-    out = hits
-    if surfaces["texture"].any():
-        out = replace(out, cos_incidence=hits.cos_incidence.copy())
-        of_surface = [np.ascontiguousarray(surfaces[name]) for name in ("texture", "reflectance")]
-        grid_m = np.where(surfaces["part"] == PlantPart.NONE, _GRID_M, _BARK_GRID_M)
-        _vary(*met, *of_surface, grid_m, seed, out.cos_incidence)
-    if surfaces["relief_m"].any():
-        out = replace(out, range_m=hits.range_m.copy())
-        _raise(*met, np.ascontiguousarray(surfaces["relief_m"]), seed, out.range_m)
+    if not (surfaces["texture"].any() or surfaces["relief_m"].any()):
+        return hits
+    out = replace(hits, range_m=hits.range_m.copy(), cos_incidence=hits.cos_incidence.copy())
+    columns = [np.ascontiguousarray(surfaces[name]) for name in ("texture", "reflectance", "relief_m")]
+    grid_m = np.where(surfaces["part"] == PlantPart.NONE, _GRID_M, _BARK_GRID_M)
+    rays = hits.count, hits.range_m, hits.surface
+    _texture(firings.origin_m, firings.direction, rays, *columns, grid_m, seed, out.range_m, out.cos_incidence)
     return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _vary(
+def _texture(
     origin_m: F8,
     direction: F8,
-    count: U2,
-    range_m: F4,
-    met: U4,
+    rays: tuple[U2, F4, U4],
     texture: F4,
     reflectance: F4,
+    relief_m: F4,
     grid_m: F8,
     seed: int,
+    out_m: F4,
     cosine: F4,
 ) -> None:
-    """Multiply the cosines (n,) of the sub-rays of pulses (k, L)."""
-    stop = ZERO
+    """Move the ranges (n,) of the sub-rays of pulses (k, L) by the relief, and multiply their cosines by the texture."""
+    (count, range_m, met), stop = rays, ZERO
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
             start, stop = stop, stop + int(count[i, j])
-            at_m, patch = -np.inf, 0.0
+            patch_m, patch = -np.inf, 0.0
             for ray in range(start, stop):
-                if not range_m[ray] < np.inf or texture[met[ray]] == 0.0:
+                if not range_m[ray] < np.inf:
                     continue
-                if abs(range_m[ray] - at_m) > _SAME_M:
-                    at_m = np.float64(range_m[ray])
-                    drawn, _ = _of_patch(seed, 1.0 / grid_m[met[ray]], origin_m, direction, i, j, at_m)
-                    patch = _SPREAD * (2.0 * drawn - 1.0)
-                bright = 1.0 + texture[met[ray]] * patch
-                cosine[ray] *= np.float32(min(bright, max(1.0, 1.0 / reflectance[met[ray]])))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _raise(origin_m: F8, direction: F8, count: U2, range_m: F4, met: U4, relief_m: F4, seed: int, out_m: F4) -> None:
-    """Move the ranges (n,) of the sub-rays of pulses (k, L) by the relief where they end."""
-    stop = ZERO
-    for i in range(count.shape[0]):
-        for j in range(count.shape[1]):
-            start, stop = stop, stop + int(count[i, j])
-            for ray in range(start, stop):
-                if range_m[ray] < np.inf and relief_m[met[ray]] > 0.0:
-                    at_m = np.float64(range_m[ray])
+                row, at_m = met[ray], np.float64(range_m[ray])
+                if texture[row] != 0.0:
+                    if abs(range_m[ray] - patch_m) > _SAME_M:
+                        patch_m = at_m
+                        drawn, _ = _of_patch(seed, 1.0 / grid_m[row], origin_m, direction, i, j, at_m)
+                        patch = _SPREAD * (2.0 * drawn - 1.0)
+                    bright = 1.0 + texture[row] * patch
+                    cosine[ray] *= np.float32(min(bright, max(1.0, 1.0 / reflectance[row])))
+                if relief_m[row] > 0.0:
                     _, drawn = _of_patch(seed, 1.0 / _RELIEF_GRID_M, origin_m, direction, i, j, at_m)
                     even = 2.0 * drawn - 1.0
                     square = even * even
-                    out_m[ray] += relief_m[met[ray]] * _STANDING_OUT * (square * square * even)
+                    out_m[ray] += relief_m[row] * _STANDING_OUT * (square * square * even)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)

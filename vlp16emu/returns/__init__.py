@@ -1,7 +1,4 @@
-"""What the detector makes of the light that comes back: echoes, their range and reflectivity, noise and weather.
-
-The settings are here by name, the models in the files of the room.
-"""
+"""The detector: echoes, their range and reflectivity, noise and weather."""
 
 from vlp16emu.returns.settings import Detector, Noise, Weather
 

@@ -1,7 +1,9 @@
-"""From hits to what the detector reports.
+"""Returns from hits.
 
 Kernels make no arrays of their own, so numba need not count references (`_nrt=False`): a sixth of the time.
 """
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -14,6 +16,7 @@ from vlp16emu.returns.echoes import (
     COLUMNS,
     OPEN,
     RANGE,
+    SubRays,
     brightest_group,
     find_peaks,
     find_source_surfaces,
@@ -31,7 +34,7 @@ from vlp16emu.returns.noise import (
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
-from vlp16emu.types import F4, F8, I8, U1, U2, U4, Firings, Hits, Returns
+from vlp16emu.types import F4, F8, I8, U1, Firings, Hits, Returns
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
@@ -60,90 +63,85 @@ def detect(firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: U
     surfaces : (m,) `SURFACE`, the window's table
     truth : whether to keep of each return its range before errors, and the surface of the sub-ray that gave most of its light
     """
-    shape = (*firings.t_ns.shape, 3)
-    range_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
+    shape, constants, first = (*firings.t_ns.shape, 3), detector.constants, firings.index
+    lasers = shape[1]
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+    exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
+    room = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.empty(3, np.int64)
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
-    nodes, peaks = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most))
-    rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
-    _detect(
-        detector.constants,
-        firings.index,
-        detector.range_bias_m,
-        detector.range_beat_m,
-        detector.drift_m(firings.t_ns[:, 0]),
-        detector.gain,
-        *rays,
-        *(nodes, peaks, np.empty(3, np.int64), np.zeros((2, shape[1]))),
-        distance_m,
-        reflectivity,
-        range_m,
-    )
+    rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
+    errors = _Errors(detector.range_bias_m, detector.range_beat_m, detector.drift_m(firings.t_ns[:, 0]), detector.gain)
+    _detect(constants, first, errors, rays, (*room, np.zeros((2, lasers))), distance_m, reflectivity, exact_m)
     if detector.parity is not None:
         _count_unevenly(detector.parity, distance_m)
     if detector.no_return is not None:
         wander = detector.noise.no_return_wander
-        seed, first, lasers = detector.constants.seed, firings.index, shape[1]
-        knots = no_return_multiples(seed, first, shape[0], lasers, wander) if wander else np.zeros((0, lasers))
+        knots = np.zeros((0, lasers))
+        if wander:
+            knots = no_return_multiples(constants.seed, first, shape[0], lasers, wander)
         _mark_silent(detector.no_return, knots, first, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity)
     surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
-    find_source_surfaces(detector.constants, firings.index, *rays, distance_m, surface, share)
-    return Returns(firings, distance_m, reflectivity, surface, surfaces, range_m, share)
+    find_source_surfaces(constants, first, rays, distance_m, surface, share)
+    return Returns(firings, distance_m, reflectivity, surface, surfaces, exact_m, share)
+
+
+class _Errors(NamedTuple):
+    """Errors of a unit, as in `UnitDetector`; `drift_m` (k,) at each firing sequence."""
+
+    bias_m: F8
+    beat_m: F8
+    drift_m: F8
+    gain: F8
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _detect(
     constants: DetectorConstants,
     first: int,
-    bias_m: F8,
-    beat_m: F8,
-    drift_m: F8,
-    gain: F8,
-    count: U2,
-    range_m: F4,
-    met: U4,
-    cos_incidence: F4,
-    reflectance: F4,
-    nodes: F8,
-    peaks: F8,
-    chosen: I8,
-    noise: F8,
+    errors: _Errors,
+    rays: SubRays,
+    room: tuple[F8, F8, I8, F8],
     distance_m: F4,
     reflectivity: U1,
     exact_m: F4,
 ) -> None:
     """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way.
 
-    `exact_m`, which may be empty, takes ranges before errors.
+    Parameters
+    ----------
+    room : scratch for nodes, peaks, the peaks that are chosen and normal numbers
+    exact_m : output, ranges before errors; may be empty
     """
-    stop, keeps_exact = ZERO, exact_m.shape[0] > 0
+    nodes, peaks, chosen, noise = room
+    stop, keeps_exact, lasers = ZERO, exact_m.shape[0] > 0, rays.count.shape[1]
     columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
-    for i in range(count.shape[0]):
+    for i in range(rays.count.shape[0]):
         n = first + i
         slot = 24 * n % 5
         if constants.range_noise_m > 0.0 or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0:
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
-        for j in range(count.shape[1]):
-            start, stop, error_m = (stop, stop + int(count[i, j]), bias_m[j] + drift_m[i] + beat_m[(slot + j) % 5])
-            lit = gather(constants, start, stop, range_m, met, cos_incidence, reflectance, nodes)
+        for j in range(lasers):
+            start, stop = stop, stop + int(rays.count[i, j])
+            error_m, gain = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5], errors.gain[j]
+            lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
-                air_m, air = clutter_echo(constants, n, j, start, stop, range_m)
+                air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
                 if air > 0.0:
                     nodes[RANGE, lit], nodes[AMPLITUDE, lit] = air_m, air
                     lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
-                measured = _measure(constants, noise[0, j], noise[1, j], at_m, light, error_m, gain[j])
+                measured = _measure(constants, noise[0, j], noise[1, j], at_m, light, error_m, gain)
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
                     if keeps_exact:
                         exact_m[i, j, column] = at_m
             elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
-                _write(constants, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
+                _write(constants, n, j, error_m, gain, peaks, chosen, distance_m[i, j], reflectivity[i, j])
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
@@ -169,7 +167,7 @@ def _mark_silent(no_return: F8, knots: F8, first: int, distance_m: F4, reflectiv
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _count_unevenly(parity: F8, distance_m: F4) -> None:
-    """Push distances that are at the edge of an odd code into it, or out of it, by each laser's excess of odd codes."""
+    """Move distances at the edge of an odd code into it, or out of it, by each laser's excess of odd codes."""
     for i in range(distance_m.shape[0]):
         for j in range(distance_m.shape[1]):
             for column in range(3):
@@ -183,7 +181,7 @@ def _count_unevenly(parity: F8, distance_m: F4) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8) -> tuple[float, float]:
-    """Range and amplitude of the only echo that counts: of one node, or the highest where only the strongest is sent.
+    """Return range and amplitude of the only echo that counts: of one node, or the highest if only the strongest is sent.
 
     Amplitude 0 where there may be more, or the highest is not found this way; -1 where no echo is seen at all.
     """
@@ -203,7 +201,7 @@ def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, amplitude: float) -> bool:
-    """Whether an echo is within reach, and its peak with the noise upon it above the threshold."""
+    """Return True if an echo is within reach and its peak with noise above the threshold."""
     excess, certain = amplitude - constants.threshold, _CERTAIN_SIGMAS * constants.amplitude_noise
     if -certain < excess < certain and range_m <= constants.max_range_m:
         a, b = uniform_pair(constants.seed, _DETECTION, n, lane)
@@ -215,7 +213,7 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
-    """Whether noise of the uniform number a misses the threshold whatever its partner is, which spares its logarithm.
+    """Return True if noise of the uniform number a misses the threshold whatever its partner is, without a logarithm.
 
     The radius of a normal pair is below t where 1 - a > exp(-t**2 / 2), which is less than the quotient here.
     """
@@ -226,7 +224,7 @@ def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
-    """Whether no echo of a pulse is seen, of up to `count` and with amplitudes up to `most`: what many faint ones come to."""
+    """Return True if none of up to `count` echoes with amplitudes up to `most` can be seen: the usual end of faint pulses."""
     excess = most - constants.threshold
     if excess >= 0.0:
         return False
@@ -248,7 +246,7 @@ def _measure(
     error_m: float,
     gain: float,
 ) -> tuple[np.float32, np.uint8]:
-    """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
+    """Return measured distance and reflectivity; distance 0 below the least range, and nothing beyond the greatest."""
     reflectance = amplitude * range_m * range_m
     measured_m = range_m + error_m
     sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(100.0 * reflectance, 100.0)
@@ -294,7 +292,7 @@ def _choose(constants: DetectorConstants, n: int, laser: int, peaks: F8, found: 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
-    """Choose anew of what was chosen without a peak that is lost."""
+    """Update the choice after a chosen peak is lost."""
     for column in range(3):
         if chosen[column] == lost:
             chosen[column] = -1
@@ -310,7 +308,6 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
 def _write(
     constants: DetectorConstants,
     n: int,
-    i: int,
     j: int,
     error_m: float,
     gain: float,
@@ -319,16 +316,14 @@ def _write(
     distance_m: F4,
     reflectivity: U1,
 ) -> None:
-    """Measure the chosen peaks, each once; none counts that is measured beyond the greatest range."""
+    """Fill the returns (3,) of a pulse, each chosen peak measured once; none counts that is measured beyond `max_range_m`."""
     for column in range(3):
         peak = chosen[column]
         if peak < 0:
             continue
         at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
         sigma_m = range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
-        if (
-            at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m
-        ):  # or else noise does not put it beyond
+        if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:  # noise may put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             drawn = heavier(drawn) if constants.heavy_tails else drawn
             if at_m + error_m + drawn * sigma_m > constants.max_range_m:
@@ -336,10 +331,8 @@ def _write(
     for column in range(3):
         peak = chosen[column]
         if column > 0 and peak == chosen[column - 1]:
-            distance_m[i, j, column] = distance_m[i, j, column - 1]
-            reflectivity[i, j, column] = reflectivity[i, j, column - 1]
+            distance_m[column], reflectivity[column] = distance_m[column - 1], reflectivity[column - 1]
         elif peak >= 0:
             drawn, other = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
-            distance_m[i, j, column], reflectivity[i, j, column] = _measure(
-                constants, drawn, other, peaks[RANGE, peak], peaks[AMPLITUDE, peak], error_m, gain
-            )
+            at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
+            distance_m[column], reflectivity[column] = _measure(constants, drawn, other, at_m, light, error_m, gain)

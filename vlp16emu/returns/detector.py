@@ -11,6 +11,7 @@ from vlp16emu.returns.noise import gain, no_return_reflectivity, range_beat_m, r
 from vlp16emu.returns.settings import Detector, DetectorConstants, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
 from vlp16emu.types import F8, I8, ReturnMode
+from vlp16emu.units import INCLUSIVE
 
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
@@ -67,7 +68,7 @@ class UnitDetector:
             seed=seed,
             strongest_only=mode is ReturnMode.STRONGEST,
             min_range_m=min_range_m,
-            max_range_m=max_range_m,
+            max_range_m=max_range_m * INCLUSIVE,
             sigma_m=sigma_m,
             resolution_m=detector.resolution_m,
             threshold=least if noise.weak_echoes_lost else 0.0,

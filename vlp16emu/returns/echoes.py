@@ -15,8 +15,10 @@ half-space that the receiver sees, and makes no echo. What shines past a leaf is
 Kernels make no arrays of their own, so numba need not count references (`_nrt=False`). They are compiled into their
 callers (`forceinline`): a call hands over each array as seven numbers, which takes as long as a node.
 
-`find_source_surfaces` is truth: whose light a return is.
+`find_source_surfaces` gives ground truth: the surface of each return.
 """
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -28,11 +30,11 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, NO_SURFACE, U2, U4
 
 COLUMNS = 5
-"""Of a table of nodes, or of peaks."""
+"""Columns of a table of nodes, or of peaks."""
 RANGE, AMPLITUDE = 0, 1
 """Columns of both: in metres, and as in `DetectorConstants`."""
 OPEN = 2
-"""Column of peaks: the amplitude until somebody has dealt with the peak, then 0."""
+"""Column of peaks: the amplitude, or 0 once the peak is dealt with."""
 _RAY, _PART = 2, 3  # columns of nodes while they are gathered: sub-rays that are in none yet, and their light
 _HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_waveform` gives at their places
 NODE_M = 0.15
@@ -43,9 +45,20 @@ _APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 
 _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
 
 
+class SubRays(NamedTuple):
+    """Hits of sub-rays, as in `Hits`."""
+
+    count: U2
+    range_m: F4
+    surface: U4
+    cos_incidence: F4
+    reflectance: F4
+    """(m,) of the surfaces."""
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) -> float:
-    """Amplitude that an energy has at the detector: the range equation, and what the air takes on both ways.
+    """Return the amplitude of an energy at the detector: range equation and extinction on both ways.
 
     Parameters
     ----------
@@ -58,41 +71,21 @@ def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) ->
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def gather(
-    constants: DetectorConstants,
-    start: int,
-    stop: int,
-    range_m: F4,
-    surface: U4,
-    cos_incidence: F4,
-    reflectance: F4,
-    nodes: F8,
-) -> int:
-    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); returns how many there are.
+def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, nodes: F8) -> int:
+    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); return how many there are.
 
-    Each node takes what is near the first sub-ray that is left. Nobody can guess who is near, so nothing branches on it.
+    Each node takes what is near the first sub-ray that is left. No processor predicts which are near, so nothing branches on it.
     """
-    left, found, energy, moment, first_m = 0, 0, 0.0, 0.0, np.inf
+    _, range_m, surface, cos_incidence, reflectance = rays
+    left = found = 0
     for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
-        ray_m = np.float64(range_m[ray])
-        if ray_m < np.inf:
-            first_m = ray_m if first_m == np.inf else first_m
-            part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
-            nodes[_RAY, left], nodes[_PART, left] = ray_m, part
-            away_m = ray_m - first_m
-            near = abs(away_m) <= 0.5 * NODE_M
-            left += 0 if near else 1
-            part = part if near else 0.0
-            energy += part
-            moment += part * away_m
-    while first_m < np.inf:
-        at_m = first_m + moment / energy
-        nodes[RANGE, found] = at_m
-        nodes[AMPLITUDE, found] = amplitude_of(constants, energy / (stop - start), at_m)
-        found += 1
-        first_m, count = nodes[_RAY, 0] if left > 0 else np.inf, left
+        if range_m[ray] < np.inf:
+            nodes[_RAY, left] = range_m[ray]
+            nodes[_PART, left] = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
+            left += 1
+    while left > 0:
+        first_m, count, energy, moment = nodes[_RAY, 0], left, 0.0, 0.0
         left = 0
-        energy = moment = 0.0
         for ray in range(count):
             ray_m, part = nodes[_RAY, ray], nodes[_PART, ray]
             nodes[_RAY, left], nodes[_PART, left] = ray_m, part
@@ -102,12 +95,16 @@ def gather(
             part = part if near else 0.0
             energy += part
             moment += part * away_m
+        at_m = first_m + moment / energy
+        nodes[RANGE, found] = at_m
+        nodes[AMPLITUDE, found] = amplitude_of(constants, energy / (stop - start), at_m)
+        found += 1
     return found
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def find_peaks(nodes: F8, count: int, sigma_m: float, peaks: F8) -> int:
-    """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; returns how many there are."""
+    """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; return how many there are."""
     _sort(nodes, count)
     found = start = ZERO
     for node in range(1, count + 1):
@@ -141,7 +138,7 @@ def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, fl
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) -> tuple[float, float]:
-    """Range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
+    """Return range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
     found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, ZERO), 0
     for peak in range(1, found):
         if peaks[AMPLITUDE, peak] > peaks[AMPLITUDE, best]:
@@ -151,7 +148,7 @@ def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) ->
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
-    """Add a peak, unless it is the one before, climbed from its other side; returns how many there are."""
+    """Add a peak, unless it is the one before, climbed from its other side; return how many there are."""
     if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
         return found
     peaks[RANGE, found] = range_m
@@ -186,7 +183,7 @@ def _quick_exp(x: float) -> float:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> tuple[float, float, float]:
-    """Waveform at x_m: mean and variance of where its light comes from, relative to x_m, and its height."""
+    """Return mean and variance of the places of the light at x_m, relative to x_m, and the height of the waveform."""
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
@@ -201,7 +198,7 @@ def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> t
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _look(nodes: F8, start: int, stop: int, sigma_m: float) -> None:
-    """Fill in what `_waveform` gives at each node; two share what each lends the other."""
+    """Fill in `_waveform` at each node; two nodes share one exponential."""
     sharpness = -0.5 / (sigma_m * sigma_m)
     for b in range(start, stop):
         nodes[_HEIGHT, b] = nodes[_MEAN, b] = nodes[_VARIANCE, b] = 0.0
@@ -269,7 +266,7 @@ def _climb(
     var_m2: float,
     height: float,
 ) -> tuple[float, float]:
-    """Range and height of the peak between x_m, where the waveform rises towards end_m, and there; height 0 for none.
+    """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m; height 0 for none.
 
     Newton's rule on the mean, with halving as its net. `closed` says that the waveform is known to fall at end_m; if it
     is not, that is looked up as soon as Newton's rule fails. The waveform at x_m is given.
@@ -301,22 +298,13 @@ _REACH_SIGMAS = 5.0
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def find_source_surfaces(
-    constants: DetectorConstants,
-    first: int,
-    count: U2,
-    range_m: F4,
-    met: U4,
-    cos_incidence: F4,
-    reflectance: F4,
-    distance_m: F4,
-    surface: U4,
-    share: F4,
+    constants: DetectorConstants, first: int, rays: SubRays, distance_m: F4, surface: U4, share: F4
 ) -> None:
-    """Fill surface (k, L, 3) with that of the sub-ray which gives most of the light at each distance.
+    """Fill the surface (k, L, 3) of the sub-ray that gives most of the light at each distance, and the share of this surface.
 
-    And share (k, L, 3) with that of the pulse's sub-rays which met this surface, wherever. Light that the air gives, and
-    distance 0, belong to no surface.
+    The share (k, L, 3) is the part of the pulse's sub-rays that met it at any range. Clutter and distance 0 have no surface.
     """
+    count, range_m, met, cos_incidence, reflectance = rays
     stop = 0
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):

@@ -1,7 +1,4 @@
-"""Errors of range and reflectivity, white ones of each echo and those that a unit is born with.
-
-And the reflectivity byte.
-"""
+"""Errors of range and reflectivity, white ones of each echo and constant ones of a unit; the reflectivity byte."""
 
 import math
 from functools import lru_cache
@@ -34,17 +31,17 @@ _WANDER_OF_UNITS, _WANDER_OF_LASERS = 0.7, 0.6
 
 
 def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
-    """Constant error of each laser of the unit, (lasers,) m: Gaussian, cut at the data sheet's accuracy."""
+    """Return the constant range error of each laser, (lasers,) m: Gaussian, cut at the data sheet's accuracy."""
     return np.clip(sigma_m * normal(seed, Purpose.RANGE_BIAS, 0, lasers), -BIAS_LIMIT_M, BIAS_LIMIT_M)
 
 
 def gain(seed: int, lasers: int, spread: float) -> F8:
-    """Factor on the reflectivity of each laser of the unit, (lasers,), above 0."""
+    """Return the factor on the reflectivity of each laser, (lasers,), above 0."""
     return exp(spread * normal(seed, Purpose.REFLECTIVITY, 0, lasers))
 
 
 def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
-    """Reflectivity of each laser's records without a return, (lasers,), before it is cut to whole numbers.
+    """Return the reflectivity of each laser's records without a return, (lasers,), before it is cut to whole numbers.
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
 
@@ -59,7 +56,7 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
 
 
 def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: float) -> F8:
-    """How many times the constant of `no_return_reflectivity` firing sequences first .. first + count - 1 carry.
+    """Return multiples of `no_return_reflectivity` that firing sequences first .. first + count - 1 carry.
 
     It wanders smoothly and stays at 1 where it would be less: on real units it changes by one step at a time, and a steady
     unit is at 1 in 98 % of its records (mrpt), a restless one (einride) in 14 to 73 %, and goes through ten multiples.
@@ -84,7 +81,7 @@ def _own_wander(seed: int, lasers: int, wander: float) -> F8:
 
 
 def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
-    """Error of the range by (24 sequence + laser) mod 5, (5,) m.
+    """Return the range error by (24 sequence + laser) mod 5, (5,) m.
 
     A sine and its first overtone, whose phase follows: 78 to 98 deg more than twice that of the sine on four units,
     with 0.17 to 0.36 of its amplitude. As if a clock of the receiver beat with the pulses.
@@ -102,7 +99,7 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
-    """White range noise of an echo, one sigma.
+    """Return the white range noise of an echo, one sigma.
 
     sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first part is that of four real
     units on smooth surfaces without the beat (`protocol/README.md`, "The character of a unit"); it does not grow with
@@ -122,7 +119,7 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
 
 _CUBIC = 0.1
 _UNIT = 1.0 / math.sqrt(1.0 + 6.0 * _CUBIC + 15.0 * _CUBIC * _CUBIC)
-"""Of a normal number the fourth moment is 3, and the sixth 15."""
+"""Scale to variance one: the fourth moment of a normal number is 3, and the sixth 15."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -144,14 +141,14 @@ _AFTER_STEP = 0.1
 RETROREFLECTIVE = 100.5
 """Percent from which a target is no white wall any more; what rounds to 100 still is."""
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
-"""Of reflectance. 255 stands for 1000 times that of a white Lambertian surface. A coefficient of retroreflection
+"""Counts per factor e of reflectance. 255 stands for 1000 times that of a white Lambertian surface. A coefficient of retroreflection
 R (cd/lx/m2) equals a reflectance of pi R: 255 stands for 318 cd/lx/m2, between high-intensity (about 250) and prismatic
 sheeting (about 700). The manual gives the ends of the scale only; that it is logarithmic between them is an assumption."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def code_step(step: float, gain: float, range_m: float) -> float:
-    """Spacing of bright codes of one laser at one range, in counts.
+    """Return the spacing of bright codes of one laser at one range, in counts.
 
     As if whole numbers of the receiver were multiplied by a correction: on real units the codes of a laser within 10 % of
     range are 1.6 to 2.2 apart, 3 at times, and at another range or laser by another step. Which is not known; here it is

@@ -1,4 +1,4 @@
-"""Fog and rain: what they take from the light, and what they throw back."""
+"""Extinction and clutter of fog and rain."""
 
 import math
 
@@ -15,12 +15,12 @@ _LIDAR_RATIO_SR = 18.2
 """Extinction over backscatter of water droplets, near infrared (1.06 um): Pinnick et al., J. Geophys. Res. 88, 1983.
 For rain drops, too, an assumption."""
 _NEAREST_M = 0.05
-"""Of the air: where the light leaves the housing, to a centimetre."""
+"""Least range of clutter: there the light leaves the housing, to a centimetre."""
 _WEATHER = int(Purpose.WEATHER)
 
 
 def fog_extinction_per_m(visibility_m: float) -> float:
-    """Extinction of fog and haze at 903 nm.
+    """Return the extinction of fog and haze at 903 nm.
 
     Koschmieder's law at 2 % contrast with the wavelength law of Kruse, McGlauchlin and McQuistan (1962) in the form of
     Kim, McArthur and Korevaar, Proc. SPIE 4214 (2001), under which thick fog is grey.
@@ -38,18 +38,18 @@ def fog_extinction_per_m(visibility_m: float) -> float:
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:
-    """Extinction of rain: 1.076 R**0.67 dB/km, for all light (Carbonneau and Wisely, Proc. SPIE 3491, 1998)."""
+    """Return the extinction of rain: 1.076 R**0.67 dB/km, for all light (Carbonneau and Wisely, Proc. SPIE 3491, 1998)."""
     return 1.076 * power(rain_mm_h, 0.67) * _LN10 / 10.0 / 1000.0
 
 
 def extinction_per_m(visibility_m: float | None, rain_mm_h: float) -> float:
-    """Extinction of fog, if any, and rain together."""
+    """Return the extinction of fog, if any, and rain together."""
     fog_per_m = 0.0 if visibility_m is None else fog_extinction_per_m(visibility_m)
     return fog_per_m + rain_extinction_per_m(rain_mm_h)
 
 
 def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
-    """Reflectance of a white wall, as a share, that throws back as much as the air within a pulse of `sigma_m` in range.
+    """Return the reflectance of a wall that throws back as much as the air within a pulse of `sigma_m` in range.
 
     By the lidar equation: pi times backscatter times the pulse's equivalent length.
     """
@@ -60,7 +60,7 @@ def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
 def clutter_echo(
     constants: DetectorConstants, n: int, laser: int, start: int, stop: int, range_m: F4
 ) -> tuple[float, float]:
-    """Range and amplitude of the air's own echo in pulse (n, laser); the air must not be clear.
+    """Return range and amplitude of the clutter echo of pulse (n, laser); the air must not be clear.
 
     One per pulse: the air scatters somewhere on the way, at a range of exponential distribution, and as brightly as
     the lidar equation has it times a fluctuation, also exponential, for drops come in numbers (an assumption). The

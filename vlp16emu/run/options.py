@@ -1,91 +1,294 @@
-"""What a run is asked for beside its packets."""
+"""Options of runs: what Python and the command line say of record, stream, replay and truth.
 
-from collections.abc import Callable, Collection
-from contextlib import AbstractContextManager
+Of no library: `vlp16emu stream --help` reads nothing else.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Annotated, Self
 
-from vlp16emu.motion.settings import Gps, Imu
-from vlp16emu.sinks.sink import Outlet, PacketSink
-from vlp16emu.types import PacketKind
+from vlp16emu.errors import InputError
+from vlp16emu.options import Option, Options
+
+_LONGEST_S = 7 * 86_400
+"""Longest scene."""
+_LAST_PORT = 65_535
+_SLOWEST = 0.001
+"""One simulated second in a quarter of an hour."""
+
+Start = Annotated[
+    float, Option("Simulated seconds to leave out at the beginning.", "S", ge=0, le=_LONGEST_S, shown=False)
+]
+Duration = Annotated[
+    float | None, Option("Simulated seconds; to the end of the scene if left out.", "S", gt=0, le=_LONGEST_S)
+]
+WhichUnit = Annotated[int, Option("Sensor of a rig; 1 is that of [sensor].", "N", ge=1)]
 
 
-@dataclass(frozen=True, slots=True)
-class TruthTo:
-    """Where the truth of a run goes, and how fine it is."""
+@dataclass(frozen=True)
+class Span(Options):
+    """Part of a scene that is run."""
 
-    folder: Path
-    """As `TruthFolder` wants it."""
-    rate_hz: int = 200
-    """Of the trajectory; samples count from the first pulse."""
-    per_packet: bool = False
-    """Also write the pose at the first firing of each data packet."""
-    per_return: bool = False
-    """Also write what is behind each record of the data packets, which must be cast for it."""
+    start_s: Start = 0.0
+    duration_s: Duration = None
+
+
+TruthRate = Annotated[int, Option("Poses per second in trajectory.tum.", "HZ", "--truth-rate", ge=1, le=10_000)]
+TruthPackets = Annotated[bool, Option("Also write packets.tum, one pose for each data packet.", name="--truth-packets")]
+TruthReturns = Annotated[
+    bool,
+    Option(
+        "Also write returns.parquet, one row for each record of a data packet: range, place, labels.",
+        name="--truth-returns",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class TruthTo(Options):
+    """Folder for the ground truth of a run, and which files it gets."""
+
+    folder: Annotated[
+        Path, Option("Write the ground truth of the run too: trajectory, GNSS, rig, scenario.", "DIR", "--truth")
+    ]
+    rate_hz: TruthRate = 200
+    per_packet: TruthPackets = False
+    per_return: TruthReturns = False
 
     @property
     def scenario(self) -> Path:
         """File of the scene with all its values, which can be recorded again."""
         return self.folder / "scenario.json"
 
+    @classmethod
+    def of(cls, place: "TruthPlace | None") -> Self | None:
+        """Return a place as options; None for none."""
+        if place is None or isinstance(place, cls):
+            return place
+        assert not isinstance(place, TruthTo)
+        return cls(Path(place))
 
-@dataclass(frozen=True, slots=True)
-class Http:
-    """Where the web interfaces of a stream's sensors are."""
 
-    host: str
-    port: int
-    """Of the first sensor, those of others follow; 0 for free ones."""
-    saved: Path | None = None
-    """File that keeps the saved settings of the first sensor from run to run; others have its name with their number."""
+TruthPlace = str | Path | TruthTo
+"""Folder for the ground truth of a run."""
+
+
+@dataclass(frozen=True)
+class RecordOptions(Span):
+    """What is recorded."""
+
+    split: Annotated[bool, Option("Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")] = False
+    truth: TruthPlace | None = None
+
+
+@dataclass(frozen=True)
+class SendOptions(Options):
+    """How packets are sent over UDP."""
+
+    to: Annotated[
+        str | None,
+        Option(
+            "Receiver; may be a broadcast address. PORT is that of data packets. Left out it is this machine, 127.0.0.1, "
+            "and with --interface all stations behind that, 255.255.255.255.",
+            "HOST[:PORT]",
+        ),
+    ] = None
+    data_port: Annotated[
+        int | None,
+        Option("Receiver's port for data packets, instead of sensor.data_port.", "PORT", ge=1, le=_LAST_PORT),
+    ] = None
+    position_port: Annotated[
+        int | None,
+        Option("The same for position packets, instead of sensor.position_port.", "PORT", ge=1, le=_LAST_PORT),
+    ] = None
+    speed: Annotated[float, Option("Simulated seconds per second.", "X", ge=_SLOWEST)] = 1.0
+    late: Annotated[
+        str,
+        Option(
+            "Packets late by more than 50 ms: leave at the sensor's own spacing, and the stream stays late (pace), or "
+            "are dropped until it is at now (skip). Neither bursts.",
+            words=("pace", "skip"),
+        ),
+    ] = "pace"
+    as_sensor: Annotated[
+        bool, Option("Send from the sensor's address, 192.168.1.201, which this machine must have, with its headers.")
+    ] = False
+    interface: Annotated[
+        str | None,
+        Option(
+            "The same by this network interface of the machine, for instance eth0, whatever its routes are.", "IFACE"
+        ),
+    ] = None
+    now: Annotated[
+        bool,
+        Option("Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time."),
+    ] = False
+
+    @property
+    def receiver(self) -> tuple[str, int | None]:
+        """Host, and port of data packets if one is given.
+
+        Raises
+        ------
+        InputError
+            If the port is none, or is given twice
+        """
+        to = self.to or ("127.0.0.1" if self.interface is None else "255.255.255.255")
+        host, colon, port = to.partition(":")
+        if not colon:
+            return to, self.data_port
+        if not (port.isascii() and port.isdecimal() and 1 <= int(port) <= _LAST_PORT):
+            raise InputError("--to", f"found {to}", "HOST or HOST:PORT, with a port from 1 to 65535")
+        if self.data_port not in (None, int(port)):
+            raise InputError("--to", f"found {to} beside --data-port {self.data_port}", "one port for data packets")
+        return host, int(port)
+
+    @property
+    def is_from_sensor(self) -> bool:
+        """True if packets leave from the sensor's own address."""
+        return self.as_sensor or self.interface is not None
+
+
+@dataclass(frozen=True)
+class ReplayOptions(SendOptions):
+    """How a capture is sent again."""
+
+    loop: Annotated[bool, Option("Begin again at the end, until Ctrl-C; time stamps and sentences go on.")] = False
+    keep_gaps: Annotated[bool, Option("Wait through gaps of more than a minute instead of shortening them.")] = False
+
+
+@dataclass(frozen=True)
+class Http(Options):
+    """Web interfaces of a stream's sensors."""
+
+    at: Annotated[
+        str,
+        Option(
+            "Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
+            "PORT alone is on 127.0.0.1.",
+            "HOST:PORT",
+            "--http",
+        ),
+    ]
+    saved: Annotated[
+        Path | None,
+        Option("Keep the settings that are saved in the web interface, from run to run.", "FILE", "--http-settings"),
+    ] = None
+    """File of the first sensor; those of others have its name with their number."""
     serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
     """Called with the address and port of each, before the first packet leaves."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.address  # refused before a world is grown
 
-@dataclass(frozen=True, slots=True)
-class PosesIn:
-    """Where poses of a live run come in, and what becomes of them."""
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host, and port of the first sensor; 0 for free ports. InputError if it is none."""
+        host, _, port = self.at.rpartition(":")
+        if not (port.isascii() and port.isdecimal() and int(port) <= _LAST_PORT):
+            raise InputError("--http", f"found {self.at!r}", "HOST:PORT, such as 127.0.0.1:8080")
+        return host.strip("[]") or "127.0.0.1", int(port)
 
-    where: str | None = None
-    """`udp://HOST:PORT`, of this machine; None where `Emulator.put_pose` alone brings them."""
-    flown: Path | None = None
-    """File for what is flown, which repeats the run as `motion.flown`; overwritten if it exists."""
+
+@dataclass(frozen=True)
+class PosesIn(Options):
+    """Poses of a live scene."""
+
+    where: Annotated[
+        str | None,
+        Option(
+            'Where poses come in, of a scene with motion.kind = "live"; the stream waits for the first one.',
+            "udp://HOST:PORT",
+            "--pose-in",
+        ),
+    ] = None
+    """None if `Emulator.put_pose` alone brings them."""
+    flown: Annotated[
+        Path | None,
+        Option(
+            "Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.", "FILE.csv", "--flown"
+        ),
+    ] = None
     news: Callable[[str], None] = lambda _: None
     """Called with a line when poses are waited for, lost, or back."""
 
 
-class Outlets(Protocol):
-    """What leaves beside the packets of the sensors, such as sentences, pulses and inertial samples."""
+@dataclass(frozen=True)
+class Outlets(Options):
+    """What a stream sends beside the packets of the sensors."""
+
+    gps_out: Annotated[
+        str | None,
+        Option(
+            "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of pyserial such as "
+            "socket://127.0.0.1:5000.",
+            "PORT",
+        ),
+    ] = None
+    gps_pps: Annotated[
+        str, Option("Line of that port that carries the receiver's pulse.", words=("dtr", "rts", "off"))
+    ] = "dtr"
+    """A null-modem cable leads DTR to DCD, where programs look for it."""
+    imu_out: Annotated[
+        str | None,
+        Option(
+            "Send the samples of the inertial unit ([imu]) too, each at its time; on a serial port with 921600 8N1.",
+            "udp://HOST:PORT|serial:PORT",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class GpsIn(Options):
+    """A real GPS receiver that is wired to the sensors."""
+
+    port: Annotated[
+        str,
+        Option(
+            "Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's clock: a device, "
+            "or a URL of pyserial.",
+            "PORT",
+            "--gps-in",
+        ),
+    ]
+    pulse: Annotated[
+        str,
+        Option(
+            "Line of that port that carries the pulse; sentence if none is wired.",
+            name="--gps-in-pulse",
+            words=("sentence", "cd", "cts", "dsr", "ri"),
+        ),
+    ] = "sentence"
+    """With `sentence` a second begins `gps.sentence_delay_s` before its sentence."""
+
+
+@dataclass(frozen=True)
+class StreamOptions(SendOptions):
+    """How a run is streamed."""
+
+    duration_s: Duration = None
+    truth: TruthPlace | None = None
+    prepare: Annotated[
+        Path | None,
+        Option(
+            "Compute the whole run into a capture, which is kept, before the first packet leaves.",
+            "FILE.pcap",
+            "--prepare-to",
+        ),
+    ] = None
+    http: Http | None = None
+    """None for no web interfaces."""
+    poses: PosesIn | None = None
+    """The stream of a live scene begins with the first pose, and drops late packets."""
+    outlets: Outlets | None = None
+    gps_in: GpsIn | None = None
+    """Sets the clock of the sensors instead of the receiver of the scene."""
 
     @property
-    def kinds(self) -> Collection[PacketKind]:
-        """Kinds of packets to make."""
-
-    def look_ahead(self, imu: Imu | None) -> int:
-        """Packets that a stream computes further ahead, because of those between the packets of the sensors."""
-
-    def opened(self, imu: Imu | None) -> AbstractContextManager[dict[PacketKind, Outlet]]:
-        """Open the ways that packets of each kind take."""
-
-
-class ClockReader(Protocol):
-    """A receiver that is listened to, and sets the clock of the sensors; a context manager."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *raised: object) -> None: ...
-
-    def sink(self, way: PacketSink) -> PacketSink:
-        """Return a sink that stamps packets anew before they take their way."""
-
-    @property
-    def result(self) -> Any:
-        """What was heard."""
-
-
-class ClockInput(Protocol):
-    """Where a receiver is wired to the sensors."""
-
-    def reader(self, gps: Gps, powered_for_s: float) -> ClockReader:
-        """Open it for sensors that have had power for some time."""
+    def settings(self) -> dict[str, object]:
+        """Settings of the scene that the ports change."""
+        _, data_port = self.receiver
+        ports = {"sensor.data_port": data_port, "sensor.position_port": self.position_port}
+        return {key: port for key, port in ports.items() if port is not None}

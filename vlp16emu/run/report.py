@@ -1,25 +1,42 @@
-"""What a stream sent, how punctual it was, and why it fell behind."""
+"""Results of runs: what left, when and how punctually, and how far it can be trusted."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from vlp16emu.engine import Unit
 from vlp16emu.output import write_json
-from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.keeping_up import settings_that_keep_up
 from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
-from vlp16emu.sinks import FellBehind, FirstPacket, Late, Outlet, OutletResult, StreamReport, UdpResult
+from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sinks import FellBehind, OutletResult, StreamReport
 from vlp16emu.types import PacketKind
 
 
 @dataclass(frozen=True, slots=True)
+class About:
+    """The scene of a run, with its active models in words."""
+
+    scene: str
+    """Name, path or title."""
+    seed: int
+    beam: str
+    noise: str
+    weather: str | None
+    """None for clear air."""
+
+    @classmethod
+    def of(cls, name: str, scenario: Scenario) -> Self:
+        """Describe a scenario."""
+        return cls(name, scenario.seed, scenario.beam.summary, scenario.noise.summary, scenario.weather.summary)
+
+
+@dataclass(frozen=True, slots=True)
 class AuditFinding:
-    """What an audit found; shares are of returns, None where nothing is known."""
+    """Error of a run, estimated from pulses that are cast again; shares are of returns, None if not known."""
 
     exact: bool
     """A pulse is one ray, by the scene's own choice."""
@@ -27,208 +44,147 @@ class AuditFinding:
     """Pulses cast again."""
     range_rmse_m: float | None
     range_rmse_low_m: float | None
-    """Of the interval in which that lies with 95 % confidence, as the next."""
+    """Lower end of the 95 % confidence interval of the error."""
     range_rmse_high_m: float | None
     lost: float | None
     invented: float | None
     other_echo: float | None
-    """Share whose strongest return is that of another echo."""
+    """Share whose strongest return is another echo."""
 
 
 @dataclass(frozen=True, slots=True)
-class UnitStreamed:
+class UnitSent:
     """What one sensor sent, and how far it turned."""
 
     unit: int
     """From 1."""
+    name: str
+    address: str
     data_port: int
     position_port: int
     packets: int
     """Data packets."""
     position_packets: int
-    turn: Turn
+    returns: int | None = None
+    """None if they were not counted, as in a stream."""
+    turn: Turn | None = None
+    """None for a capture."""
+
+    @classmethod
+    def of(
+        cls, unit: Unit, packets: int, position_packets: int, simulated_s: float, returns: int | None = None
+    ) -> Self:
+        """Describe what a sensor of a scene sent."""
+        sensor, turn = on_the_wire(unit.section), turn_of(unit.head, simulated_s)
+        where = sensor.name, sensor.address, sensor.data_port, sensor.position_port
+        return cls(unit.number + 1, *where, packets, position_packets, returns, turn)
+
+
+class OfUnits:
+    """Sums over the sensors of a result."""
+
+    __slots__ = ()
+    units: tuple[UnitSent, ...]
+
+    @property
+    def packets(self) -> int:
+        """Data packets of all sensors."""
+        return sum(unit.packets for unit in self.units)
+
+    @property
+    def position_packets(self) -> int:
+        """Position packets of all sensors."""
+        return sum(unit.position_packets for unit in self.units)
 
 
 @dataclass(frozen=True, slots=True)
-class Behind:
-    """One time that a stream fell behind."""
+class Recording(OfUnits):
+    """What a recording holds, and what it took."""
 
-    at_s: float
-    """From the start of the stream."""
-    behind_s: float
-    """Delay that came of it, or with `skip` the greatest lateness."""
-    engine: bool
-    """The engine was the cause."""
-    engine_speed: float | None
-    """Simulated seconds per second; None where it was not the cause, or is unknown."""
-    cause: str
+    file: str
+    about: About
+    units: tuple[UnitSent, ...]
+    bytes: int
+    sha256: str
+    """Of the whole file; of several in their order."""
+    simulated_s: float
+    walk_share: float | None
+    """Share of the whole motion, in time; None if that has no end."""
+    wall_s: float
+    audit: AuditFinding | None
+    """None without an audit."""
+    interrupted: bool
+    """True if the stop event ended it."""
+    messages: Mapping[str, int] | None
+    """Messages of a bag by topic; None for a capture."""
+
+    @property
+    def returns(self) -> int:
+        """Returns of all sensors."""
+        return sum(unit.returns or 0 for unit in self.units)
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per second."""
+        return self.simulated_s / self.wall_s
 
 
 @dataclass(frozen=True, slots=True)
-class Streamed:
+class Streamed(OfUnits):
     """What a stream sent, and how it went."""
 
-    scene: str
-    """Name, path or title."""
-    seed: int
+    about: About
     to: str
     speed: float
     """Simulated seconds per second that were asked for."""
-    late: Late
-    moved_s: int
-    """Whole seconds from the time of the scene, which truth has, to that of stamps and sentences."""
-    first: FirstPacket | None
-    """When the first packet left; None where none did."""
-    beam: str
-    """The active model in words, as the next two; None for clear air."""
-    noise: str
-    weather: str | None
-    data_port: int
-    """Of the first unit, as the next."""
-    position_port: int
-    packets: int
-    """Data packets of all units."""
-    position_packets: int
-    units: tuple[UnitStreamed, ...]
-    simulated_s: float
-    wall_s: float
-    real_time_factor: float
-    late_median_us: float
-    late_p99_us: float
-    late_max_us: float
-    fell_behind: int
-    """How often."""
-    most_behind_s: float
-    behind: tuple[Behind, ...]
-    delay_s: float
-    """By which the stream was late at its end."""
-    skipped_packets: int
-    skipped_position_packets: int
+    late: str
+    """What happened to late packets, `pace` or `skip`."""
+    units: tuple[UnitSent, ...]
+    sent: StreamReport
+    """When packets left; `moved_s` leads from the time of the scene, which truth has, to that of stamps and sentences."""
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` with which the engine would keep up, each enough by itself."""
-    interrupted: bool
     audit: AuditFinding | None
     """None without an audit."""
-    live: Any | None = None
+    live: Any | None
     """`LiveReport` of a run whose poses came in; else None."""
-    gps_in: Any | None = None
+    gps_in: Any | None
     """`GpsInResult` of a real receiver; None without one."""
-    gps_out: OutletResult | None = None
-    """Sentences and pulses of the receiver; None unless asked for, as the next."""
-    imu_out: OutletResult | None = None
-    """Samples of the inertial unit."""
+    gps_out: OutletResult | None
+    """Sentences and pulses of the receiver; None unless asked for."""
+    imu_out: OutletResult | None
+    """Samples of the inertial unit; None unless asked for."""
+
+    @property
+    def interrupted(self) -> bool:
+        """True if the stop event or Ctrl-C ended it."""
+        return self.sent.interrupted
 
 
-def summed_up(
-    feed: PacketFeed,
-    report: StreamReport,
-    sent: Sequence[UdpResult],
-    scene: str,
-    to: str,
-    speed: float,
-    late: Late,
-    *,
-    audit: AuditFinding | None,
-    live: Any | None = None,
-    gps_in: Any | None = None,
-) -> Streamed:
-    """Sum up a stream.
-
-    Parameters
-    ----------
-    sent : what the sinks of all units have sent
-    live : where poses came in
-    """
-    scenario, lateness, skipped = feed.engine.scenario, report.lateness, report.skipped + feed.skipped
-    units = tuple(_unit(*pair, report.simulated_s) for pair in zip(feed.engine.parts.units, sent, strict=True))
-    return Streamed(
-        scene=scene,
-        seed=scenario.seed,
-        to=to,
-        speed=speed,
-        late=late,
-        moved_s=report.moved_s,
-        first=report.first,
-        beam=scenario.beam.summary,
-        noise=scenario.noise.summary,
-        weather=scenario.weather.summary,
-        data_port=units[0].data_port,
-        position_port=units[0].position_port,
-        packets=sum(unit.packets for unit in units),
-        position_packets=sum(unit.position_packets for unit in units),
-        units=units,
-        simulated_s=report.simulated_s,
-        wall_s=report.wall_s,
-        real_time_factor=report.real_time_factor,
-        late_median_us=lateness.median_ns * 1e-3,
-        late_p99_us=lateness.p99_ns * 1e-3,
-        late_max_us=lateness.max_ns * 1e-3,
-        fell_behind=len(report.behind),
-        most_behind_s=max((behind.total_s for behind in report.behind), default=0.0),
-        behind=tuple(map(behind_of, report.behind)),
-        delay_s=report.delay_s,
-        skipped_packets=skipped[PacketKind.DATA],
-        skipped_position_packets=skipped[PacketKind.POSITION],
-        keeps_up_with=tuple(options_for(report.behind, scenario, speed)),
-        interrupted=report.interrupted,
-        audit=audit,
-        live=live,
-        gps_in=gps_in,
-    )
+def outlet_result(
+    kind: PacketKind, ways: Mapping[PacketKind, Any], skipped: Counter[PacketKind]
+) -> OutletResult | None:
+    """Return what left beside the packets of the sensors, with what the stream skipped among the dropped; None for no such outlet."""
+    if kind not in ways:
+        return None
+    result: OutletResult = ways[kind].result
+    return replace(result, dropped=result.dropped + skipped[kind])
 
 
-def write_times(to: str | Path | TruthTo, report: StreamReport, speed: float) -> None:
-    """Write beside the truth of a stream when its first packet left, so that what was made of it live can be compared.
+def write_times(to: TruthTo, report: StreamReport, speed: float) -> None:
+    """Write when the first packet left beside the truth of a stream, so that live results can be compared with it.
 
     Raises
     ------
     OutputError, RunError
-        where the file cannot be written
+        If the file cannot be written
     """
     if report.first is not None:
-        folder = to.folder if isinstance(to, TruthTo) else Path(to)
         times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
-        write_json(folder / "time.json", times)
-
-
-def with_outlets(streamed: Streamed, sent: Mapping[PacketKind, Outlet], skipped: Counter[PacketKind]) -> Streamed:
-    """Add what left beside the packets of the sensors to a summary, and count what the stream skipped as dropped."""
-
-    def found(kind: PacketKind) -> OutletResult | None:
-        result = sent[kind].result if kind in sent else None
-        return result and replace(result, dropped=result.dropped + skipped[kind])
-
-    return replace(streamed, gps_out=found(PacketKind.NMEA), imu_out=found(PacketKind.IMU))
-
-
-def _unit(unit: Unit, sent: UdpResult, simulated_s: float) -> UnitStreamed:
-    """Sum up what a sensor sent."""
-    return UnitStreamed(
-        unit=unit.number + 1,
-        data_port=unit.link.data_port,
-        position_port=unit.link.position_port,
-        packets=sent.data_packets,
-        position_packets=sent.position_packets,
-        turn=turn_of(unit.head, simulated_s),
-    )
+        write_json(to.folder / "time.json", times)
 
 
 def options_for(times: Sequence[FellBehind], scenario: Scenario, speed: float) -> list[str]:
-    """Options with which the engine keeps up, as slow as it was; none where it was not the cause."""
+    """Return options with which an engine as slow as this one keeps up; none if it was not the cause."""
     speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None]
     return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []
-
-
-def cause_of(behind: FellBehind) -> str:
-    """Why a stream fell behind."""
-    if not behind.engine:
-        return "the process stood still or got no core"
-    if behind.engine_speed is None:
-        return "the engine is too slow"
-    return f"the engine computes {behind.engine_speed:.2f} x real time"
-
-
-def behind_of(behind: FellBehind) -> Behind:
-    """Take what is of interest afterwards."""
-    speed = behind.engine_speed if behind.engine else None
-    return Behind(behind.at_s, behind.total_s, behind.engine, speed, cause_of(behind))

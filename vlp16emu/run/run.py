@@ -1,16 +1,18 @@
-"""A scene that is read and set up, under its name."""
+"""A scene that is read and set up, with its name and its files."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol, Self
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine
-from vlp16emu.errors import InputError, spare
+from vlp16emu.errors import InputError
 from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.run.options import TruthTo
+from vlp16emu.output import spare
+from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
@@ -18,7 +20,7 @@ from vlp16emu.types import Packet
 
 
 class HasEngine(Protocol):
-    """What has the engine of a run, which may be another one a moment later."""
+    """Owner of the engine of a run, which may replace it while the run goes on."""
 
     @property
     def engine(self) -> Engine:
@@ -26,32 +28,30 @@ class HasEngine(Protocol):
 
 
 class Audit(Protocol):
-    """A tap that casts a sample of the pulses again."""
+    """Tap that casts a sample of the pulses again."""
 
     @property
     def finding(self) -> AuditFinding:
-        """What was found so far."""
+        """Error found so far."""
 
 
 class Truth(Protocol):
     """The ground truth of a run, as it is written."""
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
-        """Pass packets on, and write what was true until each of them."""
+        """Pass packets on, and write the ground truth up to each of them."""
 
     def up_to(self, since_s: float) -> None:
-        """Write what was true until a time since the first pulse, of a run whose packets do not go by."""
+        """Write the ground truth up to a time since the first pulse, for a run without packets."""
 
 
 Scene = str | Path | Mapping[str, Any] | Scenario
 """Name of a scene, path of a .toml file, its tables as a dictionary, or a scenario."""
-TruthPlace = str | Path | TruthTo
-"""Folder for the ground truth of a run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """An engine, and what its run is called and reads."""
+    """An engine with the name and the input files of its run."""
 
     engine: Engine
     name: str
@@ -89,11 +89,11 @@ class Run:
 
     @property
     def finding(self) -> AuditFinding | None:
-        """What the audit has found so far; None without one."""
+        """Error found so far; None without an audit."""
         return self.audit.finding if self.audit else None
 
     def number(self, unit: int) -> int:
-        """Place in the rig of unit 1, 2 ..., from 0.
+        """Return the index in the rig, from 0, of unit 1, 2 ....
 
         Raises
         ------
@@ -104,9 +104,17 @@ class Run:
             raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
         return unit - 1
 
-    def with_truth_in(self, to: TruthPlace | None) -> Self:
+    def with_settings(self, settings: Mapping[str, object]) -> Self:
+        """Return a run with some settings changed, if they are not as wanted."""
+        if all(attrgetter(key)(self.scenario) == value for key, value in settings.items()):
+            return self
+        engine, is_audited = self.engine, self.audit is not None
+        changed = type(self).of(self.scenario, settings, threads=engine.threads, audit=is_audited, like=engine)
+        return replace(changed, name=self.name, files=self.files)
+
+    def with_truth_in(self, to: TruthTo | None) -> Self:
         """Return a run whose packets carry the ground truth of their records, if `to` asks for it."""
-        if not (isinstance(to, TruthTo) and to.per_return):
+        if to is None or not to.per_return:
             return self
         return replace(self, engine=replace(self.engine, truth_of=door("truth_of_records")))
 
@@ -118,10 +126,9 @@ class Run:
         ----------
         of : whose engine makes the packets, with the events so far
         """
-        if to is None:
+        if (place := TruthTo.of(to)) is None:
             yield None
             return
-        place = to if isinstance(to, TruthTo) else TruthTo(Path(to))
         spare(self.files, place.scenario)
         with door("truth")(place, of, span_s) as truth:
             yield truth

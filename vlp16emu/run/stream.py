@@ -11,56 +11,31 @@ from vlp16emu.doors import door
 from vlp16emu.errors import InputError
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.run.feed import PacketFeed
-from vlp16emu.run.options import ClockInput, Http, Outlets, PosesIn, TruthTo
+from vlp16emu.run.options import Http, RecordOptions, StreamOptions, TruthTo
 from vlp16emu.run.record import prepared, record
-from vlp16emu.run.report import Streamed, summed_up, with_outlets, write_times
-from vlp16emu.run.run import Run, TruthPlace
+from vlp16emu.run.report import About, Streamed, UnitSent, options_for, outlet_result, write_times
+from vlp16emu.run.run import Run
 from vlp16emu.sinks import (
     LOOK_AHEAD_PACKETS,
-    LOOPBACK,
     FellBehind,
     Late,
+    Outlet,
     Pacer,
     PacketSink,
     RigSink,
     SinkByKind,
+    StreamReport,
     UnderWay,
     stream,
 )
-from vlp16emu.types import Packet
+from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StreamOptions:
-    """How a run is streamed."""
+class StreamHooks:
+    """Functions of a program that are called while its stream runs."""
 
-    to: str = LOOPBACK
-    """Receiver; may be a broadcast address."""
-    duration_s: float | None = None
-    """Until the end of the scene if None."""
-    truth: TruthPlace | None = None
-    """Folder for the ground truth of the run, as of `Emulator.record`."""
-    speed: float = 1.0
-    """Simulated seconds per second."""
-    late: Late | str = Late.PACE
-    """`pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them."""
-    as_sensor: bool = False
-    """Send from the sensor's address, which this machine must have, with its headers."""
-    interface: str | None = None
-    """Network interface, for instance `eth0`; None for the one that the system's routes give."""
-    now: bool = False
-    """Move stamps and sentences by whole seconds into the present; truth stays at the time of the scene."""
-    prepare: str | Path | None = None
-    """Capture that the whole run is computed into before the first packet leaves, and which stays."""
-    http: Http | None = None
-    """Where the web interfaces of the sensors are, through which the stream is set; None for none."""
-    poses: PosesIn | None = None
-    """Where those of a live scene come in; its stream begins with the first one, and drops what is late."""
-    outlets: Outlets | None = None
-    """What leaves beside the packets of the sensors: sentences and pulses of the receiver, inertial samples."""
-    gps_in: ClockInput | None = None
-    """A real receiver, which sets the clock of the sensors instead of that of the scene."""
     watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink
     """Called with the sink of the packets and their clock; returns the sink that takes them instead."""
     opened: Callable[[], None] = lambda: None
@@ -75,107 +50,127 @@ class StreamOptions:
     """Ends the stream from another thread."""
 
 
-def stream_run(run: Run, options: StreamOptions) -> Streamed:
-    """Send the packets of a run over UDP, each at its time; errors as of `Emulator.stream`."""
-    _check(options)
-    run, stop = run.with_truth_in(options.truth), options.stop or Event()
+def stream_run(run: Run, options: StreamOptions, hooks: StreamHooks) -> Streamed:
+    """Send the packets of a run over UDP, each at its time; errors as `Emulator.stream`."""
+    (host, _), truth = options.receiver, TruthTo.of(options.truth)
+    _check(options, truth)
+    run, stop = run.with_truth_in(truth), hooks.stop or Event()
     pacer, policy = Pacer(options.speed), Late(options.late)
-    scenario, units = run.scenario, len(run.engine.parts.units)
-    span_s, outlets = scenario.span_s(0.0, options.duration_s), options.outlets
+    scenario, parts = run.scenario, run.engine.parts
+    span_s = scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
         stack.enter_context(run.engine.windows.stopped_by(stop))
-        flight = stack.enter_context(door("live")(run, options.poses)) if _is_live(run, options) else None
+        is_live = takes_poses(scenario.motion) or options.poses is not None
+        flight = stack.enter_context(door("live")(run, options.poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else policy
+        outlets = door("outlets")(options.outlets) if options.outlets else None
         engine = replace(run.engine, prompt=options.http is not None)
         feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
-        sink = stack.enter_context(_rig(run, options))
+        sink = stack.enter_context(_rig(run, options, host, hooks))
         ways = stack.enter_context(outlets.opened(scenario.imu)) if outlets else {}
-        options.opened()
-        packets = _packets(run, options, feed, span_s, stack, stop)
-        way = options.watched(SinkByKind(sink, ways) if ways else sink, pacer)
-        clock = options.gps_in
-        reader = stack.enter_context(clock.reader(scenario.gps, scenario.sensor.powered_for_s)) if clock else None
-        way = reader.sink(way) if reader else way
+        hooks.opened()
+        packets = _packets(run, options, hooks, feed, span_s, stack, stop)
+        way = hooks.watched(SinkByKind(sink, ways) if ways else sink, pacer)
+        clock = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, scenario.sensor.powered_for_s)
+        way = stack.enter_context(clock).sink(way) if clock else way
         way = flight.begun(way, pacer, now=options.now) if flight else way
-        ahead = units * (flight.look_ahead if flight else LOOK_AHEAD_PACKETS)
+        ahead = len(parts.units) * (flight.look_ahead if flight else LOOK_AHEAD_PACKETS)
         report = stream(
             packets,
             way,
             pacer,
             begun=lambda under_way: _serve(options.http, feed, sink, under_way, stack),
             late=policy,
-            notify=options.notify,
+            notify=hooks.notify,
             go_on_from=None if options.prepare else _going_on(feed, flight, pacer),
             now=options.now,
             stop=stop,
             look_ahead_packets=ahead + (outlets.look_ahead(scenario.imu) if outlets else 0),
         )
         live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
-    if options.truth is not None:
-        write_times(options.truth, report, options.speed)
-    how = run.name, options.to, options.speed, policy
-    heard = reader.result if reader else None
-    streamed = summed_up(feed, report, sink.results, *how, audit=run.finding, live=live, gps_in=heard)
-    return with_outlets(streamed, ways, report.skipped + feed.skipped)
+    if truth is not None:
+        write_times(truth, report, options.speed)
+    report = replace(report, skipped=report.skipped + feed.skipped)
+    made = live, clock.result if clock else None
+    return _streamed(run, replace(options, to=host, late=policy), report, sink, ways, *made)
 
 
-def _rig(run: Run, options: StreamOptions) -> RigSink:
+def _streamed(
+    run: Run,
+    options: StreamOptions,
+    report: StreamReport,
+    sink: RigSink,
+    ways: Mapping[PacketKind, Outlet],
+    live: Any | None,
+    gps_in: Any | None,
+) -> Streamed:
+    sent = zip(run.engine.parts.units, sink.results, strict=True)
+    return Streamed(
+        about=About.of(run.name, run.scenario),
+        to=str(options.to),
+        speed=options.speed,
+        late=options.late,
+        units=tuple(UnitSent.of(unit, n.data_packets, n.position_packets, report.simulated_s) for unit, n in sent),
+        sent=report,
+        keeps_up_with=tuple(options_for(report.behind, run.scenario, options.speed)),
+        audit=run.finding,
+        live=live,
+        gps_in=gps_in,
+        gps_out=outlet_result(PacketKind.NMEA, ways, report.skipped),
+        imu_out=outlet_result(PacketKind.IMU, ways, report.skipped),
+    )
+
+
+def _rig(run: Run, options: StreamOptions, host: str, hooks: StreamHooks) -> RigSink:
     """Return the sockets of all sensors."""
     start_ns = run.scenario.start_ns
     return RigSink(
         [unit.link for unit in run.engine.parts.units],
-        options.to,
-        as_sensor=options.as_sensor,
+        host,
+        as_sensor=options.is_from_sensor,
         interface=options.interface,
-        sent=lambda due_ns: options.progress((due_ns - start_ns) / S_NS),
+        sent=lambda due_ns: hooks.progress((due_ns - start_ns) / S_NS),
     )
 
 
-def _check(options: StreamOptions) -> None:
+def _check(options: StreamOptions, truth: TruthTo | None) -> None:
     """Refuse options that exclude each other."""
-    truth, http = options.truth, options.http
-    fine = isinstance(truth, TruthTo) and (truth.per_packet or truth.per_return)
-    of_prepare = {"--http": http, "--gps-out or --imu-out": options.outlets and options.outlets.kinds}
-    _exclude(options.prepare is not None, "--prepare", of_prepare)
+    beside = options.outlets and (options.outlets.gps_out or options.outlets.imu_out)
+    _exclude(options.prepare, "--prepare", {"--http": options.http, "--gps-out or --imu-out": beside})
     _exclude(options.now, "--now", {"--gps-in": options.gps_in})
-    _exclude(http is not None, "--http", {"--truth-packets or --truth-returns": fine})
+    fine = truth and (truth.per_packet or truth.per_return)
+    _exclude(options.http, "--http", {"--truth-packets or --truth-returns": fine})
 
 
-def _exclude(given: bool, option: str, others: Mapping[str, object]) -> None:
+def _exclude(given: object, option: str, others: Mapping[str, object]) -> None:
     for other, value in others.items():
         if given and value:
             raise InputError(other, f"found beside {option}", "one of both")
 
 
-def _is_live(run: Run, options: StreamOptions) -> bool:
-    return takes_poses(run.scenario.motion) or options.poses is not None
-
-
 def _packets(
-    run: Run, options: StreamOptions, feed: PacketFeed, span_s: tuple[float, float], stack: ExitStack, stop: Event
+    run: Run,
+    options: StreamOptions,
+    hooks: StreamHooks,
+    feed: PacketFeed,
+    span_s: tuple[float, float],
+    stack: ExitStack,
+    stop: Event,
 ) -> Iterable[Packet]:
     """Return the packets to send: those of the feed, or those of a capture that is recorded first."""
     if options.prepare is None:
         truth = stack.enter_context(run.truth(options.truth, span_s, of=feed))
         return truth.beside(feed) if truth else feed
-    links = [unit.link for unit in run.engine.parts.units]
+    asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
     return prepared(
-        links,
+        [unit.link for unit in run.engine.parts.units],
         Path(options.prepare),
-        lambda path: record(
-            run,
-            path,
-            duration_s=options.duration_s,
-            truth=options.truth,
-            as_due=True,
-            progress=options.preparing,
-            stop=stop,
-        ),
+        lambda path: record(run, path, asked, as_due=True, progress=hooks.preparing, stop=stop),
     )
 
 
 def _going_on(feed: PacketFeed, flight: Any | None, pacer: Pacer) -> Callable[[int], None]:
-    """Return what lets the feed go on further ahead."""
+    """Return the function that makes the feed skip packets due before a UTC time."""
     further: Callable[[int], None] = flight.going_on(feed.go_on_from, pacer) if flight else feed.go_on_from
     return further
 

@@ -1,4 +1,4 @@
-"""Where the lasers point and when they fire: one table per sensor, in wire order.
+"""Beam tables: elevations, offsets and firing times of lasers in wire order.
 
 Source: VLP-16 User Manual 63-9243 Rev D, table 9-1 (elevation and vertical correction). Each beam
 crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 to the rounding of the
@@ -18,9 +18,9 @@ from vlp16emu.types import Array, SensorModel
 from vlp16emu.units import S_NS
 
 LASER_NS = 2_304
-"""From one laser's pulse to the next (63-9243 Rev D, section 8.1)."""
+"""Time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)."""
 SEQUENCE_NS = 55_296
-"""From one firing sequence to the next: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
+"""Period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
 
 LENS_RADIUS_M = 0.0419
 """Distance from the spin axis at which all beams cross the horizontal plane: -correction / tan(elevation)."""

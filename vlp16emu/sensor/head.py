@@ -1,7 +1,4 @@
-"""From firing numbers and poses to pulses: instants, angles, origins and directions.
-
-`turn_of` says how far a run turns the rotor.
-"""
+"""Pulses of a spinning head: instants, azimuths, origins and directions from firing numbers and poses."""
 
 import math
 from collections.abc import Callable
@@ -30,14 +27,14 @@ class Head:
     start_ns: int
 
     def times_ns(self, first: int, count: int) -> IntArray:
-        """UTC of every pulse of `count` sequences, (count, L)."""
+        """Return UTC of every pulse of `count` sequences, (count, L)."""
         beams = self.beams
         sequence = self.start_ns + np.arange(first, first + count, dtype=np.int64) * beams.sequence_ns
         laser = np.arange(len(beams.elevation_deg), dtype=np.int64) * beams.laser_ns
         return np.asarray(sequence[:, None] + laser)
 
     def aim(self, first: int, count: int, poses_at: Callable[[IntArray], Poses], *, beam_axis: bool = False) -> Firings:
-        """Point every pulse of `count` sequences from number `first` on.
+        """Return the pulses of `count` firing sequences from number `first` on.
 
         Parameters
         ----------
@@ -116,12 +113,12 @@ def _aim(
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """How fast a sensor turns, how finely it looks around, and how far it gets."""
+    """Rotation of a sensor over a run."""
 
     rpm: float
-    """At the start, as the next two."""
+    """Speed at the start, to which the next two belong."""
     azimuth_step_deg: float
-    """From one firing sequence to the next."""
+    """Angle from one firing sequence to the next."""
     sequences_per_revolution: float
     revolutions: float
     azimuth_steps: int
@@ -129,7 +126,7 @@ class Turn:
 
 
 def turn_of(head: Head, simulated_s: float) -> Turn:
-    """Measure the turning of a head over a run."""
+    """Return the rotation of a head over a run."""
     rpm, sequences_per_s = head.rotor.rpm, S_NS / head.beams.sequence_ns
     return Turn(
         rpm=rpm,

@@ -1,4 +1,4 @@
-"""From returns to points, computed as whoever knows the sensor's table and its pose computes them."""
+"""Points from returns, beam table and poses, as a driver with perfect poses computes them."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class PlacedReturns:
     azimuth_deg: Array
     """(n,) what the encoder read for the firing sequence, and what the rotor turned until the pulse; [0, 360)."""
     elevation_deg: Array
-    """(n,) by the table."""
+    """(n,) elevation of the beam table."""
     sensor_m: Array
     """(n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up."""
     world_m: Array
@@ -34,6 +34,7 @@ def place(
     laser: IntArray,
     distance_m: NDArray[np.float32],
     poses: Poses,
+    tangents: Array | None = None,
 ) -> PlacedReturns:
     """Place returns by the manual's formulas (63-9243 Rev D, section 9.2).
 
@@ -45,11 +46,12 @@ def place(
     sequence, laser : (n,) which pulses of `firings` they belong to
     distance_m : (n,)
     poses : of the body at the pulses, n or one that holds for all
+    tangents : (n, 2) how far points are off their pulses, over their distance, to greater azimuths and upwards; None on them
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
     azimuth_deg, elevation_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0, beams.elevation_deg[laser]
     sensor_m, world_m = np.empty((len(laser), 3)), np.empty((len(laser), 3))
-    ranges = beams.vertical_offset_m[laser], distance_m
+    ranges = beams.vertical_offset_m[laser], distance_m, np.empty((0, 2)) if tangents is None else tangents
     _place(azimuth_deg, elevation_deg, *ranges, poses.world_R_body, poses.world_p_body_m, sensor_m, world_m)
     return PlacedReturns(azimuth_deg, elevation_deg, sensor_m, world_m)
 
@@ -60,6 +62,7 @@ def _place(
     elevation_deg: Array,
     offset_m: Array,
     distance_m: NDArray[np.float32],
+    tangents: Array,
     world_R_body: Array,
     world_p_body_m: Array,
     sensor_m: Array,
@@ -74,6 +77,12 @@ def _place(
         sensor_m[i, 0] = r * level * cosine
         sensor_m[i, 1] = -r * level * sine
         sensor_m[i, 2] = r * up + offset_m[i]
+        if len(tangents):
+            a, b = tangents[i]
+            shorter = 1.0 - math.sqrt(1.0 - a * a - b * b)
+            sensor_m[i, 0] -= r * (shorter * level * cosine + a * sine + b * up * cosine)
+            sensor_m[i, 1] += r * (shorter * level * sine - a * cosine + b * up * sine)
+            sensor_m[i, 2] += r * (b * level - shorter * up)
         turn(world_R_body[n], sensor_m[i], world_m[i])
         for axis in range(3):
             world_m[i, axis] += world_p_body_m[n, axis]

@@ -22,9 +22,9 @@ _FAST = 0.85
 _SLOW_SHARES = 0.95, 0.61, 0.22, 0.47
 """Share of readings with the lower one behind each of four lines in turn (mrpt, nebula, einride: within 0.05 of these)."""
 _HALF_WIDTH = math.sqrt(3.0)
-"""Of an even distribution, in standard deviations."""
+"""Half-width of an even distribution, in standard deviations."""
 _SHORT_DEG = 1e-5
-"""How far before the next line a reading ends."""
+"""Least distance of a reading from the next line."""
 _KNOT_BITS = 20
 """A swing is straight between multiples of 2**20 ns, 1 ms."""
 Sine = tuple[float, float]
@@ -161,7 +161,7 @@ class Encoder:
             twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
             hum=(section.hum_deg * factor[2], turned_deg[2]),
             noise_deg=section.azimuth_noise_deg,
-            noise_limit_deg=section.azimuth_noise_limit_deg,
+            noise_limit_deg=0.1,  # so that no reading of an even encoder is behind the one before it (assumption)
             pitch_deg=section.encoder_pitch_deg,
             rate_error=section.encoder_rate_error * (1.0 + spread * (0.2 * own[7] - 0.1)),
             first_deg=math.floor(20.0 * own[6]) / 100,
@@ -200,7 +200,7 @@ class Rotor:
     """
 
     spins: tuple[Spin, ...]
-    """In order of time; the first is from the start on."""
+    """Spins in order of time; the first is from the start on."""
     encoder: Encoder
     wobbles: tuple[Wobbling, ...] = ()
     swings: tuple[Swing, ...] = ()
@@ -289,9 +289,9 @@ class ClockSpan:
     from_ns: int
     """UTC."""
     reading_ns: int | None = None
-    """What it shows at that instant, where it runs free; None where it is locked to GPS."""
+    """Reading at that instant of a clock that runs free; None if it is locked to GPS."""
     error_ppm: float = 0.0
-    """How much it is fast, where it runs free."""
+    """Rate error of a clock that runs free; positive is fast."""
 
     def reading(self, t_ns: IntArray) -> IntArray:
         """Return nanoseconds past the counter's hour at UTC instants of any shape; before the span its first reading."""
@@ -313,7 +313,7 @@ class Clock:
     """
 
     spans: tuple[ClockSpan, ...]
-    """In order of time; the first holds for all times before the second."""
+    """Spans in order of time; the first holds for all times before the second."""
 
     def reading_ns(self, t_ns: IntArray) -> IntArray:
         """Return nanoseconds past the counter's hour at UTC instants of any shape."""

@@ -76,6 +76,15 @@ class FellBehind:
     total_s: float = 0.0
     """Delay that came of it so far, with `pace`; greatest lateness, with `skip`."""
 
+    @property
+    def cause(self) -> str:
+        """Cause in words."""
+        if not self.engine:
+            return "the process stood still or got no core"
+        if self.engine_speed is None:
+            return "the engine is too slow"
+        return f"the engine computes {self.engine_speed:.2f} x real time"
+
 
 class DelayLog:
     """Times that a stream fell behind.
@@ -120,6 +129,8 @@ interval of a real sensor in 293 packets is 1 246 of 1 327 us: mrpt_vlp16_gps.pc
 _JITTER_NS = 10_000_000
 """Lateness of single packets that does not move the ones after it: two or three turns of 3 to 4 ms that Linux gives to
 other threads before it wakes ours. Where wake-ups come that late each of them sends several packets, 8 at most."""
+_NAP_S = 0.2
+"""Longest sleep at once: a signal sets an event, and Python goes on with a sleep that a signal interrupts (PEP 475)."""
 _BIN_BITS = 6
 """Significant bits that separate the bins of lateness, which gives quantiles within 1.6 %."""
 
@@ -243,8 +254,8 @@ class Pacer:
         """Begin anew with spacing, as where packets are left out: the next one leaves at its deadline."""
         self._last.clear()
 
-    def wait(self, packet: Packet, deadline_ns: int) -> int:
-        """Sleep until a packet may leave, and return how late after its deadline it does, in ns.
+    def wait(self, packet: Packet, deadline_ns: int, *, is_over: Callable[[], bool] = lambda: False) -> int:
+        """Sleep until a packet may leave or `is_over`, and return how late after its deadline that is, in ns.
 
         It leaves at its deadline, or later where its predecessors of the same unit and kind were late: n packets
         take at least 0.94 of the sensor's own time for n packets, less 10 ms. (A leaky bucket; as such ITU-T I.371
@@ -253,8 +264,8 @@ class Pacer:
         last_due_ns, planned_ns = self._last.get((packet.unit, packet.kind), (packet.due_ns, deadline_ns))
         closest_ns = planned_ns + round(_CLOSEST * (packet.due_ns - last_due_ns) / self.speed)
         self._planned_ns = max(deadline_ns, closest_ns)
-        while (left_ns := self._planned_ns - (now_ns := self._clock_ns())) > 0:
-            self._sleep(left_ns / S_NS)
+        while (left_ns := self._planned_ns - (now_ns := self._clock_ns())) > 0 and not is_over():
+            self._sleep(min(left_ns / S_NS, _NAP_S))
         self.late_ns = now_ns - deadline_ns
         return self.late_ns
 

@@ -147,7 +147,7 @@ def stream(
         raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, which is that of the clock")
     stop = stop or threading.Event()
     present = NowSink(sink) if now else None
-    sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from)
+    sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from, is_over=stop.is_set)
     left, interrupted = None, False
     try:
         with _prompt_switching(), prompt_sleeps(), LookAhead(packets, look_ahead_packets, stop) as ahead:
@@ -161,7 +161,7 @@ def stream(
             had_to_wait = False
             while (packet := ahead.take(sender.watch)) is not None:
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
-                if left is None:
+                if left is None and not stop.is_set():
                     left = FirstPacket(packet.due_ns, present.began_ns if present else None, time.time_ns())
                 had_to_wait = ahead.is_empty
             interrupted = stop.is_set()
@@ -181,7 +181,7 @@ def _prompt_switching() -> Iterator[None]:
 
 
 class Sender:
-    """Sends or drops packet by packet, and keeps the figures of the report; parameters as of `stream`."""
+    """Sends or drops packet by packet until `is_over`, and keeps the figures of the report; parameters as `stream`."""
 
     def __init__(
         self,
@@ -191,8 +191,9 @@ class Sender:
         late: Late,
         notify: Callable[[FellBehind], None],
         go_on_from: Callable[[int], None] | None,
+        is_over: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._sink, self._pacer = sink, pacer
+        self._sink, self._pacer, self._is_over = sink, pacer, is_over
         self._late, self._go_on_from = late, go_on_from
         self._log = DelayLog(late, notify)
         self._lateness = LatenessHistogram()
@@ -214,7 +215,10 @@ class Sender:
                 return
             self._pacer.delay(behind_ns)
         self._skipping_since_ns = None
-        self._lateness.add(self._pacer.wait(packet, deadline_ns))
+        late_ns = self._pacer.wait(packet, deadline_ns, is_over=self._is_over)
+        if self._is_over():
+            return
+        self._lateness.add(late_ns)
         self._sink.send(packet)
         self._pacer.left(packet)
 

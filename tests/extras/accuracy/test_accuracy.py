@@ -7,8 +7,7 @@ from vlp16emu.engine import Engine
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.curve import Kind
 from vlp16emu.extras.accuracy.foliage import _held, is_two, measure_foliage
-from vlp16emu.extras.accuracy.settings import beam_settings, pose_rates
-from vlp16emu.extras.accuracy.sweep import measure_accuracy
+from vlp16emu.extras.accuracy.sweep import beam_settings, measure_accuracy, pose_rates
 from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -25,6 +24,14 @@ def test_errors_are_the_same_each_time():
     assert first.answer_rmse_m == second.answer_rmse_m
     assert first.poses == ()
     assert all(row.us_per_pulse > 0 for row in first.rows)
+
+
+def test_settings_that_cast_the_same_rays_are_one_row():
+    """A beam casts eight sub-rays at any coarse target: of these the row in use is left, and no two rows are equal."""
+    rows = [row for row in measured("beam.model='adaptive'", pulses=128).rows if row.kind is Kind.ADAPTIVE]
+    assert len({(row.errors, row.rays_per_pulse) for row in rows}) == len(rows)
+    assert [row.name for row in rows if row.rays_per_pulse == 8.0] == ["beam.model=adaptive beam.target_m=0.05"]
+    assert [row.in_use for row in rows].count(True) == 1
 
 
 def test_sub_rays_converge_to_the_answer():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.extras.accuracy.compare import Detections, Tally, compare, errors_of
-from vlp16emu.extras.accuracy.converged import joined
 from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row, choices, draw_accuracy, fitted_order, front
+from vlp16emu.extras.accuracy.sample import joined
 
 RESOLUTION_M = 1.0
 
@@ -50,14 +50,10 @@ def test_statistics_are_those_of_the_right_echoes():
     assert found.reflectivity_rmse == 3.0
 
 
-def test_a_wrong_last_return_is_distinguished_from_a_wrong_strongest():
-    """The last return is judged by itself."""
+def test_last_returns_and_nothing_are_judged_as_such():
+    """The last return is judged by itself; where the answer has no return, errors are NaN, not zero."""
     found = errors(detections_of((10.0, 20.0), (10.0, 20.0)), detections_of((10.0, 10.0), (20.0, 20.0)))
     assert (found.wrong_strongest, found.wrong_last) == (0.5, 0.5)
-
-
-def test_of_nothing_no_error_is_claimed():
-    """Where the answer has no return, errors are NaN, not zero."""
     found = errors(detections_of(0.0, 0.0), detections_of(0.0, 5.0))
     assert np.isnan([found.range_rmse_m, found.mean_error_m, found.lost, found.invented]).all()
 

@@ -12,7 +12,8 @@ from referencing import Registry, Resource
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.documents import document
 from vlp16emu.extras.bench.state import DeviceInfo, DeviceSettings
-from vlp16emu.extras.bench.web import HttpFault, WebServer, parse_http
+from vlp16emu.extras.bench.web import HttpFault, WebServer
+from vlp16emu.run.options import Http
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 FOLDER = Path(__file__).parents[3] / "protocol" / "web"
@@ -274,13 +275,13 @@ def test_a_connection_that_is_kept_open_does_not_disturb_the_end(make, caplog):
 
 def test_where_it_listens():
     """A host and a port, or a port of this machine alone; other texts are refused with an example."""
-    assert parse_http("127.0.0.1:8080") == ("127.0.0.1", 8080)
-    assert parse_http("8080") == parse_http(":8080") == ("127.0.0.1", 8080)
-    assert parse_http("0.0.0.0:80") == ("0.0.0.0", 80)
-    assert parse_http("[::1]:80") == ("::1", 80)
+    assert Http("127.0.0.1:8080").address == ("127.0.0.1", 8080)
+    assert Http("8080").address == Http(":8080").address == ("127.0.0.1", 8080)
+    assert Http("0.0.0.0:80").address == ("0.0.0.0", 80)
+    assert Http("[::1]:80").address == ("::1", 80)
     for text in ("", "host", "host:", "1.2.3.4:65536", "1.2.3.4:-1", "1.2.3.4:٨٠", "http://127.0.0.1"):
         with pytest.raises(InputError, match=r"--http: found .* expected HOST:PORT, such as 127\.0\.0\.1:8080"):
-            parse_http(text)
+            Http(text)
 
 
 def test_a_port_that_is_taken_is_named(web, make):

@@ -35,15 +35,13 @@ class Nebula:
     """The client of tier4/nebula (http_client.hpp, velodyne_hw_interface.cpp): made by hand, with its ways and limits."""
 
     def __init__(self, address):
-        self._address, self.took_s, self.asked = address, [], []
+        self._address, self.asked = address, []
 
     def request(self, method, endpoint, body=""):
         """Ask up to three times, 100 ms apart, for 500 ms each; the status is not looked at."""
         self.asked.append((endpoint, body))
         for _ in range(3):
-            begin_s = time.perf_counter()
             if (answer := self._once(method, endpoint, body)) is not None:
-                self.took_s.append(time.perf_counter() - begin_s)
                 return answer
             time.sleep(0.1)
         raise AssertionError(f"{method} {endpoint} {body}: no answer")
@@ -189,13 +187,3 @@ def test_a_form_sets_its_values(web, client, form, values):
     wanted = replace(DeviceSettings(), **values)
     assert web.device.settings == wanted
     assert web.engine.changes == ([wanted] if wanted != DeviceSettings() else [])
-
-
-def test_answers_come_within_100_ms(web):
-    """Of 200 documents and settings on lines of their own, 19 of 20; the others within nebula's first try."""
-    nebula = Nebula(web.address)
-    for rpm in [300, 1200] * 50:
-        nebula.request("POST", "/cgi/setting", f"rpm={rpm}")
-        nebula.request("GET", "/cgi/snapshot.hdl")
-    assert len(nebula.took_s) == 200
-    assert sorted(nebula.took_s)[189] < 0.1

@@ -216,6 +216,25 @@ def test_a_wrong_stem_is_named(tmp_path, row):
         read_stems(tmp_path / "stems.csv")
 
 
+def test_stems_are_compared_at_breast_height(tmp_path):
+    """The place of a leaning tree in an inventory is its axis at breast height, where stem maps have it, and not its foot."""
+    (tmp_path / "trees.csv").write_text(
+        "id,x_m,y_m,z_m,x_breast_m,y_breast_m,dbh_m\n1,4,3,0,4.25,3.1,0.3\n2,8,3,0,,,0.4\n"
+    )
+    true, found = read_stems(tmp_path / "trees.csv"), [stem("a", 4.25, 3.1), stem("b", 8.0, 3.0, 0.4)]
+    assert [(one.x_m, one.y_m) for one in true] == [(4.25, 3.1), (8.0, 3.0)]
+    pairs = match_stems(found, true, 0.1)
+    assert stem_scores(found, true, pairs)["stem_position_m"] == 0.0
+
+
+def test_the_own_column_of_instances_goes_before_those_of_others(tmp_path):
+    """A file with `instance` and `treeID`, as `points --labels for-instance` writes it, is scored by its instances."""
+    np.savez(tmp_path / "a.npz", xyz=np.zeros((2, 3)), instance=[7, 8], treeID=[1, 0])
+    np.savez(tmp_path / "b.npz", xyz=np.zeros((2, 3)), treeID=[1, 0])
+    assert read_cloud(tmp_path / "a.npz")["instance"].tolist() == [7, 8]
+    assert read_cloud(tmp_path / "b.npz")["instance"].tolist() == [1, 0]
+
+
 def test_clouds_of_other_tools_are_read(tmp_path):
     """An ASCII PLY, and a LAZ with `treeID` and `leaf_wood` as laspy writes them, give their places and labels."""
     laspy = pytest.importorskip("laspy")

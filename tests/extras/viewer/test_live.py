@@ -125,7 +125,7 @@ def test_a_page_that_is_stopped_costs_no_packet():
 
 def test_without_the_extra_one_line_names_it(capsys, monkeypatch):
     """Where viser is missing, `--view` ends with exit code 2 and the extra to install."""
-    monkeypatch.setattr("vlp16emu.cli.live.find_spec", lambda _: None)
+    monkeypatch.setattr("vlp16emu.cli.stream.find_spec", lambda _: None)
     assert run(["stream", "static_bench", "--view", "--duration", "0.1"]) == 2
     assert "viewer" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""Error against run time: what was measured of each setting, what follows for the choice of one, and the picture."""
+"""Error against run time: measured settings, what follows for the choice of one, and the picture."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
 
 
 class Kind(StrEnum):
-    """What a setting is about."""
+    """Kind of a setting."""
 
     ONE_RAY = "one ray"
     FIXED = "fixed"
@@ -29,18 +29,18 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One setting."""
+    """Error and run time of one setting."""
 
     kind: Kind
     name: str
-    """Of light, as `--set` takes it."""
+    """Setting of a beam as `--set` takes it."""
     in_use: bool
-    """Whether it is that of the scene."""
+    """Whether it is the scene's own."""
     errors: Errors
     us_per_pulse: float
-    """Run time on one core: that of casting and detecting, of poses that of posing and aiming."""
+    """Run time on one core: of casting and detecting, or for poses of posing and aiming."""
     us_spread: float
-    """Between the quickest and the slowest repeat."""
+    """Difference between the slowest and the quickest repeat."""
     rays_per_pulse: float
 
 
@@ -56,7 +56,7 @@ class Mean:
 
     @property
     def departs(self) -> bool:
-        """Whether it differs by more than chance."""
+        """Whether the difference exceeds chance."""
         return abs(self.off) > self.half
 
 
@@ -74,19 +74,19 @@ class LevelOfDetail:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """What is known of a scene's errors."""
+    """Errors of a scene by setting."""
 
     scene: str
     seed: int
     answer_rays: int
-    """Sub-rays of the answer that all is held against."""
+    """Sub-rays of the answer."""
     answer_rmse_m: float
-    """Its own error, from two answers with different sub-rays."""
+    """Error of the answer itself, from two answers with different sub-rays."""
     rows: tuple[Row, ...]
     poses: tuple[Row, ...]
-    """Held poses, each against a pose per pulse with the light of the answer; none where nothing moves."""
+    """Held poses against a pose per pulse, with the beam of the answer; none if the sensor stands still."""
     foliage: tuple[LevelOfDetail, ...] = ()
-    """The world cast leaf by leaf to some distances, the explicit one last; none of a hall."""
+    """Worlds cast leaf by leaf to some distances, the explicit one last; none of a hall."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,20 +106,19 @@ class Choice:
 
 
 def front(rows: Sequence[Row]) -> list[Row]:
-    """Rows that no other beats in both speed and error, by their mean errors; the quickest first.
+    """Return the rows that no other beats in both speed and mean error, the quickest first.
 
-    The paper's beam errors do not count: they are there to be compared with, and nobody should choose them.
+    The paper's beam errors do not count: they are there to be compared with, not to be chosen.
     """
-    best, kept = np.inf, list[Row]()
+    kept = list[Row]()
     for row in sorted(_to_choose(rows), key=lambda row: (row.us_per_pulse, row.errors.mean_error_m)):
-        if row.errors.mean_error_m < best:
-            best = row.errors.mean_error_m
+        if not kept or row.errors.mean_error_m < kept[-1].errors.mean_error_m:
             kept.append(row)
     return kept
 
 
 def fitted_order(rows: Sequence[Row], kind: Kind) -> Fit | None:
-    """Fit how the mean error of a kind falls; None of fewer than three settings, or where none costs twice another."""
+    """Fit how the mean error of a kind falls; None with fewer than three settings, or if none costs twice another."""
     points = [(row.us_per_pulse, row.errors.mean_error_m) for row in rows if row.kind is kind]
     points = [point for point in points if point[1] > 0]
     if len(points) < 3 or max(points)[0] < 2 * min(points)[0]:
@@ -130,7 +129,7 @@ def fitted_order(rows: Sequence[Row], kind: Kind) -> Fit | None:
 
 
 def choices(rows: Sequence[Row]) -> list[Choice]:
-    """Say what to take for some wanted mean errors; each setting once, for the least that it is good for."""
+    """Return what to take for some wanted mean errors; each setting once, for the least error that it is good for."""
     found: dict[str, Choice] = {}
     for wanted_m in WANTED_M:
         good = [row for row in _to_choose(rows) if row.errors.mean_error_m <= wanted_m]
@@ -152,66 +151,46 @@ _STYLES = {
     Kind.FIXED: (CYCLE[0], "o", (4, 5)),
     Kind.ADAPTIVE: (CYCLE[2], "D", (-8, -13)),
 }
-"""Colour, mark, and where the label is, in points; to the left it ends there."""
-_CLOSE = 0.3, 0.25
-"""Settings whose run times and errors differ by less, as shares, have one label."""
+"""Colour, mark, and offset of the label in points; to the left it is right-aligned."""
 
 
 def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
-    """Draw mean error and RMSE of each setting of light against its run time, as PNG."""
+    """Draw mean error and RMSE of each setting of the beam against its run time, as PNG."""
+    rows = accuracy.rows
     with plotted(file, _SIZE_PX) as figure:
         left, right = figure.subplots(1, 2)
-        _draw(left, accuracy.rows, lambda row: row.errors.mean_error_m)
-        line = front(accuracy.rows)
-        us, error_m = zip(*((row.us_per_pulse, row.errors.mean_error_m) for row in line), strict=True)
+        _draw(left, rows, lambda row: row.errors.mean_error_m)
+        us, error_m = zip(*((row.us_per_pulse, row.errors.mean_error_m) for row in front(rows)), strict=True)
         left.plot(us, error_m, color=SOFT, linewidth=6, alpha=0.5, zorder=0, label="Pareto front")
-        _draw_orders(left, accuracy.rows)
+        for kind in (Kind.FIXED, Kind.ADAPTIVE):
+            if (fit := fitted_order(rows, kind)) is not None:
+                ends = [row.us_per_pulse for row in rows if row.kind is kind]
+                span_us = np.array([min(ends) / 1.2, max(ends) * 1.2])
+                look: dict[str, Any] = {"color": _STYLES[kind][0], "lw": 1, "ls": "--"}
+                look["label"] = f"{kind.value}: error ~ time^-{fit.order:.2f}"
+                left.plot(span_us, fit.at_1_us_m * span_us**-fit.order, **look)
         left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
-        _draw(right, accuracy.rows, lambda row: row.errors.range_rmse_m)
+        _draw(right, rows, lambda row: row.errors.range_rmse_m)
         right.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
         right.set(title="Returns of the right echo", ylabel="range RMSE, m")
         for axes in (left, right):
             axes.legend(loc="upper right")
-        figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
+        figure.suptitle(f"{accuracy.scene}: error against run time, {rows[0].errors.pulses} pulses")
 
 
 def _draw(axes: "Axes", rows: Sequence[Row], error_m: Callable[[Row], float]) -> None:
     for kind, (colour, marker, aside) in _STYLES.items():
         own = [row for row in rows if row.kind is kind]
-        us, errors = [row.us_per_pulse for row in own], [error_m(row) for row in own]
-        spread = np.array([row.us_spread / 2 for row in own])
+        us, spread = ([getattr(row, name) for row in own] for name in ("us_per_pulse", "us_spread"))
         line = "-" if kind in (Kind.FIXED, Kind.ADAPTIVE) else ""
-        axes.errorbar(us, errors, xerr=spread, color=colour, marker=marker, linestyle=line, label=kind.value)
-        for words, at in _labels(own, us, errors):
-            side = "left" if aside[0] > 0 else "right"
-            looks: dict[str, Any] = {"fontsize": 7, "color": colour, "ha": side}
-            axes.annotate(words, at, aside, textcoords="offset points", **looks)
-    for row in rows:
-        if row.in_use:
-            place = [row.us_per_pulse], [error_m(row)]
-            axes.plot(*place, "o", ms=15, mfc="none", mec=_IN_USE, mew=2, label="in use")
+        look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "label": kind.value}
+        axes.errorbar(us, [error_m(row) for row in own], xerr=np.array(spread) / 2, **look)
+        words: dict[str, Any] = {"fontsize": 7, "color": colour, "ha": "left" if aside[0] > 0 else "right"}
+        for row in own:
+            place, short = (row.us_per_pulse, error_m(row)), row.name.rpartition("=")[2]
+            axes.annotate(short, place, aside, textcoords="offset points", **words)
+            if row.in_use:
+                axes.plot(*place, "o", ms=15, mfc="none", mec=_IN_USE, mew=2, label="in use")
     axes.set(xscale="log", yscale="log", xlabel="us per pulse, one core")
     axes.grid(which="both", alpha=0.5)
     axes.xaxis.set_minor_formatter("")
-
-
-def _draw_orders(axes: "Axes", rows: Sequence[Row]) -> None:
-    """Draw with what power of run time errors fall."""
-    for kind in (Kind.FIXED, Kind.ADAPTIVE):
-        if (fit := fitted_order(rows, kind)) is not None:
-            us = np.array([row.us_per_pulse for row in rows if row.kind is kind])
-            us = np.array([us.min() / 1.2, us.max() * 1.2])
-            name = f"{kind.value}: error ~ time^-{fit.order:.2f}"
-            axes.plot(us, fit.at_1_us_m * us**-fit.order, "--", color=_STYLES[kind][0], lw=1, label=name)
-
-
-def _labels(rows: Sequence[Row], us: Sequence[float], errors: Sequence[float]) -> list[tuple[str, tuple[float, float]]]:
-    """Words and places of the labels of a kind; what lies together has one label."""
-    labels = list[tuple[str, tuple[float, float]]]()
-    for row, place in zip(rows, zip(us, errors, strict=True), strict=True):
-        short = row.name.rpartition("=")[2]
-        if labels and np.allclose(place, labels[-1][1], rtol=_CLOSE, atol=0.0):
-            labels[-1] = f"{labels[-1][0]}, {short}", labels[-1][1]
-        else:
-            labels.append((short, place))
-    return labels

@@ -1,7 +1,6 @@
-"""The world cast leaf by leaf to some distances, held against the explicit one.
+"""The world cast leaf by leaf to some distances, compared with the explicit one.
 
-Beyond `near_m` single leaves are others than those of the explicit world, so means over the same pulses are
-compared, and not pulse by pulse.
+Beyond `near_m` single leaves differ from those of the explicit world, so means over the same pulses are compared, not pulses.
 """
 
 import math
@@ -31,9 +30,9 @@ _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 def measure_foliage(
     scenario: Scenario, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> tuple[LevelOfDetail, ...]:
-    """Measure means and run time of a scene's world cast leaf by leaf to some distances; nothing of a hall.
+    """Measure means and run time of a scene's world cast leaf by leaf to some distances; nothing for a hall.
 
-    Parameters are as of `measure_accuracy`; the pulses are those of each world.
+    Parameters are as in `measure_accuracy`; each world gets so many pulses.
     """
     if not isinstance(world := scenario.world, Woods):
         return ()
@@ -54,18 +53,18 @@ def measure_foliage(
 
 
 def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple[Returns, float, float]]:
-    """Cast groups of pulses of the first unit against a scene's world, leaf by leaf to `near_m`, and detect without noise.
+    """Cast groups of pulses of the first unit against a scene's world, leaf by leaf to `near_m`, and detect them without noise.
 
     Yields returns of a group, microseconds per pulse in its window on one core, and the share of the run that is done.
     """
     world = scenario.world.model_copy(update={"near_m": near_m})
     parts = assemble(scenario.model_copy(update={"world": world}))
     unit = parts.units[0]
-    bench, detector, poses_at = (Bench(unit, unit.beam.rays), unit.detector.without_chance(), unit.motion.poses_at)
+    bench, detector, poses_at = Bench(unit, unit.beam.rays), unit.detector.without_chance(), unit.motion.poses_at
 
     def returns(geometry: Geometry, group: Group) -> Returns:
         firings = bench.aimed(group, poses_at)
-        hits = geometry.cast(firings, *bench.limits_m, unit.beam)
+        hits = bench.cast(geometry, firings, unit.beam)
         return detect(firings, hits, geometry.surfaces, detector, truth=True)
 
     with workers(os.cpu_count() or 1, "foliage") as pool:
@@ -77,14 +76,14 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
 
 
 def is_two(distance_m: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether pulses have two returns in dual return, by their distances (..., 3)."""
+    """Return whether pulses have two returns in dual return, by their distances (..., 3)."""
     is_apart = distance_m[..., _STRONGEST] != distance_m[..., _LAST]
     two: NDArray[np.bool_] = is_apart | (distance_m[..., _SECOND] > 0)
     return two
 
 
 def _means(returns: Returns, reach_m: float) -> dict[str, float]:
-    """Take means over the pulses of a group, without a return or not."""
+    """Return means over the pulses of a group, also over those without a return."""
     assert returns.surface is not None
     assert returns.surfaces is not None
     distance_m = returns.distance_m[..., _STRONGEST]
@@ -101,7 +100,7 @@ def _means(returns: Returns, reach_m: float) -> dict[str, float]:
 
 
 def _held(groups: list[dict[str, float]], explicit: list[dict[str, float]]) -> dict[str, Mean]:
-    """Hold means of groups, which have as many pulses each, against those of the explicit world."""
+    """Compare means of groups of equal size with those of the explicit world."""
     held = dict[str, Mean]()
     for name in explicit[0]:
         own, other = (np.array([means[name] for means in of]) for of in (groups, explicit))

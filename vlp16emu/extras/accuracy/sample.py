@@ -1,9 +1,12 @@
-"""Pulses drawn from all over a run, cast in its windows, and how they are timed."""
+"""Pulses drawn from all over a run, their converged answer, and how they are timed.
+
+The converged answer is that of the same pulses with many more sub-rays, by a receiver without noise.
+"""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,22 +14,25 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Parts, Unit, window_of
 from vlp16emu.engine.windows import Batching
 from vlp16emu.extras.accuracy.compare import Detections
-from vlp16emu.extras.accuracy.converged import answer_beam, detections_of
-from vlp16emu.extras.accuracy.settings import PosesAt
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect
+from vlp16emu.returns.detector import UnitDetector
+from vlp16emu.returns.settings import Detector
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Firings
+from vlp16emu.types import Firings, Hits, Poses
 from vlp16emu.units import seconds_to_ns
 
+PosesAt = Callable[[NDArray[np.int64]], Poses]
+
 GROUP = 8
-"""Sequences of a group: an adaptive beam is judged among so many, and no others."""
+"""Firing sequences of a group: an adaptive beam is judged among so many, and no others."""
 TIMED_SEQUENCES = 96
-"""On which run time is measured in each window: then calls cost below a tenth of a ray each."""
+"""Firing sequences on which run time is measured in each window: then a call costs below a tenth of a ray each."""
 _MOST_SEGMENTS = 8
-"""Of a long walk: each needs a window of the world of its own."""
+"""Most segments of a long walk: each needs a window of the world."""
+_HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +44,35 @@ class Group:
     count: int
 
 
+def apart_m(detector: Detector) -> float:
+    """Return the range between echoes that are surely two: the resolution, or a pulse's full width if that is more."""
+    return max(detector.resolution_m, _HALF_LIGHT_M_PER_NS * detector.pulse_ns)
+
+
+def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footprint:
+    """Return the beam of an answer; its sub-rays must not be those that it judges, so each number has a seed of its own."""
+    own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
+    return replace(beam.changed(model="fixed", rays=rays), seed=own)
+
+
+def detections_of(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector) -> Detections:
+    """Detect all echoes of some pulses with a detector without noise, in order of sequence, then of laser."""
+    returns = detect(firings, hits, surfaces, exact, truth=False)
+    return Detections(returns.distance_m.reshape(-1, 3), returns.reflectivity.reshape(-1, 3))
+
+
+def joined(parts: Sequence[Detections]) -> Detections:
+    """Join the detections of several batches."""
+    distances, reflectivities = zip(*((part.distance_m, part.reflectivity) for part in parts), strict=True)
+    return Detections(np.concatenate(distances), np.concatenate(reflectivities))
+
+
 def draw_groups(
     batching: Batching, blocks: int, pulses: int, seed: int, *, moves: bool
 ) -> Iterator[tuple[int, list[Group]]]:
-    """Draw groups of the first blocks of a run, for so many pulses at least, by segments that share a window of the world.
+    """Draw groups of the first blocks of a run, of so many pulses at least, by segments that share a window of the world.
 
-    Yields the number of a segment, 0 alone where nothing moves, and its groups in order of time.
+    Yields the number of a segment, 0 alone if nothing moves, and its groups in order of time.
     """
     draw = generator(seed, Purpose.AUDIT, -1)
     per_block, segment = batching.block // GROUP, batching.segment if moves else blocks
@@ -65,7 +94,7 @@ def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> NDArray
 def opened_windows(
     scenario: Scenario, parts: Parts, pulses: int, pool: Executor
 ) -> Iterator[tuple[Geometry, list[Group], float]]:
-    """Open the windows of a sample of the pulses of a run's first unit, one after the other; shapes are grown in `pool`.
+    """Open the windows of a sample of the pulses of a run's first unit, one after the other; `pool` grows shapes.
 
     Yields a window, groups in it, and the share of the run that ends with them.
     """
@@ -80,39 +109,38 @@ def opened_windows(
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Detects pulses of a unit."""
+    """Casts and detects pulses of a unit."""
 
     unit: Unit
     rays: int
     """Sub-rays of an answer."""
 
-    @property
-    def limits_m(self) -> tuple[NDArray[np.float64], float]:
-        """Where each laser's light begins, (L,), and where it is given up."""
-        return self.unit.head.beams.near_m, self.unit.section.max_range_m
-
     def aimed(self, group: Group, poses_at: PosesAt) -> Firings:
         """Aim the sequences of a group."""
         return self.unit.head.aim(group.first, group.count, poses_at, beam_axis=True)
 
+    def cast(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Hits:
+        """Cast pulses between the unit's limits of range."""
+        return geometry.cast(firings, self.unit.head.beams.near_m, self.unit.section.max_range_m, beam)
+
     def detections(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Detections:
         """Cast pulses, and detect them with an exact receiver."""
-        hits = geometry.cast(firings, *self.limits_m, beam)
+        hits = self.cast(geometry, firings, beam)
         return detections_of(firings, hits, geometry.surfaces, self.unit.detector.without_chance())
 
     def answer(self, geometry: Geometry, firings: Firings, beam: Footprint, number: int = 0) -> Detections:
-        """Compute the answer for some pulses of a width; its number distinguishes answers with different sub-rays."""
+        """Return the answer for some pulses; its number distinguishes answers with different sub-rays."""
         return self.detections(geometry, firings, answer_beam(beam, self.rays, self.unit.seed, number))
 
     def timed(self, geometry: Geometry, firings: Firings, beam: Footprint) -> tuple[float, float]:
-        """Cast and detect as a run does: microseconds per pulse on one core, and rays per pulse."""
+        """Cast and detect as a run does; return microseconds per pulse on one core, and rays per pulse."""
         began_s = time.thread_time()
-        hits = geometry.cast(firings, *self.limits_m, beam)
+        hits = self.cast(geometry, firings, beam)
         detect(firings, hits, geometry.surfaces, self.unit.detector, truth=False)
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(hits.count.mean())
 
     def timed_aim(self, block: Group, poses_at: PosesAt) -> float:
-        """Pose and aim as a run does: microseconds per pulse on one core."""
+        """Pose and aim as a run does; return microseconds per pulse on one core."""
         began_s = time.thread_time()
         firings = self.unit.head.aim(block.first, block.count, poses_at, beam_axis=self.unit.beam.has_width)
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size

@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.errors import CaptureError, InputError, PacketError, readable, spare
-from vlp16emu.extras.bag.bag_file import BagFile
+from vlp16emu.errors import InputError, PacketError, readable
+from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages
 from vlp16emu.extras.bag.sink import BagSink, TrueSamples
-from vlp16emu.packets import DATA_BYTES, Capture, units_in
+from vlp16emu.output import spare
+from vlp16emu.packets import DATA_BYTES, Capture, check_stamps, chosen_unit, unit_clocks, units_in
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -37,54 +39,84 @@ class BagResult:
     """By topic."""
     duration_s: float
     """From the first message to the last."""
+    clocks: tuple[str, ...]
+    """Of each unit, in the order of their topics: sensor, gps or host."""
+    host_ahead_s: tuple[float, ...]
+    """Capture stamps less the sensor's clock at the first data packet of each unit."""
+    repeats: int
+    """Packets left out as they came before."""
     interrupted: bool
 
 
-def write_bag(capture: Path, out: Path, truth: Path | None = None, *, stop: Event | None = None) -> BagResult:
+def write_bag(
+    capture: Path,
+    out: Path,
+    truth: Path | None = None,
+    *,
+    unit: str | None = None,
+    clock: str | None = None,
+    stop: Event | None = None,
+) -> BagResult:
     """Write the bag of a capture; memory does not grow with its length.
 
     Parameters
     ----------
-    capture : a classic pcap file of VLP-16 packets, also of a real sensor
+    capture : file with VLP-16 packets, also of a real sensor
     out : .mcap, .bag or a folder, as `BagFile` takes it
     truth : folder with the truth of the run: true odometry, transforms, inertial unit and receiver
+    unit : the one sensor of several to write, as `chosen_unit` takes it; without it all of them
+    clock : of all stamps, as `unit_clocks` takes it
     stop : ends the bag between two packets; it is valid
 
     Raises
     ------
     CaptureError, PacketError
-        where the capture is none, or is damaged
+        If the capture is none, is damaged, or has stamps that no bag can hold
     InputError
-        where the truth cannot be read, or is not of as many units
+        If the truth cannot be read or is not of as many units, or there is no such unit or clock
     OutputError, MissingExtraError, RunError
         as `BagFile`
     """
     spare([capture], out)
-    stop, units = stop or Event(), units_in(capture)
-    with BagSink(out, len(units), partial(_truth, truth) if truth else None) as sink:
-        try:
-            for packet in _packets(capture):
-                if stop.is_set():
-                    break
-                sink.send(packet)
-        except PacketError as error:
-            raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
-        if sink.first_ns is None and not stop.is_set():
-            raise CaptureError(str(capture), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
-    first_ns, last_ns = sink.bag.span_ns or (0, 0)
-    counts = dict(sorted(sink.bag.counts.items()))
-    return BagResult(str(out), counts, (last_ns - first_ns) / S_NS, stop.is_set())
-
-
-def _packets(capture: Path) -> Iterator[Packet]:
-    """Yield the packets of a capture by their sensors, numbered as its frames."""
-    units = units_in(capture)
-    with Capture(capture) as datagrams:
+    check_bag(out)
+    stop, every = stop or Event(), units_in(capture, required=True)
+    units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
+    clocks = unit_clocks(capture, units, clock, where="--clock")
+    check_stamps(capture, clocks, LATEST_NS)
+    made = [one.make() for one in clocks]
+    taken = [every.index(one) for one in units], len(every)
+    truth_of = partial(_truth, truth, taken) if truth else None
+    with (
+        _named(capture),
+        BagSink(out, len(units), lambda number, _: made[number], truth_of) as sink,
+        Capture(capture) as datagrams,
+    ):
         for datagram in datagrams:
+            if stop.is_set():
+                break
             of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
-            kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
             if of is not None:
-                yield Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number)
+                kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
+                sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
+    first_ns, last_ns = sink.bag.span_ns or (0, 0)
+    return BagResult(
+        file=str(out),
+        messages=dict(sorted(sink.bag.counts.items())),
+        duration_s=(last_ns - first_ns) / S_NS,
+        clocks=tuple(one.clock for one in clocks),
+        host_ahead_s=tuple((one.host_ahead_ns or 0) / S_NS for one in made),
+        repeats=datagrams.repeated,
+        interrupted=stop.is_set(),
+    )
+
+
+@contextmanager
+def _named(capture: Path) -> Iterator[None]:
+    """Put the name of the capture into errors of its packets."""
+    try:
+        yield
+    except PacketError as error:
+        raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
 
 
 class _Rows:
@@ -100,12 +132,15 @@ class _Rows:
             self._next = next(self._rows, None)
 
 
-def _truth(folder: Path, bag: BagFile, frames: Sequence[str], begin_ns: int) -> list[tuple[TrueSamples, int]]:
-    """Open the files of a folder of truth, from an instant UTC on."""
+def _truth(
+    folder: Path, taken: tuple[Sequence[int], int], bag: BagFile, frames: Sequence[str], begin_ns: int
+) -> list[tuple[TrueSamples, int]]:
+    """Open the files of a folder of truth from an instant UTC on, for the units `taken` of so many in the capture."""
     rig, scenario = (_json(folder / name) for name in ("rig.json", "scenario.json"))
-    if len(rig["units"]) != len(frames):
-        expected = f"{len(frames)}, as in the capture"
-        raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", expected)
+    numbers, several = taken
+    if len(rig["units"]) != several:
+        raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{several}, as in the capture")
+    rig["units"] = [rig["units"][number] for number in numbers]
     to = TrueMessages(bag, scenario.get("imu"), scenario["gps"])
     to.fixed(begin_ns, rig, frames[0])
     files = [

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
-from vlp16emu.packets import DATA_PAYLOAD, data_fields, decode_data, decode_position, faults_in
+from vlp16emu.packets import (
+    DATA_PAYLOAD,
+    JUMP_NS,
+    PacketClock,
+    data_fields,
+    decode_data,
+    decode_position,
+    faults_in,
+    scan_starts,
+)
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
@@ -31,51 +40,51 @@ _UNKNOWN_M2 = 1e6
 class UnitMessages:
     """Writes what the driver makes of the packets of one sensor.
 
-    A scan ends with the packet that passes azimuth 0, as the driver's default `cut_angle` has it, and has the stamp of
-    its first packet by the sensor's clock, as with its settings `gps_time` and `timestamp_first_packet`; what is left
-    after the last cut is no scan.
-
-    Parameters
-    ----------
-    bag : to be written
-    frame : of its points
+    A scan ends with the packet that passes azimuth 0, as the driver's default `cut_angle` has it, or before a jump of a clock. It
+    has the stamp of its first packet, as with the driver's setting `timestamp_first_packet`, by `clock`. What is left after the
+    last cut is no scan.
     """
 
-    def __init__(self, bag: BagFile, frame: str) -> None:
-        self._bag, self._frame = bag, frame
+    def __init__(self, bag: BagFile, frame: str, clock: PacketClock) -> None:
+        self._bag, self._frame, self._clock = bag, frame, clock
         self._space = f"/{frame}".removesuffix("/velodyne")
-        self._zero_ns = self._clock_ns = 0
-        self._last_cdeg = -1
+        self._last: tuple[float, int, int] | None = None
+        """Azimuth of the latest packet, and its time by the sensor's clock and by the chosen one."""
         self._factory: int | None = None
         self._sentence = b""
         self._held: list[tuple[int, bytes, int]] = []
 
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
-        """Take a data packet, and give UTC of its first pulse, with the hour that is nearest to the first stamp; as `check`."""
+        """Take a data packet, and return UTC of its first pulse; errors as of `check`."""
         fields = np.frombuffer(payload, DATA_PAYLOAD)[0]
-        clock_ns, azimuth_cdeg = int(fields["timestamp_us"]) * US_NS, int(fields["blocks"]["azimuth_cdeg"][0])
-        if self._last_cdeg < 0:
-            self._zero_ns = round((stamp_ns - clock_ns) / HOUR_NS) * HOUR_NS
-        elif clock_ns < self._clock_ns - HOUR_NS // 2:
-            self._zero_ns += HOUR_NS
-        self._clock_ns, t_ns = clock_ns, clock_ns + self._zero_ns
+        stamps = stamp_ns, int(fields["timestamp_us"]), int(fields["return_mode"])
+        azimuth_deg, (sensor_ns, t_ns) = fields["blocks"]["azimuth_cdeg"][0] / 100, self._clock.packet_ns(*stamps)
+        ends = False
+        if self._last is not None:
+            last_deg, last_ns, last_t_ns = self._last
+            if max(abs(sensor_ns - last_ns), abs(t_ns - last_t_ns)) > JUMP_NS:
+                self._write_scan()
+            else:
+                ends = len(scan_starts(np.array([last_deg, azimuth_deg]), np.array([last_ns, sensor_ns]))) > 1
         self._held.append((t_ns, payload, number))
-        if azimuth_cdeg < self._last_cdeg:
+        if ends:
             self._write_scan()
-        self._last_cdeg = azimuth_cdeg
+        if self._last is None or not 0 < self._last[1] - sensor_ns <= JUMP_NS:  # a packet that comes late ends no scan
+            self._last = azimuth_deg, sensor_ns, t_ns
         return t_ns
 
-    def position(self, stamp_ns: int, payload: bytes) -> None:
-        """Take a position packet; its sentence is a message where it is a new one."""
-        sentence, topic = decode_position(payload).sentence, f"{self._space}/nmea_sentence"
-        if sentence not in (b"", self._sentence):
-            header = self._bag.header(stamp_ns, "gps", topic)
-            text = sentence.decode("ascii", "replace").strip()
-            self._bag.write(topic, stamp_ns, "nmea_msgs/msg/Sentence", header, text)
-        self._sentence = sentence
+    def position(self, stamp_ns: int, payload: bytes) -> int:
+        """Take a position packet, and return its UTC; a new sentence becomes a message."""
+        fields, topic = decode_position(payload), f"{self._space}/nmea_sentence"
+        t_ns = self._clock.position_ns(stamp_ns, fields.time_ns // US_NS)
+        if fields.sentence not in (b"", self._sentence):
+            text = fields.sentence.decode("ascii", "replace").strip()
+            self._bag.write(topic, t_ns, "nmea_msgs/msg/Sentence", self._bag.header(t_ns, "gps", topic), text)
+        self._sentence = fields.sentence
+        return t_ns
 
     def check(self) -> NDArray[np.uint8]:
-        """Payloads (n, 1206) of the scan so far; `PacketError` where one of them is not a VLP-16's."""
+        """Return the payloads (n, 1206) of the scan so far; PacketError if one of them is not a VLP-16's."""
         payloads = np.frombuffer(b"".join(payload for _, payload, _ in self._held), np.uint8)
         payloads = payloads.reshape(len(self._held), DATA_PAYLOAD.itemsize)
         if len(payloads):
@@ -88,6 +97,8 @@ class UnitMessages:
     def _write_scan(self) -> None:
         """Write the packets of a scan, and their points."""
         bag, payloads, t_ns = self._bag, self.check(), np.array([t_ns for t_ns, _, _ in self._held])
+        if not self._held:
+            return
         self._held = []
         begin_ns, end_ns = int(t_ns[0]), int(t_ns[-1])
         topics = [f"{self._space}/velodyne_{name}" for name in ("packets", "points")]
@@ -95,7 +106,8 @@ class UnitMessages:
         header = bag.header(begin_ns, self._frame, topics[0])
         bag.write(topics[0], end_ns, "velodyne_msgs/msg/VelodyneScan", header, raw)
         found = decode_data(payloads, keep_no_returns=False)
-        since_packet_ns = (found.time_ns - t_ns[found.packet]) % HOUR_NS
+        clock_ns = data_fields(payloads)["timestamp_us"].astype(np.int64) * US_NS
+        since_packet_ns = (found.time_ns - clock_ns[found.packet]) % HOUR_NS
         points = np.zeros(len(found.ring), _POINT)
         points["x"], points["y"], points["z"] = found.xyz_m.T
         points["intensity"], points["ring"] = found.reflectivity, found.ring

@@ -14,6 +14,8 @@ from vlp16emu.extras.bag.sink import BagSink, TrueSamples
 from vlp16emu.extras.truth.truth import Samples, rig_of, true_motion
 from vlp16emu.motion.imu import Inertial
 from vlp16emu.motion.pose import Kinematics
+from vlp16emu.packets import Clock, PacketClock
+from vlp16emu.types import PpsState
 from vlp16emu.units import S_NS
 
 
@@ -21,7 +23,12 @@ from vlp16emu.units import S_NS
 def bag_of_run(path: Path, engine: Engine, rate_hz: int) -> Iterator[list[BagSink]]:
     """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile`."""
     check_bag(path)
-    with BagSink(path, len(engine.parts.units), partial(_truth, engine, rate_hz)) as sink:
+
+    def clock_of(number: int, due_ns: int) -> PacketClock:
+        is_locked = engine.parts.units[number].gps.pps_at(due_ns) is PpsState.LOCKED
+        return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
+
+    with BagSink(path, len(engine.parts.units), clock_of, partial(_truth, engine, rate_hz)) as sink:
         yield [sink]
 
 

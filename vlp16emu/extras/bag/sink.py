@@ -8,7 +8,7 @@ from typing import Protocol
 
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.bag.messages import UnitMessages
-from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, PacketClock
 from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
@@ -37,6 +37,7 @@ class BagSink(PacketSink):
     ----------
     path : .mcap, .bag or a folder, as `BagFile` takes it
     units : number of sensors
+    clock_of : gives each sensor its clock, by its number from 0 and the stamp of its first data packet
     truth : what else is to be in the bag
 
     Raises
@@ -47,49 +48,57 @@ class BagSink(PacketSink):
         where the disk is full: here, or later
     """
 
-    def __init__(self, path: Path, units: int, truth: TruthOf | None = None) -> None:
+    def __init__(
+        self, path: Path, units: int, clock_of: Callable[[int, int], PacketClock], truth: TruthOf | None = None
+    ) -> None:
         several = [f"unit_{number}/velodyne" for number in range(1, units + 1)]
         self._frames = several if units > 1 else ["velodyne"]
         self.bag = BagFile(path)
-        self._units = [UnitMessages(self.bag, frame) for frame in self._frames]
+        self._units, self._clock_of = dict[int, UnitMessages](), clock_of
         self._truth, self._samples = truth, list[tuple[TrueSamples, int]]()
         self._sent = Counter[PacketKind]()
-        self._seen_ns = self._next_ns = 0
+        self._seen_ns = self._next_ns = -(2**62)
         self.first_ns: int | None = None
-        """UTC of the first pulse, by the sensor's clock; None before."""
+        """UTC of the first pulse, by its sensor's clock; None before."""
 
     def __exit__(self, *raised: object) -> None:
         if raised[1] is not None:
             self.bag.__exit__(*raised)  # type: ignore[arg-type]  # as `with` calls it
             return
         with self.bag:
-            for unit in self._units:
+            for unit in self._units.values():
                 unit.check()
             for samples, longer_ns in self._samples:
                 samples.up_to(self._seen_ns + longer_ns)
 
     def send(self, packet: Packet) -> None:
-        """Take one packet, which is due at the stamp of its capture, and numbered as its frame where it has a number.
+        """Take one packet, which is due at the stamp of its capture, and numbered as its frame if it has a number.
 
         Raises
         ------
         PacketError
-            where it is not a VLP-16's
+            If it is not a VLP-16's
         """
-        unit, self._seen_ns = self._units[packet.unit], packet.due_ns
+        if packet.unit not in self._units:
+            clock = self._clock_of(packet.unit, packet.due_ns)
+            self._units[packet.unit] = UnitMessages(self.bag, self._frames[packet.unit], clock)
+        unit = self._units[packet.unit]
         self._sent[packet.kind] += 1
+        stamp_ns = packet.due_ns // US_NS * US_NS  # as captures have it
         if len(packet.payload) == DATA_BYTES:
-            number = packet.number or self._sent.total()
-            t_ns = unit.data(packet.due_ns, packet.payload, number)
+            t_ns = unit.data(stamp_ns, packet.payload, packet.number or self._sent.total())
             if self.first_ns is None:
                 self.first_ns = t_ns
                 self._samples += self._truth(self.bag, self._frames, t_ns) if self._truth else []
         elif len(packet.payload) == POSITION_BYTES:
-            unit.position(packet.due_ns // US_NS * US_NS, packet.payload)  # as captures have it
-        if packet.due_ns >= self._next_ns:
-            self._next_ns = packet.due_ns + _OFTEN_NS
+            t_ns = unit.position(stamp_ns, packet.payload)
+        else:
+            return
+        self._seen_ns = max(self._seen_ns, t_ns)
+        if t_ns >= self._next_ns:
+            self._next_ns = t_ns + _OFTEN_NS
             for samples, _ in self._samples:
-                samples.up_to(packet.due_ns)
+                samples.up_to(t_ns)
 
     @property
     def result(self) -> PcapResult:

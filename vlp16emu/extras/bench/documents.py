@@ -25,7 +25,7 @@ _PARTS = {
 
 
 def document(path: str, device: Device) -> object | None:
-    """Make the document of a path, as it is now; None where there is none."""
+    """Make the document of a path, as it is now; None if there is none."""
     if path not in (*_PARTS, "/cgi/snapshot.hdl"):
         return None
     status = device.status()

@@ -27,7 +27,7 @@ class FormError(ValueError):
 def submit(path: str, body: bytes, device: Device) -> None:
     """Do what a form of one of `PATHS` asks for, or nothing of it.
 
-    Raises `FormError` where it has a key or a value that the sensor does not take; others as of `Device`.
+    Raises `FormError` if it has a key or a value that the sensor does not take; others as of `Device`.
     """
     if path in _ACTIONS:
         word, act = _ACTIONS[path]
@@ -127,4 +127,4 @@ _ACTIONS: Mapping[str, tuple[bytes, Callable[[Device], None]]] = {
 }
 
 PATHS = frozenset((*_FORMS, *_ACTIONS))
-"""That take forms."""
+"""Paths that take forms."""

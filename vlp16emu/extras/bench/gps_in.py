@@ -5,13 +5,14 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.bench.gps_line import GpsLine, Heard
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
 from vlp16emu.packets.retime import age_ns, restamped
+from vlp16emu.run.options import GpsIn
 from vlp16emu.sinks.pacing import TOLERANCE_NS
 from vlp16emu.sinks.serial_port import SerialPort
 from vlp16emu.sinks.sink import Away, PacketSink
@@ -21,23 +22,9 @@ from vlp16emu.units import seconds_to_ns
 _BAUD = 9600
 """63-9243 Rev D, section 7.4."""
 _LOOK_S = 0.001
-"""From one look at the line of the pulse to the next."""
+"""From one look at the line to the next."""
 _AWAY_S = 0.1
 """From one look for a device that has vanished to the next; `SerialPort` tries once a second."""
-
-
-@dataclass(frozen=True, slots=True)
-class GpsIn:
-    """Where a real receiver is wired to the sensor."""
-
-    port: str
-    """Serial port, or URL of pyserial; 9600 baud, 8N1."""
-    pulse: Literal["sentence", "cd", "cts", "dsr", "ri"] = "sentence"
-    """Line of its pulse; `sentence` where none is wired: then a second begins `gps.sentence_delay_s` before its sentence."""
-
-    def reader(self, gps: Gps, powered_for_s: float) -> "GpsReader":
-        """Open the receiver for sensors that have had power for some time; errors as of `GpsReader`."""
-        return GpsReader(self, gps, powered_for_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +51,7 @@ class GpsReader:
     Raises
     ------
     OutputError
-        where the port cannot be opened, or has no such line
+        If the port cannot be opened, or has no such line
     """
 
     def __init__(self, gps_in: GpsIn, gps: Gps, powered_for_s: float) -> None:
@@ -122,7 +109,7 @@ class GpsReader:
             was_high = high
             if data:
                 self.line.receive(data, at_ns)
-            elif self._pulse:
+            if data or self._pulse:  # characters that come one by one are taken together, whatever sends them
                 self._over.wait(_LOOK_S)
         self._port.close()
 

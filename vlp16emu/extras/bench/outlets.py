@@ -3,13 +3,12 @@
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from typing import Literal
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.motion import Imu
 from vlp16emu.packets import IMU_FRAME
+from vlp16emu.run.options import Outlets
 from vlp16emu.sinks.serial_port import SerialPort, SerialSink
 from vlp16emu.sinks.sink import Outlet, OutletResult
 from vlp16emu.sinks.udp import resolve
@@ -23,16 +22,11 @@ _BITS = 10
 _WHERE = "--imu-out"
 
 
-@dataclass(frozen=True, slots=True)
-class Outlets:
-    """What a stream sends beside the packets of the sensors; nothing unless it is asked for."""
+class Ways:
+    """The ways that sentences, pulses and inertial samples take beside the packets of the sensors."""
 
-    gps_out: str | None = None
-    """Serial port, or URL of pyserial, at which the receiver of the scene is played: sentences at 9600 baud, 8N1."""
-    gps_pps: Literal["dtr", "rts", "off"] = "dtr"
-    """Line of that port for its pulse; a null-modem cable leads DTR to DCD, where programs look for it."""
-    imu_out: str | None = None
-    """Where samples of the inertial unit go: udp://HOST:PORT, or serial: and a port."""
+    def __init__(self, asked: Outlets) -> None:
+        self.gps_out, self.gps_pps, self.imu_out = asked.gps_out, asked.gps_pps, asked.imu_out
 
     @property
     def kinds(self) -> tuple[PacketKind, ...]:
@@ -46,7 +40,7 @@ class Outlets:
 
     @contextmanager
     def opened(self, imu: Imu | None) -> Iterator[dict[PacketKind, Outlet]]:
-        """Open what there is, and give the way of each kind; `OutputError` where a port or the receiver of samples is none."""
+        """Open what there is, and give the way of each kind; `OutputError` if a port or the receiver of samples is none."""
         ways = dict[PacketKind, Outlet]()
         with ExitStack() as stack:
             if self.gps_out:
@@ -69,7 +63,7 @@ def imu_outlet(to: str, rate_hz: int) -> Outlet:
     Raises
     ------
     OutputError
-        where it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for the rate
+        If it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for the rate
     """
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
@@ -99,7 +93,7 @@ class ImuUdpSink(Outlet):
         self._socket.close()
 
     def send(self, packet: Packet) -> None:
-        """Send one sample; `RunError` where the system cannot send any more."""
+        """Send one sample; `RunError` if the system cannot send any more."""
         try:
             self._bytes += self._socket.sendto(packet.payload, self._to)
         except OSError as error:

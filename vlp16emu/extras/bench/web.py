@@ -1,26 +1,24 @@
-"""The web interface of the sensor, on threads of its own.
+"""The web interface of the sensor, on a thread of its own.
 
 Its readers include clients made by hand that know one way of writing `Content-Length`, take no chunks, and may look at no
 more than the first segment: so each answer has that header, in this spelling, and leaves in one piece.
 """
 
+import asyncio
 import json
 import re
 import socket
+from asyncio import StreamReader, StreamWriter
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from http.client import responses
-from io import BufferedIOBase
 from ipaddress import ip_address
 from pathlib import Path
-from socketserver import StreamRequestHandler, ThreadingTCPServer
-from threading import Event, Lock, Thread
-from time import monotonic
-from typing import Any, Self
+from threading import Event, Thread
+from typing import Self
 from urllib.parse import urlsplit
 
-from vlp16emu.errors import InputError, OutputError, Vlp16emuError
+from vlp16emu.errors import OutputError, Vlp16emuError
 from vlp16emu.extras.bench.documents import document
 from vlp16emu.extras.bench.forms import PATHS, FormError, submit
 from vlp16emu.extras.bench.state import Device
@@ -30,10 +28,8 @@ MOST_CONNECTIONS = 32
 MOST_BODY_BYTES = 4096
 MOST_HEADER_BYTES = 8192
 LONGEST_S = 5.0
-"""For a request and its answer, and for the wait between two."""
+"""Time for a request and its answer, the wait for it included."""
 
-_POLL_S = 0.1
-"""How often the server looks for connections whose time is over."""
 _TOKEN = rb"[!#-'*+.0-9A-Z^-z|~-]+"
 _HEAD = re.compile(rb"(%b) ([!-~]+) HTTP/1\.([01])\r?\n((?:%b:[^\x00\r\n]*\r?\n)*)\r?\n" % (_TOKEN, _TOKEN))
 """Method, target, minor version and header lines (RFC 9112, sections 3 and 5)."""
@@ -51,15 +47,7 @@ class HttpFault:
     """What is wrong with the web interface."""
 
     status: int | None
-    """That every request is answered with; None for no answer at all."""
-
-
-def parse_http(text: str) -> tuple[str, int]:
-    """Read where the web interface shall listen: `HOST:PORT`, or `PORT` alone on 127.0.0.1; else `InputError`."""
-    host, _, port = text.rpartition(":")
-    if not re.fullmatch(r"[0-9]{1,5}", port, re.ASCII) or int(port) > 65_535:
-        raise InputError("--http", f"found {text!r}", "HOST:PORT, such as 127.0.0.1:8080")
-    return host.strip("[]") or "127.0.0.1", int(port)
+    """Status of every answer; None for no answer at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +58,7 @@ class _Request:
     headers: dict[str, str]
     """By names in lower case."""
     body: bytes
-    """One byte more than there may be where it is too long."""
+    """With one byte more than `MOST_BODY_BYTES` if it is too long."""
     is_last: bool
     """Whether the connection ends with its answer."""
 
@@ -99,38 +87,36 @@ class _BadRequestError(Exception):
     """What comes is no request, or too long: the status that says so, and why."""
 
 
-class WebServer(ThreadingTCPServer):
+class WebServer:
     """The web interface of one sensor; a context manager, within which it answers.
 
     Parameters
     ----------
     device : what is asked and set
     host, port : where it listens; port 0 for a free one
-    fault : gives what is wrong with it now, None for nothing; called from its threads, and must not wait
+    fault : returns what is wrong with it now, None for nothing; called from its thread, and must not wait
 
     Raises
     ------
     OutputError
-        where it cannot listen there
+        If it cannot listen there
     """
-
-    allow_reuse_address = True
-    request_queue_size = 128
 
     def __init__(
         self, device: Device, host: str, port: int, *, fault: Callable[[], HttpFault | None] = lambda: None
     ) -> None:
         self.device, self.fault = device, fault
         self.page = Path(__file__).with_name("page.html").read_bytes()
-        self.is_over = Event()
-        self._ends_s = dict[Any, float]()
-        """When each connection is cut off."""
-        self._lock = Lock()
-        self._thread = Thread(target=self.serve_forever, args=[_POLL_S], name="web interface", daemon=True)
-        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._lines = dict[StreamWriter, asyncio.Task[None] | None]()
+        self._began = Event()
+        self._thread = Thread(target=lambda: asyncio.run(self._run()), name="web interface", daemon=True)
+        self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            super().__init__((host, port), _Connection)
+            self._socket.bind((host, port))
+            self._socket.listen(128)
         except (OSError, UnicodeError) as error:
+            self._socket.close()
             found = getattr(error, "strerror", None) or "no name of a host"
             raise OutputError(
                 f"--http {host}:{port}", found.lower(), "an address of this machine and a free port"
@@ -140,90 +126,78 @@ class WebServer(ThreadingTCPServer):
     @property
     def address(self) -> tuple[str, int]:
         """Address and port where it listens."""
-        host, port, *_ = self.socket.getsockname()
+        host, port, *_ = self._socket.getsockname()
         return host, port
 
     def __enter__(self) -> Self:
         self._thread.start()
+        self._began.wait()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.shutdown()
-        self.is_over.set()
-        self._cut_off(float("inf"))
-        self.server_close()
+        self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join()
 
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection, or close it where there are too many."""
-        if len(self._ends_s) >= MOST_CONNECTIONS:
-            self.shutdown_request(request)
-        else:
-            self.give_time(request)
-            super().process_request(request, client_address)
+    async def _run(self) -> None:
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
+        self._loop.set_exception_handler(lambda *_: None)  # a line that breaks is no news for standard error
+        server = await asyncio.start_server(self._connected, sock=self._socket, limit=MOST_HEADER_BYTES)
+        self._began.set()
+        await self._over.wait()
+        server.close()
+        for line in self._lines:
+            line.transport.abort()
+        await asyncio.gather(*filter(None, self._lines.values()), return_exceptions=True)
 
-    def give_time(self, line: socket.socket) -> None:
-        """Give a connection the time of one request."""
-        with self._lock:
-            self._ends_s[line] = monotonic() + LONGEST_S
+    async def _connected(self, reader: StreamReader, line: StreamWriter) -> None:
+        """Answer request after request of one connection, each in its time; connections over the bound are closed."""
+        if len(self._lines) >= MOST_CONNECTIONS:
+            line.transport.abort()
+            return
+        self._lines[line] = asyncio.current_task()
+        try:
+            while self.device.status().is_up:
+                async with asyncio.timeout(LONGEST_S):
+                    if not await self._answers(reader, line):
+                        break
+                await asyncio.sleep(0)  # others come to their turn, however many requests wait on this line
+            line.close()
+        except (OSError, TimeoutError):  # the client has gone, or takes too long
+            line.transport.abort()
+        finally:
+            del self._lines[line]
 
-    def service_actions(self) -> None:
-        """Cut off the connections whose time is over."""
-        self._cut_off(monotonic())
-
-    def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
-        with self._lock:
-            self._ends_s.pop(request, None)
-        super().shutdown_request(request)
-
-    def _cut_off(self, now_s: float) -> None:
-        with self._lock:
-            for line in [line for line, end_s in self._ends_s.items() if end_s <= now_s]:
-                with suppress(OSError):  # it has gone by itself
-                    line.shutdown(socket.SHUT_RDWR)
-
-
-class _Connection(StreamRequestHandler):
-    """Answers request after request of one connection; one that takes too long is cut off by the server."""
-
-    server: WebServer
-    disable_nagle_algorithm = True
-
-    def handle(self) -> None:
-        """Answer until the connection ends."""
-        with suppress(OSError):  # the client has gone, or was cut off
-            while self.server.device.status().is_up and self._answers():
-                self.server.give_time(self.connection)
-
-    def _answers(self) -> bool:
+    async def _answers(self, reader: StreamReader, line: StreamWriter) -> bool:
         """Answer a request; returns whether another one may follow."""
         try:
-            request = _request(self.rfile)
+            request = await _request(reader)
         except _BadRequestError as error:
             status, text = error.args
-            self.connection.sendall(_said(status, "error", text).packed(is_last=True))
-            return self._listen_out()
-        if request is None or not self.server.device.status().is_up:
+            line.write(_said(status, "error", text).packed(is_last=True))
+            return await _listen_out(reader, line)
+        if request is None or not self.device.status().is_up:
             return False
-        fault = self.server.fault()
+        fault = self.fault()
         if fault is None:
-            answer = _answer(request, self.server)
+            answer = _answer(request, self)
         elif fault.status is not None:
             answer = _said(fault.status, "error", responses.get(fault.status, "fault"))
         else:
-            self.server.is_over.wait(LONGEST_S)
+            await self._over.wait()
             return False
-        self.connection.sendall(answer.packed(bare=request.method == "HEAD", is_last=request.is_last))
+        line.write(answer.packed(bare=request.method == "HEAD", is_last=request.is_last))
         if len(request.body) > MOST_BODY_BYTES:
-            return self._listen_out()
+            return await _listen_out(reader, line)
+        await line.drain()
         return not request.is_last
 
-    def _listen_out(self) -> bool:
-        """Let an answer arrive: what is left unread of the request would reset the connection before."""
-        self.connection.shutdown(socket.SHUT_WR)
-        while self.rfile.read1(MOST_HEADER_BYTES):
-            pass
-        return False
+
+async def _listen_out(reader: StreamReader, line: StreamWriter) -> bool:
+    """Let an answer arrive: what is left unread of the request would reset the connection before."""
+    line.write_eof()
+    while await reader.read(MOST_HEADER_BYTES):
+        pass
+    return False
 
 
 def _answer(request: _Request, server: WebServer) -> _Answer:
@@ -265,13 +239,13 @@ def _is_foreign(request: _Request, *, is_private: bool) -> bool:
     return is_private and host is not None and not _is_unnamed(host)
 
 
-def _request(line: BufferedIOBase) -> _Request | None:
-    """Read a request, and its body as far as it may be long; None where there is no further one."""
-    head = line.read(1)
+async def _request(line: StreamReader) -> _Request | None:
+    """Read a request, and its body as far as it may be long; None if there is no further one."""
+    head = await line.read(1)
     if not head:
         return None
     while head[0] > ord(" ") and not head.endswith((b"\n\r\n", b"\n\n")):
-        part = line.readline(MOST_HEADER_BYTES + 1 - len(head))
+        part = await _line(line)
         head += part
         if len(head) > MOST_HEADER_BYTES:
             raise _BadRequestError(431, f"a head of more than {MOST_HEADER_BYTES} bytes")
@@ -287,41 +261,49 @@ def _request(line: BufferedIOBase) -> _Request | None:
             raise _BadRequestError(400, f"more than one {name} header")
     if minor == "1" and "host" not in headers:
         raise _BadRequestError(400, "no host header")
-    body = _body(line, headers)
+    body = await _body(line, headers)
     is_closing = "close" in re.split(r"[ \t,]+", headers.get("connection", "").lower())
     is_last = minor == "0" or is_closing or len(body) > MOST_BODY_BYTES
     return _Request(method, target.partition("?")[0], headers, body, is_last)
 
 
-def _body(line: BufferedIOBase, headers: dict[str, str]) -> bytes:
+async def _line(line: StreamReader) -> bytes:
+    """Read a line, or more bytes than a head may have."""
+    try:
+        return await line.readline()
+    except ValueError:  # the limit of the reader
+        return bytes(MOST_HEADER_BYTES + 1)
+
+
+async def _body(line: StreamReader, headers: dict[str, str]) -> bytes:
     """Read a body, of one that is too long a byte more than there may be."""
     coding, length = headers.get("transfer-encoding"), headers.get("content-length", "0")
     if coding is None:
         if not re.fullmatch(r"[0-9]{1,20}", length, re.ASCII):
             raise _BadRequestError(400, "a content-length that is no number")
-        return _exactly(line, min(int(length), MOST_BODY_BYTES + 1))
+        return await _exactly(line, min(int(length), MOST_BODY_BYTES + 1))
     if coding.lower() != "chunked":
         raise _BadRequestError(501, "a transfer-encoding other than chunked")
     body = b""
-    while found := _CHUNK.fullmatch(line.readline(MOST_HEADER_BYTES)):
+    while found := _CHUNK.fullmatch(await _line(line)):
         size = int(found[1], 16)
-        body += _exactly(line, min(size, MOST_BODY_BYTES + 1 - len(body)))
+        body += await _exactly(line, min(size, MOST_BODY_BYTES + 1 - len(body)))
         if len(body) > MOST_BODY_BYTES:
             return body
         if size == 0:
-            while line.readline(MOST_HEADER_BYTES) not in (b"\r\n", b"\n", b""):
+            while await _line(line) not in (b"\r\n", b"\n", b""):
                 pass  # trailers
             return body
-        if line.readline(2) not in (b"\r\n", b"\n"):
+        if await _line(line) not in (b"\r\n", b"\n"):
             break
     raise _BadRequestError(400, "a chunk without its size or its end")
 
 
-def _exactly(line: BufferedIOBase, count: int) -> bytes:
-    part = line.read(count)
-    if len(part) < count:
-        raise _BadRequestError(400, "a body that is cut")
-    return part
+async def _exactly(line: StreamReader, count: int) -> bytes:
+    try:
+        return await line.readexactly(count)
+    except asyncio.IncompleteReadError:
+        raise _BadRequestError(400, "a body that is cut") from None
 
 
 def _said(status: int, key: str, text: str) -> _Answer:

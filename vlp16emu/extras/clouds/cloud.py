@@ -4,12 +4,13 @@ import shutil
 import tempfile
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from enum import IntEnum
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
-from vlp16emu.extras.clouds.text import csv_lines
 from vlp16emu.output import OutputFile
 from vlp16emu.packets import PointFrame
 from vlp16emu.types import PlantPart, Semantic
@@ -39,32 +39,32 @@ class Column:
     decimals: int = 0
     """Behind the point in .csv. Whole numbers with decimals count units of the last one."""
     ply: tuple[str, ...] = ()
-    """Names of properties, as many; empty for a column that .ply leaves out."""
+    """Names of properties, as many; empty for a column that only .npz and .csv have."""
     ply_dtype: str = ""
-    """Type of the properties where it is not that of the array."""
+    """Type of the properties, if it is not the array's."""
 
     @property
-    def is_float(self) -> bool:
-        """Whether the array holds floating-point numbers."""
-        return np.dtype(self.dtype).kind == "f"
+    def kind(self) -> str:
+        """Type of the properties."""
+        return self.ply_dtype or self.dtype
 
     def properties(self, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Arrays (n,) of the properties by name for the array of this column, fixed-point numbers as fractions."""
-        if self.decimals and not self.is_float:
+        if self.decimals and values.dtype.kind == "i":
             values = values / 10**self.decimals
         return dict(zip(self.ply, values.reshape(len(values), len(self.ply)).T, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class CloudAbout:
-    """What a file says of its points as a whole, where its format has a place for it."""
+    """What a file says of its points as a whole, if its format has a place for it."""
 
     comments: tuple[str, ...]
     """Lines for people."""
     start_utc: datetime | None = None
-    """From when the times of the points count, where that is known; also the date of the file."""
+    """Date of the file."""
     origin: tuple[float, float, float] | None = None
-    """Latitude and longitude in degrees and height in metres (WGS 84) of (0, 0, 0), where the points are in a world."""
+    """Latitude and longitude in degrees and height in metres (WGS 84) of (0, 0, 0), for points in a world."""
     unit: int = 1
     """Which sensor of a rig, from 1."""
 
@@ -72,8 +72,11 @@ class CloudAbout:
 RETURN_NAMES = ("strongest", "last", "second_strongest")
 """What the numbers in the column `return_number` mean."""
 
+_TIME = Column("t_ns", "<i8", ("t_utc_s",), 9, ("time",), "<f8")
+"""UTC as in all outputs of a run: ns since 1970 in .npz, seconds elsewhere, but for LAS, whose GPS time is adjusted by its bit."""
 CAPTURE_COLUMNS = (
-    Column("clock_ns", "<i8", ("time_s",), 9, ("time",), "<f8"),
+    _TIME,
+    Column("clock_ns", "<i8", ("clock_s",), 9),
     Column("xyz_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("x", "y", "z")),
     Column("distance_m", "<f4", ("distance_m",), 3),
     Column("azimuth_deg", "<f8", ("azimuth_deg",), 4),
@@ -82,21 +85,26 @@ CAPTURE_COLUMNS = (
     Column("laser", "|u1", ("laser",)),
     Column("is_last", "|b1", ("is_last",)),
 )
-"""Of points of a capture: the arrays of `Points`, and the sensor's clock."""
+"""Of points of a capture: the arrays of `Points`, UTC, and the sensor's clock from the full hour before the capture on."""
 _AXES = {
     PointFrame.SENSOR: "x forward (azimuth 0), y left, z up",
     PointFrame.MANUAL: "x right, y forward (azimuth 0), z up: the frame of Velodyne's manual",
 }
 
 
-def capture_comments(frame: PointFrame) -> tuple[str, ...]:
-    """Say what the columns of a capture's points mean, for formats that have a place for it."""
-    return f"x, y, z in the sensor, in metres: {_AXES[frame]}", "time in seconds on the sensor's clock"
+def time_comment(clock: str) -> str:
+    """Return the line that says what `time` is, by which clock."""
+    return f"time: UTC, seconds since 1970-01-01 without leap seconds, by the {clock} clock"
+
+
+def capture_comments(frame: PointFrame, clock: str) -> tuple[str, ...]:
+    """Return what the columns of a capture's points mean, for formats that have a place for it."""
+    return f"x, y, z in the sensor, in metres: {_AXES[frame]}", time_comment(clock)
 
 
 SCENE_COLUMNS = (
-    Column("t_ns", "<i8", ("t_ns",)),
-    Column("since_start_ns", "<i8", ("time_s",), 9, ("time",), "<f8"),
+    _TIME,
+    Column("since_start_ns", "<i8", ("since_start_s",), 9),
     Column("world_m", "<f8", ("world_x_m", "world_y_m", "world_z_m"), 4, ("x", "y", "z")),
     Column("sensor_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("sensor_x", "sensor_y", "sensor_z")),
     Column("distance_m", "<f4", ("distance_m",), 4, ("distance",)),
@@ -137,12 +145,12 @@ LABEL_COLUMNS = (
 """Beside the truth, for a scheme of labels."""
 
 
-def scene_comments(start_utc: str) -> tuple[str, ...]:
-    """Say what the columns mean, for formats that have a place for it."""
+def scene_comments() -> tuple[str, ...]:
+    """Return what the columns mean, for formats that have a place for it."""
     return (
         "x, y, z in the world: local east, north, up in metres",
         f"sensor_x, sensor_y, sensor_z at the pulse's instant: {_AXES[PointFrame.SENSOR]}",
-        f"time in seconds since the first pulse of the run at {start_utc}",
+        time_comment("scene's"),
         f"return_number: {', '.join(f'{n} {name}' for n, name in enumerate(RETURN_NAMES))}",
         f"semantic: {_codes(Semantic)}",
         f"part: {_codes(PlantPart)}",
@@ -165,7 +173,7 @@ class PointWriter(ABC):
         """Add points."""
 
     def finish(self) -> None:  # noqa: B027  # most formats are complete without it
-        """Write what could not be written before it was known how many points there are."""
+        """Write what needs the number of points."""
 
 
 class _Csv(PointWriter):
@@ -173,14 +181,27 @@ class _Csv(PointWriter):
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack) -> None:
         self._file, self._columns = file, columns
-        self._decimals = np.array([column.decimals for column in columns for _ in column.csv])
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
         """Append lines."""
-        numbers = [_whole(block[column.name], column) for column in self._columns]
-        self._file.write(csv_lines(np.concatenate(numbers, axis=1), self._decimals))
-        self.points += len(numbers[0])
+        formats, fields = list[str](), list[list[Any]]()
+        for column in self._columns:
+            values, unit = block[column.name], 10**column.decimals
+            for array in values.reshape(len(values), len(column.csv)).T:
+                if array.dtype.kind == "f":
+                    formats.append(f"%.{column.decimals}f")
+                    fields.append((np.rint(array.astype(np.float64) * unit) / unit + 0.0).tolist())  # no -0.0
+                elif column.decimals:  # a float64 does not hold the ns of UTC
+                    formats.append(f"%s%d.%0{column.decimals}d")
+                    whole, rest = np.divmod(np.abs(array), unit)
+                    fields += [np.where(array < 0, "-", "").tolist(), whole.tolist(), rest.tolist()]
+                else:
+                    formats.append("%d")
+                    fields.append(array.tolist())
+        lines = f"{','.join(formats)}\n" * len(fields[0])
+        self._file.write((lines % tuple(chain.from_iterable(zip(*fields, strict=True)))).encode())
+        self.points += len(fields[0])
 
 
 _PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<u4": "uint"}
@@ -193,7 +214,7 @@ class _Ply(PointWriter):
         self._file, self._comments = file, about.comments
         # Coordinates first, as some readers take for granted.
         self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
-        self._vertex = np.dtype([(name, self._dtype(column)) for column in self._columns for name in column.ply])
+        self._vertex = np.dtype([(name, self._kind(column)) for column in self._columns for name in column.ply])
         file.write(self._header())
 
     def write(self, block: Block) -> None:
@@ -211,8 +232,8 @@ class _Ply(PointWriter):
         self._file.write(self._header())
 
     @staticmethod
-    def _dtype(column: Column) -> str:
-        return column.ply_dtype or column.dtype
+    def _kind(column: Column) -> str:
+        return column.kind
 
     def _header(self) -> bytes:
         """Header of a length that does not depend on the number of points."""
@@ -234,8 +255,8 @@ class _Pcd(_Ply):
     """
 
     @staticmethod
-    def _dtype(column: Column) -> str:
-        return "<f4" if column.ply[0] == "x" else column.ply_dtype or column.dtype
+    def _kind(column: Column) -> str:
+        return "<f4" if column.ply[0] == "x" else column.kind
 
     def _header(self) -> bytes:
         """Header of a length that does not depend on the number of points."""
@@ -304,8 +325,10 @@ _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack
 
 
 @contextmanager
-def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str) -> Iterator[PointWriter]:
-    """Open a file for points in the format that its suffix names; error lines call it `where`.
+def point_file(
+    path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str, inputs: Iterable[Path] = ()
+) -> Iterator[PointWriter]:
+    """Open a file for points in the format that its suffix names; error lines call it `where`; `inputs` are not replaced.
 
     Where the points end with an error, the file holds those that were written before it; where there are none, or
     the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
@@ -314,7 +337,7 @@ def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, wher
     if path.suffix not in _WRITERS and not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
     make = _WRITERS.get(path.suffix) or door(path.suffix, "clouds")
-    with OutputFile(path, where=where) as output:
+    with OutputFile(path, where=where, inputs=inputs) as output:
         failed: Exception | None = None
         with output.writing() as file, ExitStack() as stack:
             writer = make(file, columns, about, stack)
@@ -327,10 +350,3 @@ def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, wher
             writer.finish()
         if failed:
             raise failed
-
-
-def _whole(values: NDArray[Any], column: Column) -> NDArray[np.int64]:
-    """Count units of the last decimal, (n, c)."""
-    if column.is_float:
-        values = np.rint(values.astype(np.float64) * 10**column.decimals)
-    return values.reshape(len(values), len(column.csv)).astype(np.int64)

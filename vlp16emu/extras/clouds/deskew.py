@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, TrajectoryError, readable
-from vlp16emu.extras.clouds.cloud import DESKEWED_COLUMNS, LABEL_COLUMNS, TRUTH_COLUMNS, CloudAbout, Column, point_file
+from vlp16emu.extras.clouds.cloud import (
+    DESKEWED_COLUMNS,
+    LABEL_COLUMNS,
+    TRUTH_COLUMNS,
+    CloudAbout,
+    Column,
+    point_file,
+    time_comment,
+)
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
@@ -23,7 +31,7 @@ from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.packets import CaptureReader, Clock, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scan import twins
 from vlp16emu.scenario import load
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 _MINUTE_NS = 60 * S_NS
 _PACKETS = 100
@@ -75,16 +83,17 @@ class Trajectory:
         return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
 
     def has(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(n,) whether instants (n,) lie between the first and the last pose."""
+        """(n,) whether instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
         at_ns = t_ns + self._offset_ns
-        inside: NDArray[np.bool_] = (at_ns >= self._first_ns) & (at_ns <= self._last_ns)
+        inside: NDArray[np.bool_] = (at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS)
         return inside
 
     def poses_at(self, t_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
-        body = self._motion.poses_at(t_ns + self._offset_ns)
+        at_ns = np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns)
+        body = self._motion.poses_at(at_ns)
         turn, place_m = body.world_R_body, body.world_p_body_m
-        minutes = (t_ns + self._offset_ns - self._first_ns) / _MINUTE_NS
+        minutes = (at_ns - self._first_ns) / _MINUTE_NS
         if self._drift_deg:
             off = rotations(np.radians(self._drift_deg * minutes), 0.0, 0.0)
             turn = off @ turn
@@ -142,6 +151,10 @@ class Deskewed:
     """Whether points have labels."""
     simulated_s: float
     """From the first pulse of the capture to the last."""
+    clock: str
+    """Of the pulses: sensor, gps or host."""
+    host_ahead_s: float
+    """Capture stamps less the sensor's clock at the first packet."""
     bytes: int
     interrupted: bool
     """Ended by its stop event."""
@@ -172,14 +185,14 @@ def write_deskewed(
         first = next(chunks)
         start_ns = int(first.utc_ns[0])
         about = CloudAbout(
-            ("x, y, z in the world by a trajectory", "time in seconds since the first pulse of the capture"),
+            ("x, y, z in the world by a trajectory", time_comment(f"{stamped.clock}'s")),
             start_utc=datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000),
             origin=way.origin,
             unit=way.unit,
         )
         columns = DESKEWED_COLUMNS + (truth.columns if truth else ())
         points = without_pose = last_ns = 0
-        with point_file(path, columns, about, where=str(path)) as writer:
+        with point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
             for chunk in chain([first], chunks):
                 for block, left_out in _blocks(chunk, way, truth, start_ns):
                     writer.write(block)
@@ -189,8 +202,19 @@ def write_deskewed(
                     break
             if without_pose and not points:
                 raise _no_pose(way, stamped.clock, start_ns / S_NS, last_ns / S_NS)
-    files, size = (str(path), str(capture), str(way.path)), path.stat().st_size
-    return Deskewed(*files, points, without_pose, truth is not None, last_ns / S_NS, size, interrupted=stop.is_set())
+    return Deskewed(
+        file=str(path),
+        capture=str(capture),
+        trajectory=str(way.path),
+        points=points,
+        without_pose=without_pose,
+        truth=truth is not None,
+        simulated_s=last_ns / S_NS,
+        clock=stamped.clock,
+        host_ahead_s=(stamped.host_ahead_ns or 0) / S_NS,
+        bytes=path.stat().st_size,
+        interrupted=stop.is_set(),
+    )
 
 
 def _blocks(

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter
-from vlp16emu.extras.clouds.gps_time import adjusted_gps_s
 from vlp16emu.extras.clouds.labels import label_scheme
+from vlp16emu.units import S_NS
 
 _SCALE_M = 1e-4
 """A tenth of what the other formats round to; with 32 bits that reaches 214 km to either side of the offset."""
@@ -24,17 +24,32 @@ _OFFSET_M = 100_000.0
 """Offsets are multiples of it: 0 wherever a world has its origin near."""
 _INTENSITY = 256
 """65 536 over the 256 steps of the reflectivity (LAS 1.4 - R15, section 2.6, intensity)."""
-_FIELDS = frozenset({"time", "intensity", "return_number", "is_last", "label"})
+_FIELDS = frozenset({*"xyz", "time", "intensity", "return_number", "is_last", "label"})
 """Properties that fields of the format hold."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 _EQUATOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563
 """Of the ellipsoid (WGS 84)."""
 
 
+def _ns(year: int, month: int, day: int) -> int:
+    return int(datetime(year, month, day, tzinfo=UTC).timestamp()) * S_NS
+
+
+_GPS_EPOCH_NS = _ns(1980, 1, 6)
+_LEAPS_NS = np.array(
+    [_ns(year, 7, 1) for year in (1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)]
+    + [_ns(year, 1, 1) for year in (1988, 1990, 1991, 1996, 1999, 2006, 2009, 2017)]
+)
+"""Instants after the leap seconds since GPS time began (IERS Bulletin C; none is announced after that of 2016-12-31)."""
+_LEAPS_NS.sort()
+_ADJUSTMENT_S = 1_000_000_000
+"""LAS specification 1.4 - R15, section 2.4, global encoding bit 0."""
+
+
 class LasFile(PointWriter):
     """Takes points block by block; MissingExtraError where laspy, or for LAZ lazrs, is not installed.
 
-    GPS time is adjusted standard GPS time where the points have UTC, else 0. The return number counts the echoes of a pulse from the
+    GPS time is adjusted standard GPS time. The return number counts the echoes of a pulse from the
     nearest. The classification is the column `label`, or where there is none that of the scheme `asprs`. User data is the
     column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: the head of a spinning
     sensor is one, and has no angle about a line of flight.
@@ -52,14 +67,13 @@ class LasFile(PointWriter):
         self._about = about
         self._writer: Any = None
         names = {column.name for column in columns}
-        self._has_utc, self._has_labels = "t_ns" in names, bool(names & {"label", "semantic"})
-        kept = _FIELDS if self._has_utc else _FIELDS - {"time"}
+        self._has_labels = bool(names & {"label", "semantic"})
         self._columns = [column for column in columns if column.ply]
         self._extra = {
-            name: (column.ply_dtype or column.dtype, header)
+            name: (column.kind, header)
             for column in self._columns
             for name, header in zip(column.ply, column.csv, strict=True)
-            if name not in kept | {"x", "y", "z"}
+            if name not in _FIELDS
         }
 
     def write(self, block: Block) -> None:
@@ -81,8 +95,7 @@ class LasFile(PointWriter):
         record["intensity"] = values["intensity"].astype(np.uint16) * _INTENSITY
         record["user_data"] = block["return_number" if "return_number" in block else "is_last"]
         record["point_source_id"] = np.full(n, self._about.unit)
-        if self._has_utc:
-            record["gps_time"] = adjusted_gps_s(block["t_ns"])
+        record["gps_time"] = adjusted_gps_s(block["t_ns"])
         if self._has_labels:
             record["classification"] = values.get("label", _asprs(block))
         for name in self._extra:
@@ -104,8 +117,7 @@ class LasFile(PointWriter):
         header.creation_date = (self._about.start_utc or _NO_DATE).date()  # not today, on which no byte may depend
         header.system_identifier, header.generating_software = "vlp16emu", f"vlp16emu {version('vlp16emu')}"
         header.global_encoding.wkt = True
-        if self._has_utc:
-            header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+        header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
         header.add_extra_dims(
             [laspy.ExtraBytesParams(name, np.dtype(kind), text[:31]) for name, (kind, text) in self._extra.items()]
         )
@@ -123,11 +135,11 @@ class LasFile(PointWriter):
 
 
 def echoes_of(block: Block) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Give each echo its number (n,) in its pulse, the nearest being 1, and how many (n,) the pulse has.
+    """Return the number (n,) of each echo in its pulse, the nearest being 1, and how many (n,) the pulse has.
 
-    The block has `laser`, `distance_m`, and `t_ns` or `clock_ns`; the echoes of a pulse follow one another.
+    The block has `t_ns`, `laser` and `distance_m`; the echoes of a pulse follow one another.
     """
-    t_ns = block["t_ns"] if "t_ns" in block else block["clock_ns"]
+    t_ns = block["t_ns"]
     new = np.append(True, (np.diff(t_ns) != 0) | (np.diff(block["laser"].astype(np.int64)) != 0))[: len(t_ns)]
     pulse = np.cumsum(new) - 1
     count = np.bincount(pulse)
@@ -167,3 +179,11 @@ def _asprs(block: Block) -> NDArray[np.uint8] | None:
     if "semantic" not in block:
         return None
     return label_scheme("asprs").codes(block["semantic"], block["part"])
+
+
+def adjusted_gps_s(t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Convert UTC instants (n,), ns since 1970 without leap seconds, to adjusted standard GPS time (n,) in s."""
+    leaps = np.searchsorted(_LEAPS_NS, t_ns, side="right")
+    # Whole seconds apart, as float64 keeps 60 ns of the sum and no more.
+    whole, rest = np.divmod(t_ns - _GPS_EPOCH_NS, S_NS)
+    return np.asarray((whole + leaps - _ADJUSTMENT_S) + rest / S_NS)

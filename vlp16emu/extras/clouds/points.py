@@ -13,7 +13,6 @@ import numpy as np
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.engine.scans import points_of
-from vlp16emu.errors import spare
 from vlp16emu.extras.clouds.cloud import (
     LABEL_COLUMNS,
     RETURN_NAMES,
@@ -26,7 +25,7 @@ from vlp16emu.extras.clouds.cloud import (
 )
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels, label_scheme
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
-from vlp16emu.run.run import TruthPlace
+from vlp16emu.run.options import TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
@@ -103,14 +102,13 @@ def write_points(
         If the disk is full; the file is not complete
     """
     run, path, began_s = emulator.run, Path(path), time.perf_counter()
-    spare(run.files, path)
     number, scenario, stop = run.number(unit), run.scenario, stop or Event()
     scheme, truth = None if labels is None else label_scheme(labels), truth or labels is not None
     begin_s, _ = span_s = scenario.span_s(start_s, duration_s)
     blocks = _blocks(run.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
     columns = SCENE_COLUMNS + TRUTH_COLUMNS * truth + LABEL_COLUMNS * (scheme is not None)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
-    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path))
+    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=run.files)
     with (
         run.engine.windows.stopped_by(stop),
         file as writer,
@@ -150,7 +148,7 @@ def write_points(
 
 
 def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> CloudAbout:
-    comments = scene_comments(scenario.start_utc.isoformat())
+    comments = scene_comments()
     gps = scenario.gps
     return CloudAbout(
         comments=comments if labels is None else (*comments, f"label: {labels.name}, {labels.source}"),

@@ -1,4 +1,4 @@
-"""Files of one walk, in the layouts that people read."""
+"""Files of one walk, by layout."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,16 +18,11 @@ _MOST_INSTANCES = 0xFFFF
 _IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
 
 
-def walk_folder(layout: str, number: int) -> str:
-    """Name the folder of a walk within the dataset."""
-    return f"sequences/{number:02d}" if layout == "semantickitti" else f"walks/{number:04d}"
-
-
 def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
     """Write a sequence: one scan per revolution, each deskewed to the pose of its first pulse.
 
-    Poses take scans to the world of the scene; camera and lidar are one, so `calib.txt` holds identities. Instances are
-    numbered from 1 in the order in which the sequence first sees them.
+    Poses are those of the sensor in the world of the scene; camera and lidar coincide, so `calib.txt` holds identities.
+    Instances are numbered from 1 in the order in which the sequence first sees them.
     """
     for name in ("velodyne", "labels"):
         (folder / name).mkdir()
@@ -50,7 +45,7 @@ def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
 
 
 def _deskewed(emulator: Emulator, scan: Scan) -> NDArray[np.float64]:
-    """(n, 3) points of a scan in the sensor's frame at the scan's first pulse."""
+    """Return points (n, 3) of a scan in the sensor's frame at the scan's first pulse."""
     assert scan.world_T_sensor is not None
     pulse = emulator.world_T_sensor(scan.t_ns)
     first = scan.world_T_sensor
@@ -59,7 +54,7 @@ def _deskewed(emulator: Emulator, scan: Scan) -> NDArray[np.float64]:
 
 
 def _numbers(instances: NDArray[np.uint32], known: dict[int, int]) -> NDArray[np.uint32]:
-    """(n,) numbers of instances; those that are new become known."""
+    """Return numbers (n,) of instances; new ones become known."""
     own, index = np.unique(instances, return_inverse=True)
     for instance in own[own > 0].tolist():
         known.setdefault(instance, len(known) + 1)
@@ -73,4 +68,4 @@ LAYOUTS: dict[str, Callable[[Emulator, Path], object]] = {
     "pcap+truth": lambda emulator, folder: emulator.record(folder / "walk.pcap", truth=folder / "truth"),
     "las-plots": lambda emulator, folder: write_points(emulator, folder / "points.laz", truth=True),
 }
-"""What writes a walk into a folder that is there and empty, by the layout's name in the file of a dataset."""
+"""Writers of a walk into an empty folder, by the layout's name in the file of a dataset."""

@@ -1,11 +1,11 @@
-"""What there is of a dataset, by the sha256 of each file; nothing else is ever removed."""
+"""The manifest of a dataset: its walks with the sha256 of each file; nothing that it does not list is ever removed."""
 
 import hashlib
 import json
 import re
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +13,6 @@ from shutil import rmtree
 from typing import Any
 
 from vlp16emu.errors import OutputError, RunError, readable
-from vlp16emu.extras.dataset.layouts import walk_folder
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.output import OutputFile
 
@@ -22,18 +21,21 @@ Entry = dict[str, Any]
 
 _WRITTEN_BY = f"vlp16emu {version('vlp16emu')}"
 _PARTS = ".parts."
-"""Begin of the name of the folder in which walks are made; the manifest names it while there is one."""
+"""Prefix of the folder in which walks are made; the manifest names the folder while it exists."""
 _EVERY_S = 10.0
-"""Between two writings of the manifest, which is long where walks are many."""
+"""Least time between writings of the manifest, which is long if walks are many."""
 _LARGEST_BYTES = 10**10
 
 
 class Manifest:
     """The file that lists the walks of a dataset that are in their places.
 
-    A walk is listed before it takes its place. So what stands there and is not listed is somebody else's.
+    A walk is listed before it takes its place, so what stands there and is not listed is someone else's.
 
-    OutputError where the folder `out` has a manifest that is none of ours, or in the place of a walk a file that is not listed.
+    Raises
+    ------
+    OutputError
+        If the folder `out` has a manifest of another program, or in the place of a walk a file that is not listed
     """
 
     def __init__(self, out: Path, walks: Sequence[DatasetWalk]) -> None:
@@ -44,18 +46,17 @@ class Manifest:
         self.missing: list[DatasetWalk] = []
         self._ready: list[tuple[Path, Path, set[Path]]] = []
         for walk in walks:
-            folder = walk_folder(walk.layout, walk.number)
-            if (entry := before.get(folder)) is not None:
+            if (entry := before.get(walk.folder)) is not None:
                 self.entries[walk.number] = entry
             if entry is None or not self._is_there(walk, entry):
                 self.missing.append(walk)
-                if strange := _files_in(out / folder) - self._listed(entry):
-                    found = f"{min(strange).relative_to(out)} is there, and {self.path.name} does not list it"
+                if strange := _files_in(out / walk.folder) - self._ours(entry):
+                    found = f"{min(strange).relative_to(out)} is there, and {self.path.name} does not list it so"
                     raise OutputError(str(out), found, "a new folder, or one of an earlier run")
 
     @contextmanager
     def making(self) -> Iterator[Path]:
-        """Give a folder to make walks in; those that are added are in their places at the end, also after an error."""
+        """Yield a folder to make walks in; those that are added are in their places at the end, also after an error."""
         if self._parts:
             rmtree(self._out / self._parts, ignore_errors=True)
         try:
@@ -71,14 +72,14 @@ class Manifest:
             self.write()
 
     def add(self, number: int, made: Path, entry: Entry) -> None:
-        """List a walk that is whole in a folder of its own, which is to take its place."""
-        self._ready.append((made, self._out / entry["folder"], self._listed(self.entries.get(number))))
+        """List a walk that is complete in a folder of its own, which is to take its place."""
+        self._ready.append((made, self._out / entry["folder"], self._ours(self.entries.get(number))))
         self.entries[number] = entry
         if time.monotonic() >= self._next_s:
             self._settle()
 
     def write(self) -> bytes:
-        """Write the file, and give its bytes."""
+        """Write the file, and return its bytes."""
         parts = {"parts": self._parts} if self._parts else {}
         walks = [entry for _, entry in sorted(self.entries.items())]
         text = json.dumps({"written_by": _WRITTEN_BY, **parts, "walks": walks}, indent=2) + "\n"
@@ -102,21 +103,17 @@ class Manifest:
                 raise RunError(f"{final}: {error.strerror}; what is made so far is kept") from None
         self._next_s = time.monotonic() + _EVERY_S
 
-    def _listed(self, entry: Entry | None) -> set[Path]:
-        return {self._out / entry["folder"] / file["path"] for file in entry["files"]} if entry else set()
+    def _ours(self, entry: Entry | None) -> set[Path]:
+        """Files of a walk whose content is as the manifest lists it; others are somebody else's."""
+        files = [(self._out / entry["folder"] / file["path"], file) for file in entry["files"]] if entry else []
+        return {path for path, file in files if _is_as_listed(path, file)}
 
     def _is_there(self, walk: DatasetWalk, entry: Entry) -> bool:
-        """Whether all files of a walk are as they are listed, by a run that would list the same."""
-        folder = self._out / entry["folder"]
-        try:
-            return entry.items() >= identity(walk).items() and all(
-                described(folder / file["path"], folder) == file for file in entry["files"]
-            )
-        except OSError:
-            return False
+        """Return whether all files of a walk are as listed, by a run that would list the same."""
+        return entry.items() >= identity(walk).items() and len(self._ours(entry)) == len(entry["files"])
 
     def _read(self) -> tuple[dict[str, Entry], str | None]:
-        """Read the walks of an earlier run by their folders, and where it made those that it did not finish."""
+        """Read the walks of an earlier run by their folders, and the name of its folder of unfinished walks."""
         if not self.path.exists():
             return {}, None
         expected = "the manifest of a dataset"
@@ -124,38 +121,40 @@ class Manifest:
             text = self.path.read_text(encoding="utf-8")
         try:
             tree = json.loads(text)
-            walks = {walk["folder"]: walk for walk in tree["walks"] if self._listed(walk)}
+            walks = {walk["folder"]: walk for walk in tree["walks"] if _names(walk)}
             parts = tree.get("parts")
-            ours = tree["written_by"].startswith("vlp16emu ") and re.fullmatch(r"(\.parts\.\w+)?", parts or "")
+            if tree["written_by"].startswith("vlp16emu ") and re.fullmatch(r"(\.parts\.\w+)?", parts or ""):
+                return walks, parts
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            ours = False
-        if not ours:
-            raise OutputError(str(self.path), "is none of ours", expected)
-        return walks, parts
+            pass
+        raise OutputError(str(self.path), "is none of ours", expected)
 
 
 def identity(walk: DatasetWalk) -> Entry:
-    """All that decides the bytes of a walk."""
+    """Return all that decides the bytes of a walk."""
     tree = walk.scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return {
-        "name": walk.name,
-        "folder": walk_folder(walk.layout, walk.number),
-        "split": walk.split,
-        "stand": walk.stand,
-        "seed": walk.scenario.seed,
-        "path": walk.path,
-        "sensor": walk.sensor,
-        "layout": walk.layout,
-        "written_by": _WRITTEN_BY,
-        "scenario_sha256": hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest(),
-    }
+    names = ("name", "folder", "split", "stand", "seed", "path", "sensor", "layout")
+    digest = hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()
+    return {name: getattr(walk, name) for name in names} | {"written_by": _WRITTEN_BY, "scenario_sha256": digest}
 
 
 def described(path: Path, folder: Path) -> dict[str, Any]:
-    """Name in a folder, size and sha256 of a file."""
+    """Return name in a folder, size and sha256 of a file."""
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}
+
+
+def _is_as_listed(path: Path, file: Mapping[str, Any]) -> bool:
+    try:
+        found = described(path, path.parent)
+    except OSError:
+        return False
+    return (found["bytes"], found["sha256"]) == (file["bytes"], file["sha256"])
+
+
+def _names(walk: Entry) -> list[tuple[object, ...]]:
+    return [(file["path"], file["bytes"], file["sha256"]) for file in walk["files"]]
 
 
 def _files_in(folder: Path) -> set[Path]:

@@ -1,4 +1,4 @@
-"""A dataset from its walks to its manifest: what is missing is made, in this process, in others or on a cluster."""
+"""A dataset from its walks to its manifest: missing walks are made by this process, by others, or by a Dask scheduler."""
 
 import hashlib
 import multiprocessing
@@ -7,7 +7,7 @@ import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,15 +22,15 @@ from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.output import lock
 
 _DEATHS = 10
-"""Of workers, one after the other without a walk between them, that end a run: it is a walk that kills them."""
+"""Deaths of workers, without a finished walk between them, that end a run: then a walk kills them."""
 
 Made = tuple[DatasetWalk, Path, Entry]
-"""A walk, the folder with its files, and what the manifest says of it."""
+"""A walk, the folder with its files, and its entry in the manifest."""
 
 
 @dataclass(frozen=True, slots=True)
 class DatasetResult:
-    """What a run made of a dataset."""
+    """Result of a run."""
 
     manifest: str
     sha256: str
@@ -39,7 +39,7 @@ class DatasetResult:
     made: int
     """Walks that were not there before."""
     bytes: int
-    """Of all files of all walks."""
+    """Size of all files of all walks."""
 
 
 def make_dataset(
@@ -47,36 +47,36 @@ def make_dataset(
     out: Path,
     *,
     workers: int | None = None,
-    cluster: bool = False,
     scheduler: str | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> DatasetResult:
     """Make the walks of a dataset that are not there yet, and its manifest.
 
-    A walk is there when the manifest of an earlier run lists it, and its files have the sizes and sha256 of that list.
+    A walk is there if the manifest of an earlier run lists it, and its files have the sizes and sha256 of that list.
 
     Parameters
     ----------
     out : folder, new or of an earlier run; workers of a scheduler see it under the same path
-    workers : processes on this machine; 0 is this process alone; one per core if left out
-    cluster : let Dask keep these processes; what they say to each other is encrypted
+    workers : processes on this machine; 0 for this process alone; one per core by default
     scheduler : address of a Dask scheduler, instead of processes on this machine
     progress : called with the simulated seconds so far, walk by walk
 
     Raises
     ------
     OutputError
-        where the folder cannot be written, another run writes it, or a file that no manifest lists is in the place of a walk
-    MissingExtraError, RunError
-        where Dask is wanted and not installed; where a walk fails, or workers die over one walk again and again
+        If the folder cannot be written, another run writes it, or a file that no manifest lists is in the place of a walk
+    MissingExtraError
+        If Dask is wanted and not installed
+    RunError
+        If a walk fails, or workers die over one walk again and again
     """
     out = out.absolute()
-    with _for_one_run(out):
+    with _locked(out):
         manifest = Manifest(out, walks)
         missing, done_s = manifest.missing, sum(walk.scenario.duration_s for walk in walks)
         progress(done_s := done_s - sum(walk.scenario.duration_s for walk in missing))
         with manifest.making() as parts:
-            for walk, made, entry in _made(missing, parts, workers, scheduler, cluster=cluster):
+            for walk, made, entry in _made(missing, parts, workers, scheduler):
                 manifest.add(walk.number, made, entry)
                 progress(done_s := done_s + walk.scenario.duration_s)
         text = manifest.write()
@@ -90,36 +90,32 @@ def make_dataset(
 
 
 @contextmanager
-def _for_one_run(out: Path) -> Iterator[None]:
+def _locked(out: Path) -> Iterator[None]:
     try:
         out.mkdir(parents=True, exist_ok=True)
         opened = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:
         raise OutputError(str(out), str(error.strerror), "a folder that can be written") from None
-    with ExitStack() as stack:
-        stack.callback(os.close, opened)
+    try:
         lock(opened, str(out))
-        stack.callback(_LAST.clear)
         yield
+    finally:
+        os.close(opened)
+        _LAST.clear()
 
 
 _LAST = list[Emulator]()
-"""Of this process, at most one."""
-
-
-def _emulator(walk: DatasetWalk, threads: int) -> Emulator:
-    if _LAST and not in_one_world(walk.scenario, _LAST[0].scenario):
-        _LAST.clear()
-    _LAST[:] = [Emulator(walk.scenario, threads=threads, like=next(iter(_LAST), None))]
-    return _LAST[0]
+"""The emulator of the walk before in this process, whose world the next one may share."""
 
 
 def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
-    """Make the files of a walk in a new folder of its own; what the process grew for the walk before is used again."""
+    """Make the files of a walk in a new folder of its own; the world of the process's walk before is used again if it fits."""
     try:
         folder = Path(tempfile.mkdtemp(dir=parts))
         folder.chmod(0o755)
-        emulator = _emulator(walk, threads)
+        if _LAST and not in_one_world(walk.scenario, _LAST[0].scenario):
+            _LAST.clear()
+        _LAST[:] = [emulator := Emulator(walk.scenario, threads=threads, like=next(iter(_LAST), None))]
         LAYOUTS[walk.layout](emulator, folder)
         files = [described(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()]
     except OSError as error:
@@ -128,12 +124,10 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
     return walk, folder, identity(walk) | {"beams": beams, "files": files}
 
 
-def _made(
-    walks: Sequence[DatasetWalk], parts: Path, workers: int | None, scheduler: str | None, *, cluster: bool
-) -> Iterator[Made]:
-    """Make walks, and give each as it is done; one whose worker dies is made again."""
+def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None, scheduler: str | None) -> Iterator[Made]:
+    """Make walks, and yield each as it is done; one whose worker dies is made again."""
     left, deaths = {walk.number: walk for walk in walks}, 0
-    if workers == 0 and not (cluster or scheduler):
+    if workers == 0 and not scheduler:
         yield from (make_walk(walk, parts, threads=0) for walk in walks)
         return
     cores = os.cpu_count() or 1
@@ -141,7 +135,7 @@ def _made(
     job = partial(make_walk, parts=parts, threads=1 if scheduler else max(cores // workers, 1))
     while left:
         try:
-            with _dask(workers, scheduler) if cluster or scheduler else _processes(workers) as executor:
+            with _dask(scheduler) if scheduler else _processes(workers) as executor:
                 for future in as_completed([executor.submit(job, walk) for walk in left.values()]):
                     made, deaths = future.result(), 0
                     del left[made[0].number]
@@ -154,10 +148,10 @@ def _made(
 
 @contextmanager
 def _processes(workers: int) -> Iterator[Executor]:
-    """Begin processes of this machine, which are not waited for after an error."""
+    """Start processes of this machine, which are not waited for after an error."""
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_begin_worker) as pool:
+    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_start_worker) as pool:
         try:
             yield pool
         except BaseException:
@@ -167,8 +161,8 @@ def _processes(workers: int) -> Iterator[Executor]:
             raise
 
 
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the process that began this one, and end with it."""
+def _start_worker() -> None:
+    """Leave Ctrl-C to the parent process, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
 
@@ -180,32 +174,20 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _dask(workers: int, scheduler: str | None) -> Iterator[Executor]:
-    """Open a scheduler, or begin one of this machine whose connections need a certificate that only this run has."""
+def _dask(scheduler: str) -> Iterator[Executor]:
+    """Use the workers of a Dask scheduler."""
     try:
         import dask
 
         dask.config.set({"logging.distributed": "critical"})  # read once, when distributed is imported
-        from distributed import Client, KilledWorker, LocalCluster, Security
-
-        security = None if scheduler else Security.temporary()
+        from distributed import Client, KilledWorker
     except ImportError as error:
-        library = error.name or "distributed"
-        raise MissingExtraError(library, "cluster", "a dataset made by Dask") from None
-    with ExitStack() as stack:
-        try:
-            if scheduler is None:
-                # The dashboard's address is of what serves the health of the scheduler, at a free port.
-                here = {
-                    "host": "127.0.0.1",
-                    "dashboard_address": "127.0.0.1:0",
-                    "scheduler_kwargs": {"dashboard": False},
-                }
-                cluster = LocalCluster(n_workers=workers, threads_per_worker=1, security=security, **here)
-                stack.enter_context(cluster)
-            client = stack.enter_context(Client(scheduler or cluster))
-        except (OSError, ValueError) as error:
-            raise RunError(f"{scheduler or 'local cluster'}: {error}") from None
+        raise MissingExtraError(error.name or "distributed", "cluster", "a dataset made by Dask") from None
+    try:
+        client = Client(scheduler)
+    except (OSError, ValueError) as error:
+        raise RunError(f"{scheduler}: {error}") from None
+    with client:
         try:
             yield client.get_executor(pure=False)
         except KilledWorker as error:

@@ -1,4 +1,4 @@
-"""The file that describes a dataset, and the walks that it is made of."""
+"""The file that describes a dataset, and its walks."""
 
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -33,9 +33,9 @@ class _Variant(Section):
     """A name and settings of a scene."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,60}$")]
-    """In the names of walks."""
+    """Part of the names of walks."""
     set: Annotated[list[str], Field(default_factory=list)]
-    """Settings, each `key.path=value` as of `--set`; their files are found from the current folder."""
+    """Settings, each `key.path=value` as in `--set`; their files are found from the current folder."""
 
 
 class _Stand(_Variant):
@@ -67,7 +67,7 @@ class DatasetSpec(Section):
     layout: Literal["semantickitti", "pcap+truth", "las-plots"]
     """Which files are written."""
     seed: _Seed = 1
-    """Decides which stand is in which split."""
+    """Seed of the assignment of stands to splits."""
     seeds: Annotated[list[_Seed], *_OnceEach] = [1]  # noqa: RUF012  # pydantic copies it
     """Seeds of the scenes."""
     stands: Annotated[list[_Stand], *_OnceEach]
@@ -94,13 +94,23 @@ class DatasetWalk:
     scenario: Scenario
 
     @property
+    def seed(self) -> int:
+        """Seed of the scene."""
+        return self.scenario.seed
+
+    @property
     def name(self) -> str:
-        """Name that no other walk of the dataset has."""
-        return f"{self.stand}.{self.scenario.seed}.{self.path}.{self.sensor}"
+        """Unique name within the dataset."""
+        return f"{self.stand}.{self.seed}.{self.path}.{self.sensor}"
+
+    @property
+    def folder(self) -> str:
+        """Folder within the dataset."""
+        return f"sequences/{self.number:02d}" if self.layout == "semantickitti" else f"walks/{self.number:04d}"
 
 
 def load_spec(path: Path) -> DatasetSpec:
-    """Read the file of a dataset; ScenarioError where it cannot be read, or is none."""
+    """Read the file of a dataset; ScenarioError if it cannot be read or is not valid."""
     with readable(path, "a file of a dataset", ScenarioError):
         text = path.read_text(encoding="utf-8-sig")
     try:
@@ -115,15 +125,18 @@ def load_spec(path: Path) -> DatasetSpec:
 
 
 def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
-    """List the walks of a dataset, each with its scene, whose file is found from `folder`.
+    """Return the walks of a dataset, with scene files found from `folder`.
 
-    ScenarioError where a scene or a setting is wrong, or a sensor has no packets and the layout needs them.
+    Raises
+    ------
+    ScenarioError
+        If a scene or a setting is wrong, or a sensor has no packets and the layout needs them
     """
     split_of, walks = _split_of(spec), list[DatasetWalk]()
     for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):
         settings = [*stand.set, *path.set, *sensor.set, f"seed={seed}"]
         scene = find(stand.scene)
-        own = scene == Path(stand.scene)  # a path, and no name
+        own = scene == Path(stand.scene)  # a path, not a name
         scenario = load(folder / scene if own else scene, settings)
         if spec.layout == "pcap+truth":
             on_the_wire(scenario.sensor)

@@ -132,7 +132,7 @@ class LiveWindows(CellWindows):
         self.cells.clear()
         self.decided, self.left_out = -1, 0
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whoever works
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whatever the threads
         """Take blocks one by one, so that packets do not wait for each other; and go on at now where it is too late."""
         block = blocks.start
         while block < blocks.stop:

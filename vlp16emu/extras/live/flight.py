@@ -14,13 +14,13 @@ import numpy as np
 
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import STEPS
-from vlp16emu.errors import InputError, spare
+from vlp16emu.errors import InputError
 from vlp16emu.extras.live.cells import LiveWindows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.poses import PoseReceiver
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.options import PosesIn
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
@@ -28,7 +28,7 @@ from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _POLL_S = 0.05
-"""How often whoever waits for the first pose looks whether the run shall end."""
+"""How often a run that waits for the first pose looks whether it shall end."""
 _START_NS = 20_000_000
 """From when all is ready to the first pulse: threads start in it."""
 _WARM_S = 0.02
@@ -112,7 +112,7 @@ class Flight:
     def prepare(self, stop: Event, pacer: Pacer) -> Late:
         """Wait for the first pose, open the world around it, and compute once what leaves first; or until `stop` is set.
 
-        Late packets are dropped, as later poses would wait for them. Raises `InputError` where the speed is not 1.
+        Late packets are dropped, as later poses would wait for them. Raises `InputError` if the speed is not 1.
         """
         if pacer.speed != 1.0:
             raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")

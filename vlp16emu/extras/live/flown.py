@@ -53,7 +53,7 @@ def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
 
 
 def read_flown(path: Path) -> Flown:
-    """Read a table of knots; `TrajectoryError` where the file is none, or is not whole from its beginning."""
+    """Read a table of knots; `TrajectoryError` if the file is none, or is not whole from its beginning."""
     table = read_table(path, _COLUMNS, "a table of knots", TrajectoryError)
     if len(table) < 2:
         raise TrajectoryError(str(path), f"found {len(table)} knots", "at least 2")

@@ -1,5 +1,6 @@
 """Where poses of a live run come in: a UDP port, and the thread that reads it."""
 
+import select
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -11,11 +12,15 @@ from vlp16emu.packets.pose import POSE_BYTES, unpack_pose
 
 _POLL_S = 0.1
 """How often the thread looks whether it shall end."""
+_MERGED_S = 0.001
+"""Poses that come within this time are one; knots are 5 ms apart."""
+_MOST = 1000
+"""Datagrams that are looked at before a pose is handed on."""
 _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 
 def pose_port(text: str) -> tuple[str, int]:
-    """Read where poses come in; `InputError` where it is no address and port."""
+    """Read where poses come in; `InputError` if it is no address and port."""
     scheme, _, rest = text.partition("://")
     host, _, port = rest.rpartition(":")
     if scheme != "udp" or not host or not port.isascii() or not port.isdecimal() or int(port) > 65_535:
@@ -29,14 +34,14 @@ class PoseReceiver:
     Parameters
     ----------
     where : as `pose_port` takes it; port 0 is any free one
-    put : takes position, quaternion and time of a pose, and raises `InputError` where they are none
+    put : takes position, quaternion and time of a pose, and raises `InputError` if they are none
 
     Raises
     ------
     InputError
-        where `where` is no address and port
+        If `where` is no address and port
     OutputError
-        where the port cannot be listened to
+        If the port cannot be listened to
     """
 
     def __init__(self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]) -> None:
@@ -51,7 +56,7 @@ class PoseReceiver:
             self._socket.close()
             found = getattr(error, "strerror", None) or str(error)
             raise OutputError(where, found, "an address of this machine and a free port") from error
-        self._socket.settimeout(_POLL_S)
+        self._socket.setblocking(False)
         host, port = self._socket.getsockname()
         self.where = f"udp://{host}:{port}"
         """Address and port that are listened to."""
@@ -67,14 +72,22 @@ class PoseReceiver:
         self._socket.close()
 
     def _run(self) -> None:
-        """Body of the thread."""
+        """Body of the thread: of poses that are there at once the last one counts, so a flood costs no more than a few."""
         while not self._over.is_set():
-            with suppress(TimeoutError):
+            if select.select([self._socket], [], [], _POLL_S)[0]:
+                self._take()
+                self._over.wait(_MERGED_S)
+
+    def _take(self) -> None:
+        """Hand on the last pose among the datagrams that have come."""
+        pose = None
+        with suppress(BlockingIOError):
+            for _ in range(_MOST):
                 payload = self._socket.recv(POSE_BYTES + 1)
                 try:
                     pose = unpack_pose(payload)
                 except PacketError:
                     self.malformed += 1
-                    continue
-                with suppress(InputError):  # whoever takes poses counts what is none
-                    self._put(pose.position_m, pose.quaternion, pose.t_ns)
+        if pose is not None:
+            with suppress(InputError):  # `put` counts what is no pose
+                self._put(pose.position_m, pose.quaternion, pose.t_ns)

@@ -1,4 +1,4 @@
-"""All scores of a pipeline that its files allow, and the thresholds that they are held to."""
+"""Scores of a pipeline from the files it gives, and the thresholds that they are compared with."""
 
 import math
 import operator
@@ -32,11 +32,11 @@ Cloud = Mapping[str, NDArray[Any]]
 WITHIN_M = (0.05, 0.1, 0.2)
 """Distances for precision and completeness of a map."""
 SAME_POINT_M = 0.02
-"""A labelled point is the true one that is nearest, within this: half a beam's width near the sensor."""
+"""A labelled point stands for the nearest true one within this distance: half a beam's width near the sensor."""
 LEAST_POINTS = 10
-"""Points that a tree must have for counting as seen: fewer make neither a stem nor a box."""
+"""Least number of points of a tree that counts as seen: fewer make neither a stem nor a box."""
 REGION_M = 20.0
-"""Radius of the circle around the first true position in which density and uniformity of a map are taken."""
+"""Radius around the first true position in which density and uniformity of a map are measured."""
 _BREAST_M = 0.1
 """Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
@@ -45,23 +45,23 @@ _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
 
 @dataclass(frozen=True, slots=True)
 class ScoreInputs:
-    """Files to score and their truth."""
+    """Files to score and their ground truth."""
 
     truth: Path
-    """Folder of a run."""
+    """Truth folder of a run."""
     trajectory: Path | None = None
     times: Path | None = None
-    """Of a trajectory in KITTI's format."""
+    """Times of a trajectory in KITTI's format."""
     map: Path | None = None
     points: Path | None = None
-    """With the labels `leaf_wood` or `instance`."""
+    """Points with the labels `leaf_wood` or `instance`."""
     stems: Path | None = None
     inventory: Path | None = None
     truth_points: Path | None = None
     unit: int = 1
     alignment: str = "none"
     radius_m: float = 0.5
-    """Within which a stem of a map is one of the truth."""
+    """Largest distance between a stem of a map and its true stem."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Limit:
     bound: float
 
     def holds(self, value: float) -> bool:
-        """Whether a value keeps it; NaN keeps none."""
+        """Return whether a value keeps it; NaN keeps none."""
         return bool(_SIGNS[self.sign](value, self.bound))
 
 
@@ -82,39 +82,39 @@ class TreeRow:
     """A true tree, a found one, or a pair of them."""
 
     true_id: str
-    """Of the inventory; empty where a found tree is none."""
+    """Number in the inventory; empty if a found tree is false."""
     list_line: str
-    """Of the user's stem list that named the true tree."""
+    """Line of the user's stem list that named the true tree."""
     found_number: str
-    """Of the found tree in its own list; empty where the tree is missed."""
+    """Number of the found tree in its own list; empty if the tree is missed."""
     x_m: float
     y_m: float
     position_error_m: float
     true_dbh_m: float
     dbh_error_m: float
-    """Found less true."""
+    """Found minus true."""
     hits: int | None
-    """True points on the stem from 1.2 to 1.4 m over the foot; none without labelled true points."""
+    """True points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points."""
 
     @property
     def kind(self) -> str:
-        """One of false, found and missed."""
+        """False, found or missed."""
         return "false" if not self.true_id else "found" if self.found_number else "missed"
 
 
 @dataclass(slots=True)
 class ScoreCard:
-    """What was scored."""
+    """Scores, and what they are made of."""
 
     inputs: ScoreInputs
     scores: dict[str, float] = field(default_factory=dict)
     trees: list[TreeRow] = field(default_factory=list)
     path: PathScore | None = None
     notes: dict[str, str] = field(default_factory=dict)
-    """How groups of scores are taken."""
+    """How groups of scores are measured."""
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
-        """Say which thresholds are not kept, each with the value; InputError where there is no score of that name."""
+        """Return the thresholds that are not kept, with the values, as text; InputError if there is no score of that name."""
         for limit in limits:
             if limit.name not in self.scores:
                 raise InputError("--require", f"found {limit.name}", ", ".join(self.scores))
@@ -125,14 +125,14 @@ class ScoreCard:
         ]
 
     def tree(self) -> dict[str, Any]:
-        """All of it for JSON; null is what cannot be computed."""
+        """Return everything for JSON, in which null is what cannot be computed."""
         trees = [_plain(asdict(row)) for row in self.trees]
         inputs, scores = _plain(asdict(self.inputs)), _plain(self.scores)
         return {"inputs": inputs, "scores": scores, "notes": self.notes, "trees": trees}
 
 
 def limits_of(texts: Sequence[str]) -> list[Limit]:
-    """Read thresholds such as `ate_m<0.3`; InputError where one is none."""
+    """Read thresholds such as `ate_m<0.3`; InputError if one is malformed."""
     limits = []
     for text in texts:
         found = _LIMIT.fullmatch(text)
@@ -144,9 +144,14 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
 
 
 def make_card(inputs: ScoreInputs) -> ScoreCard:
-    """Score all that is given.
+    """Score everything that is given.
 
-    InputError where a file is wrong, or is given without the truth that it is scored against; MissingExtraError.
+    Raises
+    ------
+    InputError
+        If a file is wrong, or is given without its ground truth
+    MissingExtraError
+        If the library of a file is not installed
     """
     _check(inputs)
     card = ScoreCard(inputs)
@@ -168,7 +173,7 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
 
 
 def _check(inputs: ScoreInputs) -> None:
-    """Refuse what cannot be scored, before anything is read."""
+    """Refuse incomplete inputs before anything is read."""
     if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
         raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
     if inputs.points and not inputs.truth_points:
@@ -184,7 +189,7 @@ def _need(true: Cloud, *names: str) -> None:
 
 
 def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) -> None:
-    """Score a map: by itself, and against true points where they are given."""
+    """Score a map by itself, and against true points if they are given."""
     from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 
     way = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors())
@@ -199,7 +204,7 @@ def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) 
 
 
 def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
-    """Score labels of points at the true points; what has no point near has no label."""
+    """Score labels at the true points; a true point without a point near has no label."""
     from scipy.spatial import KDTree
 
     away_m, nearest = KDTree(found["xyz"]).query(true["xyz"])
@@ -249,7 +254,7 @@ def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
 
 
 def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[str, int]]:
-    """Points of each tree by its number: on the stem at breast height, and in all."""
+    """Return the number of points of each tree by its number: on the stem at breast height, and in all."""
     _need(true, "instance", "part")
     numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])
     order = np.argsort(numbers)

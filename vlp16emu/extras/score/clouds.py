@@ -1,4 +1,4 @@
-"""How near a cloud is to another, and how dense and how even it is."""
+"""Distances between point clouds, density and uniformity."""
 
 import math
 
@@ -35,7 +35,7 @@ def cloud_distances(found: Array, true: Array, within_m: tuple[float, ...]) -> d
 
 
 def density_per_m2(xy_m: Array, centre_m: Array, radius_m: float) -> float:
-    """Points (n, 2) per square metre of plan within a circle: density as an indicator of a sensor's place.
+    """Return points (n, 2) per square metre of plan within a circle, an indicator of a sensor's placement.
 
     After Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a region of interest;
     here the region is a circle around the viewpoint.
@@ -45,7 +45,7 @@ def density_per_m2(xy_m: Array, centre_m: Array, radius_m: float) -> float:
 
 
 def uniformity(xy_m: Array, centre_m: Array, radius_m: float, *, share: float = 0.01, seed: int = 1) -> float:
-    """Normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even; without unit.
+    """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
     NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the `share` p of the area, there
     0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on the surfaces of objects,

@@ -1,4 +1,4 @@
-"""What is scored, as read from files: point clouds and stem lists."""
+"""Files that are scored: point clouds and stem lists."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ _PLACES = (
     ("x_m", "y_m", "z_m"),
 )
 """Columns that hold the place of a point, the world's before the sensor's."""
-_LABELS = {"treeID": "instance", "tree_id": "instance", "treeid": "instance"}
-"""Names of other tools for columns of ours."""
+_INSTANCES = ("instance", "treeID", "tree_id", "treeid")
+"""Names of the column of instances: the first that is there counts, of ours and of other tools."""
 _KEPT = ("semantic", "part", "leaf_wood", "instance")
 _NUMBERS = ("number", "tree", "treeid", "tree_id", "id")
 _LARGEST_DBH_M = 15.0
@@ -33,6 +33,8 @@ _LARGEST_DBH_M = 15.0
 _COLUMNS = {
     "x_m": Column({"x": 1.0, "x_m": 1.0}),
     "y_m": Column({"y": 1.0, "y_m": 1.0}),
+    "x_breast_m": optional("x_breast_m"),
+    "y_breast_m": optional("y_breast_m"),
     "z_m": optional("z", "z_m"),
     "dbh_m": Column(
         {"dbh_m": 1.0, "dbh": 1.0, "dbh_cm": 0.01}, 0.001, _LARGEST_DBH_M, is_needed=False, is_filled=False
@@ -46,21 +48,27 @@ class Stem:
     """One line of a stem list or of an inventory."""
 
     number: str
-    """Of the list itself, kept as it is; the line where it has none."""
+    """Number in the list, kept as it is; the line if there is none."""
     x_m: float
+    """Place of the stem at breast height if the list has that, as inventories have; else its place."""
     y_m: float
     z_m: float
-    """NaN where the list has none."""
+    """Foot; NaN if the list has none."""
     dbh_m: float
-    """NaN where the list has none."""
+    """NaN if the list has none."""
     list_line: str
-    """Of the user's stem list that named the tree, in an inventory."""
+    """Line of the user's stem list that named the tree, in an inventory."""
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Read the places of points, `xyz` (n, 3) in metres, and what labels they have (n,), from a file of a suffix in `_READERS`.
+    """Read the places of points, `xyz` (n, 3) in metres, and their labels (n,), from a file with a suffix in `_READERS`.
 
-    InputError where it is no such file, has no points, or a NaN; MissingExtraError where the library of .pcd, .las or .laz is missing.
+    Raises
+    ------
+    InputError
+        If it is no such file, or has no points or a NaN
+    MissingExtraError
+        If the library for .pcd, .las or .laz is not installed
     """
     if path.suffix not in _READERS:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
@@ -70,7 +78,8 @@ def read_cloud(path: Path) -> Cloud:
         except (ValueError, KeyError, IndexError, TypeError, EOFError) as error:
             reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise InputError(str(path), f"cannot be read ({reason})", f"points as {path.suffix}") from None
-    columns = {_LABELS.get(name, name): values for name, values in columns.items()}
+    if (own := next((name for name in _INSTANCES if name in columns), None)) is not None:
+        columns["instance"] = columns[own]
     place = next((names for names in _PLACES if all(name in columns for name in names)), None)
     if place is None:
         raise InputError(str(path), f"found columns {', '.join(columns)}", "x, y and z")
@@ -116,7 +125,7 @@ def _las(path: Path) -> Cloud:
         las = laspy.read(path)
     except laspy.errors.LaspyException as error:
         raise ValueError(str(error)) from None
-    names = [name for name in las.point_format.dimension_names if name in (*_KEPT, *_LABELS)]
+    names = [name for name in las.point_format.dimension_names if name in (*_KEPT, *_INSTANCES)]
     return {"xyz": np.asarray(las.xyz)} | {name: np.asarray(las[name]) for name in names}
 
 
@@ -132,15 +141,23 @@ _READERS: Mapping[str, Callable[[Path], Cloud]] = MappingProxyType(
 
 
 def read_stems(path: Path) -> tuple[Stem, ...]:
-    """Read a CSV of stems: x, y (or x_m, y_m), and if there are z, dbh_m or dbh (m), dbh_cm, and a number of the tree.
+    """Read a CSV of stems: x, y (or x_m, y_m), and if there are z, x_breast_m, y_breast_m, dbh_m or dbh (m), dbh_cm, and a number.
 
-    InputError where it is none, a cell is no number, a number of a tree is there twice, or a DBH is in another unit.
+    Raises
+    ------
+    InputError
+        If it is none, a cell is no number, a number of a tree is there twice, or a DBH is in another unit
     """
     table = read_table(path, _COLUMNS, "a CSV of stems with columns x and y", InputError)
-    places = table.numbers("x_m", "y_m", "z_m", "dbh_m").tolist()
+    places = table.numbers("x_m", "y_m", "z_m", "dbh_m")
+    # Stem maps are of breast height (Laino et al. 2024, 3DFin), where a lean has carried the axis away from the foot.
+    breast_m = table.numbers("x_breast_m", "y_breast_m")
+    places[:, :2] = np.where(np.isnan(breast_m), places[:, :2], breast_m)
     own_numbers = zip(*(table.texts(name) for name in _NUMBERS), strict=True)
     stems: dict[str, Stem] = {}
-    for row, (place, names, list_line) in enumerate(zip(places, own_numbers, table.texts("list_line"), strict=True)):
+    for row, (place, names, list_line) in enumerate(
+        zip(places.tolist(), own_numbers, table.texts("list_line"), strict=True)
+    ):
         x_m, y_m, z_m, dbh_m = place
         number = next(filter(None, names), str(table.lines[row]))
         if number in stems:

@@ -1,4 +1,4 @@
-"""The score card as one page of HTML, its pictures within it."""
+"""The score card as one page of HTML with embedded pictures."""
 
 import base64
 import io
@@ -27,7 +27,7 @@ _SIZE_PX = 1100, 460
 
 
 def page(card: ScoreCard, missed: Sequence[str]) -> str:
-    """Write a card and the thresholds that it misses as HTML; needs matplotlib where there is something to draw."""
+    """Return a card and the thresholds that it misses as HTML; matplotlib is needed if there is something to draw."""
     parts = [
         f"<!doctype html><meta charset=utf-8><title>Score card</title><style>{_STYLE}</style><h1>Score card</h1>",
         *(f'<p class="missed">missed: {escape(line)}</p>' for line in missed),
@@ -46,7 +46,7 @@ def page(card: ScoreCard, missed: Sequence[str]) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Write a table, all but the first column as numbers."""
+    """Return a table, all but the first column as numbers."""
     lines = [f"<tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>"]
     for first, *others in rows:
         cells = "".join(f'<td class="n">{escape(_text(value))}</td>' for value in others)

@@ -15,7 +15,7 @@ from vlp16emu.units import S_NS
 Array = NDArray[np.float64]
 
 RPE_DELTA_M = 1.0
-"""Path over which relative errors are taken: short walks have one too."""
+"""Length of path for relative errors, which short walks have too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class PathScore:
     """`ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path."""
     poses: int
     left_out: int
-    """Estimated poses before or after the truth."""
+    """Estimated poses outside the time of the truth."""
     true_m: Array
     """(n, 3)."""
     found_m: Array
@@ -38,8 +38,12 @@ class PathScore:
 def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScore:
     """Compare a trajectory with the truth at its own stamps, between which the truth is interpolated.
 
-    The file is TUM, or KITTI where `times` has a time in seconds for each pose; truth and unit are as `Trajectory` takes them.
-    TrajectoryError or InputError where one is no trajectory, or they have fewer than three instants in common.
+    The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`.
+
+    Raises
+    ------
+    TrajectoryError, InputError
+        If one is no trajectory, or they have fewer than three instants in common
     """
     try:
         from evo.core import metrics
@@ -74,7 +78,7 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
 
 
 def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
-    """Trajectories of evo, true and found, at the same instants."""
+    """Return trajectories of evo, true and found, at the same instants."""
     from evo.core.geometry import GeometryException, umeyama_alignment
     from evo.core.trajectory import PoseTrajectory3D
     from scipy.spatial.transform import Rotation

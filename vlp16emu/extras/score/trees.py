@@ -16,7 +16,7 @@ _COCO = tuple(np.arange(50, 100, 5) / 100)
 
 
 def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) -> list[tuple[int, int]]:
-    """Pair stems, each once and none farther apart than a radius: the most pairs, and of those the least sum of distances.
+    """Pair stems, each once and within a radius: the most pairs, and of those the least sum of distances.
 
     Returns indices into `found` and `true`.
     """
@@ -31,7 +31,7 @@ def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) ->
 
 
 def stem_scores(found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tuple[int, int]]) -> dict[str, float]:
-    """Precision, recall and F1 of a stem map, error of places (RMSE, m) and of DBH (mean and RMSE, m)."""
+    """Return precision, recall and F1 of a stem map, and errors of position (RMSE, m) and of DBH (mean and RMSE, m)."""
     scores = _shares("stem", len(pairs), len(found) - len(pairs), len(true) - len(pairs))
     off_m = [math.hypot(found[i].x_m - true[j].x_m, found[i].y_m - true[j].y_m) for i, j in pairs]
     scores["stem_position_m"] = _rms(off_m)
@@ -42,7 +42,7 @@ def stem_scores(found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tup
 
 
 def leaf_wood_scores(found: Numbers, true: Numbers) -> dict[str, float]:
-    """Accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over the points that are truly one of them."""
+    """Return accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over points whose true label is one of them."""
     known = true > 0
     found, true = found[known], true[known]
     scores = {"leaf_wood_accuracy": float((found == true).mean()) if known.any() else math.nan}
@@ -54,7 +54,7 @@ def leaf_wood_scores(found: Numbers, true: Numbers) -> dict[str, float]:
 
 
 def instance_scores(found: Numbers, true: Numbers) -> dict[str, float]:
-    """Panoptic, segmentation and recognition quality of instances (n,) of points, 0 is none.
+    """Return panoptic, segmentation and recognition quality of instances (n,) of points, 0 for none.
 
     Kirillov et al., Panoptic Segmentation, CVPR 2019: pairs of more than 0.5 intersection over union are matches.
     """
@@ -72,7 +72,7 @@ def instance_scores(found: Numbers, true: Numbers) -> dict[str, float]:
 
 
 def boxes_of(xyz_m: Array, instance: Numbers, least_points: int) -> tuple[Array, Numbers]:
-    """Boxes (k, 2, 3) along the axes around the points of each instance that has enough, and how many each has (k,)."""
+    """Return axis-aligned boxes (k, 2, 3) around the points of each instance that has enough, and their counts (k,)."""
     names, counts = np.unique(instance[instance > 0], return_counts=True)
     names, counts = names[counts >= least_points], counts[counts >= least_points]
     boxes = [(of.min(axis=0), of.max(axis=0)) for name in names if len(of := xyz_m[instance == name])]
@@ -80,7 +80,7 @@ def boxes_of(xyz_m: Array, instance: Numbers, least_points: int) -> tuple[Array,
 
 
 def box_scores(found: Array, confidence: NDArray[np.int64], true: Array) -> dict[str, float]:
-    """Average precision of boxes (k, 2, 3) against those of the truth, by intersection over union in 3D.
+    """Return average precision of boxes (k, 2, 3) against the true ones, by intersection over union in 3D.
 
     Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at 0.25 and 0.5, `box_map` the mean
     over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are taken by falling confidence, each true box once.
@@ -92,7 +92,7 @@ def box_scores(found: Array, confidence: NDArray[np.int64], true: Array) -> dict
 
 
 def _overlaps(found: Array, true: Array) -> Array:
-    """Intersection over union (k, m) of boxes."""
+    """Return intersection over union (k, m) of boxes."""
     low = np.maximum(found[:, None, 0], true[None, :, 0])
     high = np.minimum(found[:, None, 1], true[None, :, 1])
     both = np.prod(np.clip(high - low, 0, None), axis=-1)
@@ -103,7 +103,7 @@ def _overlaps(found: Array, true: Array) -> Array:
 
 
 def _average_precision(overlap: Array, limit: float) -> float:
-    """Area under precision over recall of boxes in order of confidence; NaN without true boxes."""
+    """Return the area under precision over recall of boxes in order of confidence; NaN without true boxes."""
     n_found, n_true = overlap.shape
     if not n_true:
         return math.nan
@@ -118,7 +118,7 @@ def _average_precision(overlap: Array, limit: float) -> float:
 
 
 def _shares(name: str, hits: int, false: int, missed: int) -> dict[str, float]:
-    """Precision, recall and F1 of hits, false finds and what was missed."""
+    """Return precision, recall and F1 by numbers of hits, false and missed ones."""
     shares = {
         "precision": (hits, hits + false),
         "recall": (hits, hits + missed),

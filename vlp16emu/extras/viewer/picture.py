@@ -1,7 +1,7 @@
 """Pictures and films of what a sensor sees, without a browser."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -20,7 +20,7 @@ from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, spare
 from vlp16emu.scan import decode
 
 Array = NDArray[np.float64]
@@ -142,6 +142,7 @@ def draw_picture(
     rings: int,
     species: Mapping[int, str],
     stop: Event,
+    inputs: Collection[Path] = (),
 ) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
@@ -153,6 +154,7 @@ def draw_picture(
     rings : number of lasers of the sensor
     species : names by number
     stop : ends the picture between two revolutions
+    inputs : files that are read, which the picture may not replace
 
     Raises
     ------
@@ -161,6 +163,7 @@ def draw_picture(
     OutputError, MissingExtraError
         As `check_suffix`
     """
+    spare(inputs, path)
     check_suffix(path)
     suffix = path.suffix.lower()
     first = next(sweeps, None)
@@ -201,22 +204,25 @@ def _slanted(look: PictureLook, box_m: Array) -> View:
     """Return a view of the world from above at a slant; points beside the box would hide what is near the path."""
     camera = Orthographic.around(box_m, look.from_deg, _ELEVATION_DEG, look.size)
 
-    def places(sweep: Sweep) -> Array:
-        inside = ((sweep.world_m >= box_m[0]) & (sweep.world_m <= box_m[1]))[:, :2].all(axis=1)
-        return np.where(inside[:, None], sweep.world_m, np.nan)
-
     def sensor(sweep: Sweep) -> Array | None:
         pose = sweep.scan.world_T_sensor
         return None if pose is None else pose[:3, 3]
 
-    return View(look.size, camera.pixels, places, sensor, camera.px_per_m)
+    return View(look.size, camera.pixels, lambda sweep: _inside(box_m, sweep.world_m), sensor, camera.px_per_m)
+
+
+def _inside(box_m: Array, places: Array) -> Array:
+    """Return places (n, 3), NaN for those beside a box."""
+    inside = ((places >= box_m[0]) & (places <= box_m[1]))[:, :2].all(axis=1)
+    return np.where(inside[:, None], places, np.nan)
 
 
 def from_above(size: tuple[int, int], radius_m: float) -> View:
     """Return a view of a sweep from straight above to a radius, azimuth 0 upwards, with circles of range."""
     width, height = size
     corner_m = radius_m * np.array([width, height, height]) / min(width, height)
-    camera = Orthographic.around(np.stack([-corner_m, corner_m]), 180.0, 90.0, size)
+    box_m = np.stack([-corner_m, corner_m])
+    camera = Orthographic.around(box_m, 180.0, 90.0, size)
     turn = np.linspace(0.0, 2.0 * np.pi, 4 * max(width, height))
     step_m = next((m for m in _CIRCLES_M if radius_m < _MOST_CIRCLES * m), _CIRCLES_M[-1])
     radii_m = np.arange(step_m, np.hypot(*corner_m[:2]), step_m)
@@ -230,7 +236,7 @@ def from_above(size: tuple[int, int], radius_m: float) -> View:
 
     def places(sweep: Sweep) -> Array:
         ahead, left, up = sweep.scan.xyz_m.T
-        return np.column_stack([-left, ahead, up]).astype(np.float64)
+        return _inside(box_m, np.column_stack([-left, ahead, up]).astype(np.float64))
 
     circles_m = np.column_stack([x, y, np.full(len(x), _DEEP_M)])
     return View(size, camera.pixels, places, lambda _: np.zeros(3), circles_m=circles_m, labels=labels)

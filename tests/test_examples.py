@@ -1,0 +1,174 @@
+"""The course in `tools/examples`, worlds, sensors and motions of one's own, and what other packages add by entry points."""
+
+import json
+import os
+import runpy
+import subprocess
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vlp16emu import decode
+from vlp16emu.errors import ScenarioError
+from vlp16emu.scenario import load
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "tools" / "examples"
+COURSE = {
+    "1_record": ("0.2", "clean True"),
+    "2_read": ("bench.pcap", "scan 0: 28"),
+    "3_stream": ("0.2", "150 packets of 1206 bytes, the last one at 0.198 s"),
+    "4_labels": ("0.2", "trees and saplings seen"),
+    "5_trajectory": ("0.2", "points from (0.00, -3.00, 1.00) m"),
+    "6_plot": ("0.2", "points in plot.ply"),
+    "7_score": ("2.0", "ate_m"),
+    "8_dataset": ("0.2", "4 walks: sequences/00, "),
+}
+"""Argument that keeps a script short, and words that it prints."""
+
+
+def run_python(folder, *command, code=0):
+    """Standard output of a program in a folder whose packages it finds; what it says on errors where `code` is not 0."""
+    paths = os.pathsep.join([str(folder), str(ROOT)])
+    env = os.environ | {"PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, *command], cwd=folder, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stderr
+    return done.stderr if code else done.stdout
+
+
+@pytest.mark.parametrize("name", COURSE)
+def test_the_course_runs(name, tmp_path, monkeypatch, capsys):
+    """Each numbered script runs as it stands, and prints what it says."""
+    monkeypatch.chdir(tmp_path)
+    argument, printed = COURSE[name]
+    if name == "2_read":
+        monkeypatch.setattr(sys, "argv", ["1_record.py", "0.2"])
+        runpy.run_path(str(EXAMPLES / "1_record.py"))
+    monkeypatch.setattr(sys, "argv", [name, argument])
+    with pytest.raises(SystemExit) if name == "7_score" else nullcontext():
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    assert printed in capsys.readouterr().out
+
+
+def test_every_script_of_the_course_is_run():
+    """No numbered script is left out above, and each has at most 40 lines."""
+    numbered = sorted(EXAMPLES.glob("[0-9]_*.py"))
+    assert [path.stem for path in numbered] == list(COURSE)
+    assert max(len(path.read_text().splitlines()) for path in numbered) <= 40
+
+
+ON_THE_SINE = """
+import runpy, numpy as np
+from vlp16emu import Emulator
+own = runpy.run_path({!r})
+scene = {{"schema": 1, "motion": {{"kind": "static"}}, "world": {{"kind": "dunes", "height_m": 3.0}}}}
+for returns in Emulator(scene, ideal=True).returns(0.0, 0.1):
+    hit = returns.distance_m[..., 0] > 0
+    x_m, y_m, z_m = (returns.firings.origin_m[hit] + returns.firings.direction[hit] * returns.distance_m[hit][:, :1]).T
+    print(len(x_m), np.abs(z_m - 1.5 * np.sin(2 * np.pi * x_m / 40)).max())
+"""
+
+
+def test_a_world_of_ones_own_is_scanned(tmp_path):
+    """Returns lie on the sine that the dunes are, but for the chords of 0.5 m: 1.5 m x (2 pi / 40 m)^2 x (0.5 m)^2 / 8."""
+    assert int(run_python(tmp_path, EXAMPLES / "own_world.py", "0.1").split()[0]) > 10_000
+    for line in run_python(tmp_path, "-c", ON_THE_SINE.format(str(EXAMPLES / "own_world.py"))).splitlines():
+        count, off_m = line.split()
+        assert int(count) > 100
+        assert float(off_m) < 0.0013
+
+
+def test_a_beam_table_of_ones_own_gives_its_elevations(tmp_path):
+    """A cloud of the sensor of 32 lasers has 32 rings, at the elevations of its table: a row of a list, no formula."""
+    code = "import runpy; print(len(runpy.run_path('{}')['Dense32'](model='dense-32').beam_elevations_deg))"
+    assert run_python(tmp_path, "-c", code.format(EXAMPLES / "own_sensor.py")) == "32\n"
+    run_python(tmp_path, EXAMPLES / "own_sensor.py", "0.1")
+    head, _, _ = (tmp_path / "dense.ply").read_bytes().partition(b"end_header\n")
+    assert b"element vertex 1152" in head  # of 1 000 sequences x 32 pulses in a closed hall none is lost
+
+
+def test_a_motion_of_ones_own_has_the_derivatives_of_its_poses(tmp_path):
+    """The true specific force of the swing is that of a pendulum: g + rope x rate^2 along the rope at the lowest point."""
+    run_python(tmp_path, EXAMPLES / "own_motion.py", "2.0")
+    table = np.genfromtxt(tmp_path / "swing_truth" / "imu.csv", delimiter=",", names=True)
+    along = table["true_fz_m_s2"]
+    rate = np.abs(table["true_wy_rad_s"])
+    assert along[rate.argmax()] == pytest.approx(9.80665 + 2.0 * rate.max() ** 2, rel=1e-4)
+    assert rate.max() == pytest.approx(0.3 * np.sqrt(9.81 / 2.0), rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def outside(tmp_path_factory):
+    """A folder with a package that adds a world, a scene, a sensor, a verb, and a world and a verb that are broken."""
+    folder = tmp_path_factory.mktemp("outside")
+    for name in ("own_world", "own_sensor"):
+        (folder / f"{name}.py").write_text((EXAMPLES / f"{name}.py").read_text())
+    (folder / "outside.py").write_text(
+        'from pathlib import Path\nSCENES = Path(__file__).parent / "scenes"\n'
+        'def greet(name: str) -> None:\n    """Greet somebody."""\n    print("hello", name)\n'
+    )
+    info = folder / "outside-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[vlp16emu.worlds]\ndunes = own_world:Dunes\nruins = nowhere:Ruins\n"
+        "[vlp16emu.sensors]\ndense-32 = own_sensor:Dense32\n"
+        "[vlp16emu.scenes]\noutside = outside:SCENES\nlost = outside:LOST\n"
+        "[vlp16emu.verbs]\ngreet = outside:greet\nmoan = nowhere:moan\n"
+    )
+    (folder / "scenes").mkdir()
+    (folder / "scenes" / "dune_walk.toml").write_text(
+        'schema = 1\ntitle = "A walk over dunes"\n[motion]\nkind = "walk"\nway_points_m = [[-9, 0], [9, 0]]\n'
+        '[world]\nkind = "dunes"\n'
+    )
+    return folder
+
+
+def test_another_package_adds_a_world_that_is_recorded_and_listed(outside, tmp_path):
+    """`record` finds the scene of another package and its world, `scenes` lists it, and `schema` has its keys."""
+    run_python(outside, "-m", "vlp16emu", "record", "dune_walk", tmp_path / "dunes.pcap", "--duration=0.2")
+    assert sum(len(scan.xyz_m) for scan in decode(tmp_path / "dunes.pcap")) > 5_000
+    assert "dune_walk" in run_python(outside, "-m", "vlp16emu", "scenes")
+    schema = json.loads(run_python(outside, "-m", "vlp16emu", "schema"))
+    assert set(schema["properties"]["world"]["discriminator"]["mapping"]) == {"dunes", "forest", "hall", "plot"}
+
+
+def test_another_package_adds_a_sensor_and_a_verb(outside):
+    """A scene names the sensor by its word, and the command line has the verb."""
+    cloud = outside / "d.ply"
+    run_python(
+        outside, "-m", "vlp16emu", "points", "static_bench", cloud, "--duration=0.1", "--set=sensor.model=dense-32"
+    )
+    assert b"element vertex" in cloud.read_bytes()[:2000]
+    assert run_python(outside, "-m", "vlp16emu", "greet", "you") == "hello you\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "entry"),
+    [
+        (["record", "static_bench", "-", "--set=world={kind='ruins'}"], "ruins of vlp16emu.worlds"),
+        (["moan"], "moan of vlp16emu.verbs"),
+    ],
+)
+def test_a_broken_entry_point_is_one_line_that_names_it(outside, command, entry):
+    """Who asks for what another package has broken is answered with the package, the entry point and the reason."""
+    word = entry.split()[0]
+    assert run_python(outside, "-m", "vlp16emu", *command, code=2).lower() == (
+        f"error: outside: entry point {entry}: modulenotfounderror: no module named 'nowhere'; "
+        f"expected nowhere:{word}, which can be imported\n"
+    )
+
+
+def test_who_asks_for_nothing_of_another_package_hears_nothing_of_it(outside):
+    """A scene of ours is read beside broken entry points without a word, and no entry point is looked up for it."""
+    code = "import vlp16emu; vlp16emu.load('static_bench'); print(vlp16emu.doors._added.cache_info().currsize)"
+    assert run_python(outside, "-c", code) == "0\n"
+
+
+def test_a_word_that_nobody_has_is_answered_with_those_there_are():
+    """An unknown kind of world is refused with ours."""
+    with pytest.raises(ScenarioError, match=r'world\.kind: found "moon"; expected "forest", "hall" or "plot"'):
+        load("static_bench", ["world={kind='moon'}"])

@@ -1,0 +1,269 @@
+"""Results on standard output: as JSON, or as rows for people."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import typer
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
+_UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz", "_ha": "ha"}
+"""Units by the end of the name that has them."""
+_LABELS = {
+    "audit": "range error",
+    "behind": "fell behind",
+    "bytes": "size",
+    "cut": "end",
+    "first": "packet 0 left",
+    "gaps_s": "gaps shortened",
+    "gps_in": "receiver",
+    "gps_out": "sentences",
+    "imu_out": "samples",
+    "keeps_up_with": "to keep up",
+    "moved_s": "moved",
+    "packets": "data packets",
+    "real_time_factor": "ran at",
+    "wall_s": "run time",
+    "walk_share": "of the walk",
+}
+_WIDEST = 10.0
+"""Quotient of the ends of an interval beyond which it does not give as much as the order of magnitude."""
+
+
+def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
+    """Print what a run has written or sent; exit as interrupted if it was.
+
+    Parameters
+    ----------
+    result : dataclass or mapping; `interrupted` is true if a signal has ended it
+    title : first line of the rows; if left out it says that the first member was written
+    """
+    (_, place), *others = members(result)
+    interrupted = bool(dict(others).get("interrupted"))
+    if as_json:
+        print_json(result)
+    elif title is None:
+        print_rows(f"{'interrupted, kept' if interrupted else 'wrote'} {place}", rows_of(dict(others)))
+    else:
+        print_rows(title, rows_of(result))
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def print_json(result: Any) -> None:
+    """Print one JSON object."""
+    print(json.dumps(tree_of(result), indent=2))
+
+
+def print_rows(title: str, rows: Mapping[str, str]) -> None:
+    """Print a title and under it names and values in two columns."""
+    print(title)
+    width = max(map(len, rows), default=0)
+    for name, value in rows.items():
+        print(f"  {name:<{width}}  {value}")
+
+
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Print lines of cells in columns, the first one to the left and the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        first, *others = (text.rjust(width) for text, width in zip(row, widths, strict=True))
+        print("  ".join([row[0].ljust(len(first)), *others]))
+
+
+def table_of(rows: Sequence[Any]) -> list[list[str]]:
+    """Return dataclasses as lines of cells, under the names of their fields with units."""
+    return [
+        [name.replace("_", " ") for name, _ in members(rows[0])],
+        *([value if isinstance(value, str) else f"{value:.4g}" for _, value in members(row)] for row in rows),
+    ]
+
+
+def print_files(files: Iterable[Path]) -> None:
+    """Print the names and sizes of files that were written."""
+    for path in files:
+        print(f"wrote {path}, {size(path.stat().st_size)}")
+
+
+def tree_of(value: Any) -> Any:
+    """Return a result in the types of JSON, the properties of dataclasses among their fields; NaN becomes null."""
+    if is_dataclass(value) or isinstance(value, Mapping):
+        return {name: tree_of(one) for name, one in members(value)}
+    if isinstance(value, list | tuple | frozenset):
+        return [tree_of(one) for one in value]
+    if isinstance(value, Enum) and not isinstance(value, str):
+        return value.name.lower()
+    if isinstance(value, float) and value != value:  # noqa: PLR0124  # NaN, which JSON has not
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def rows_of(result: Any) -> dict[str, str]:
+    """Return the members of a result as names and texts, those of dataclasses in it among them; without empty ones."""
+    rows = dict[str, str]()
+    for name, value in members(result):
+        label, text = _label(name), (_WORDS.get(name) or text_of)(value)
+        if name == "units":
+            rows |= {f"unit {unit.unit}": _unit(unit) for unit in value}
+        elif name == "messages":
+            rows |= {topic: f"{count(number)} messages" for topic, number in (value or {}).items()}
+        elif is_dataclass(value) and name not in _WORDS:
+            rows |= rows_of(value)
+        elif text:
+            rows[label] = text if name in _WORDS else f"{text}{_unit_of(name)}"
+    return rows
+
+
+def count(number: int) -> str:
+    """Write a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
+    return f"{number:,}".replace(",", " ")
+
+
+def size(number_of_bytes: int) -> str:
+    """Write a file's size in MB of a million bytes."""
+    return f"{number_of_bytes / 1e6:.1f} MB"
+
+
+def behind_text(times: Any) -> str:
+    """Write how often, by how much, when first and why a stream fell behind."""
+    if not times:
+        return "never"
+    often = "once" if len(times) == 1 else f"{count(len(times))} times"
+    most = f"by {max(one.total_s for one in times):.2f} s" + (" at most" if len(times) > 1 else "")
+    first = "first at" if len(times) > 1 else "at"
+    causes = ", ".join(dict.fromkeys(one.cause for one in times[:3]))
+    return f"{often}, {most}, {first} {times[0].at_s:.1f} s: {causes}"
+
+
+def audit_text(found: Any) -> str:
+    """Write what an audit found; nothing without one."""
+    if found is None:
+        return ""
+    if found.exact:
+        return "rounding to float32 only: by the scene's choice a pulse is one ray"
+    if found.range_rmse_m is None:
+        return f"not known: {found.pulses} pulses cast again had no return"
+    low_m, high_m = found.range_rmse_low_m, found.range_rmse_high_m
+    if low_m is None or high_m is None:
+        sure = "interval not known from so few"
+    elif high_m > _WIDEST * low_m:
+        sure = "run too short for an interval"
+    else:
+        sure = f"95 %: {1e3 * low_m:.1f} to {1e3 * high_m:.1f} mm"
+    shares = {"lost": found.lost, "invented": found.invented, "of another echo": found.other_echo}
+    texts = ", ".join(f"{100 * (share or 0.0):.1f} % {name}" for name, share in shares.items())
+    return f"RMSE {1e3 * found.range_rmse_m:.1f} mm before noise ({sure}), {texts}"
+
+
+def members(result: Any) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of the items of a mapping, or of the fields and properties of a dataclass."""
+    if isinstance(result, Mapping):
+        yield from ((str(name), value) for name, value in result.items())
+        return
+    yield from ((field.name, getattr(result, field.name)) for field in fields(result))
+    for owner in type(result).__mro__:
+        yield from ((name, getattr(result, name)) for name, one in vars(owner).items() if isinstance(one, property))
+
+
+def _unit_of(name: str) -> str:
+    return next((f" {unit}" for end, unit in _UNITS.items() if name.endswith(end)), "")
+
+
+def _label(name: str) -> str:
+    bare = next((name.removesuffix(end) for end in _UNITS if name.endswith(end)), name)
+    return _LABELS.get(name) or bare.replace("_", " ")
+
+
+def text_of(value: Any) -> str:
+    """Write a value; nothing for what there is not."""
+    if value is None or value is False or isinstance(value, str):
+        return value or ""
+    if value is True or isinstance(value, Enum):
+        return "yes" if value is True else value.name.lower()
+    if isinstance(value, int):
+        return count(value)
+    if isinstance(value, float):
+        return f"{round(value, 3):.12g}"
+    if is_dataclass(value) or isinstance(value, Mapping):
+        pairs = ((name, text_of(one)) for name, one in members(value))
+        return ", ".join(f"{_label(name)} {text}{_unit_of(name)}" for name, text in pairs if text)
+    if isinstance(value, list | tuple):
+        return "; ".join(map(text_of, value)) if value and is_dataclass(value[0]) else ", ".join(map(text_of, value))
+    return str(value)
+
+
+def _unit(unit: Any) -> str:
+    sent = f"{count(unit.packets)} data, {count(unit.position_packets)} position"
+    sent += "" if unit.returns is None else f", {count(unit.returns)} returns"
+    turn = "" if unit.turn is None else f"; {_turn(unit.turn)}"
+    return f"{unit.name}, ports {unit.data_port} and {unit.position_port}: {sent}{turn}"
+
+
+def _turn(turn: Any) -> str:
+    return (
+        f"{round(turn.revolutions, 1):.12g} revolutions of {count(round(turn.sequences_per_revolution))} firing "
+        f"sequences, {turn.azimuth_step_deg:.4g} deg apart"
+    )
+
+
+def _lateness(late: Any) -> str:
+    median, p99, most = (
+        f"{ns * 1e-3:.0f} us" if ns < 1e7 else f"{ns * 1e-9:.2f} s" for ns in (late.median_ns, late.p99_ns, late.max_ns)
+    )
+    return f"median {median}, 99 % within {p99}, at most {most}"
+
+
+def _first(first: Any) -> str:
+    if first is None or first.sensor_ns is None:
+        return ""
+    return f"{(first.host_ns - first.sensor_ns) * 1e-6:.3f} ms after its time by the sensor's clock, by this machine's"
+
+
+def _outlet(sent: Any) -> str:
+    if sent is None:
+        return ""
+    row = f"{count(sent.messages)} to {sent.to}" + (f", {count(sent.dropped)} dropped" if sent.dropped else "")
+    if sent.line:
+        line = sent.line.upper()
+        row += f"; no pulses, as it has no line {line}" if sent.pulses is None else f"; {count(sent.pulses)} on {line}"
+    return row + _away(sent.away)
+
+
+def _receiver(gps_in: Any) -> str:
+    if gps_in is None:
+        return ""
+    heard = gps_in.heard
+    counts = f"{count(heard.sentences)} sentences, {count(heard.pulses)} pulses, {count(heard.refused)} garbled"
+    return f"{counts} from {gps_in.port}; {gps_in.state.name.lower()}{_away(gps_in.away)}"
+
+
+def _away(times: Any) -> str:
+    total_s = sum(time.away_s for time in times)
+    return f"; the device was away {count(len(times))} times, for {total_s:.1f} s" if times else ""
+
+
+_WORDS: dict[str, Callable[[Any], str]] = {
+    "audit": audit_text,
+    "behind": behind_text,
+    "bytes": size,
+    "cut": lambda is_cut: "in the middle of a packet, which was left out" if is_cut else "",
+    "delay_s": lambda late_s: f"late by {late_s:.2f} s at the end" if late_s else "",
+    "first": _first,
+    "gaps_s": lambda gaps_s: ", ".join(f"{gap_s:.0f} s" for gap_s in gaps_s),
+    "gps_in": _receiver,
+    "gps_out": _outlet,
+    "imu_out": _outlet,
+    "interrupted": lambda _: "",
+    "keeps_up_with": ", or ".join,
+    "lateness": _lateness,
+    "moved_s": lambda by_s: f"by {by_s:+d} s into the present" if by_s else "",
+    "real_time_factor": lambda factor: f"{factor:.2f} x real time",
+    "skipped": lambda skipped: ", ".join(f"{count(number)} {kind} packets" for kind, number in skipped.items()),
+    "turn": _turn,
+    "walk_share": lambda share: "" if share is None else f"{100 * share:.0f} %",
+}
+"""How members are written that say more than a value with its unit."""

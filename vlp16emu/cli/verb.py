@@ -1,0 +1,110 @@
+"""Command lines of functions whose parameters are options, or dataclasses of options."""
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, fields
+from typing import Annotated, Any, get_args
+
+import typer
+
+from vlp16emu.errors import InputError
+from vlp16emu.options import Declared, Options, declared
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a function for typer, with one parameter for each option of `function`.
+
+    A parameter of `function` is `Annotated[type, Option(...)]`, or a dataclass of such fields. A dataclass inside it
+    is None if none of its options is given. A function without such parameters is returned as it is.
+    """
+    parameters, leaves = inspect.signature(function).parameters.values(), list(leaves_of(function))
+    if parameters and not leaves:
+        return function
+
+    def run(**values: Any) -> None:
+        values = {leaf.name: _value(leaf, values[_key(leaf)]) for leaf in leaves}
+        function(**{one.name: _made(one.name, one.annotation, values) for one in parameters})
+
+    signature = inspect.Signature([_parameter(leaf) for leaf in leaves])
+    run.__name__, run.__doc__ = function.__name__, function.__doc__
+    run.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
+    run.__signature__ = signature  # type: ignore[attr-defined]
+    return run
+
+
+def leaves_of(function: Callable[..., None]) -> Iterator[Declared]:
+    """Yield the options of a function."""
+    for one in inspect.signature(function).parameters.values():
+        yield from _leaves(one.name, one.annotation, one.default)
+
+
+def _dataclass_in(annotation: Any) -> type[Options] | None:
+    """Return the dataclass of options that an annotation admits, if it does."""
+    kinds = (annotation, *get_args(annotation))
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Options)), None)
+
+
+def _leaves(name: str, annotation: Any, default: Any) -> Iterator[Declared]:
+    """Yield the options of a parameter or a field."""
+    if one := declared(name, annotation, MISSING if default is inspect.Parameter.empty else default):
+        yield one
+    elif owner := _dataclass_in(annotation):
+        for field in fields(owner):  # type: ignore[arg-type]
+            yield from _leaves(field.name, field.type, field.default)
+
+
+def _made(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
+    """Return the argument of a parameter: a value, or a dataclass with its values."""
+    if one := declared(name, annotation):
+        return values[one.name]
+    owner = _dataclass_in(annotation)
+    assert owner
+    named = [(field.name, field.type) for field in fields(owner)]  # type: ignore[arg-type]
+    return owner(**{key: _inner(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))})
+
+
+def _inner(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
+    """Return the value of a field; None for a dataclass of which nothing is given."""
+    leaves = list(_leaves(name, annotation, MISSING))
+    if declared(name, annotation):
+        return _made(name, annotation, values)
+    given = [leaf for leaf in leaves if values[leaf.name] != (None if leaf.default is MISSING else leaf.default)]
+    if not given:
+        return None
+    if missing := [leaf for leaf in leaves if leaf.default is MISSING and values[leaf.name] is None]:
+        wanted = f"{missing[0].name} {missing[0].option.metavar} beside it"
+        raise InputError(given[0].name, f"found no {missing[0].name}", wanted)
+    return _made(name, annotation, values)
+
+
+def _key(leaf: Declared) -> str:
+    """Return the name of a parameter for an option; `--from` would be a keyword without the underscore."""
+    return "_" + "".join(c if c.isalnum() else "_" for c in leaf.name).strip("_").lower()
+
+
+def _value(leaf: Declared, value: Any) -> Any:
+    """Return the value of an option as typer gives it; a flag that is on by default has a name that says no."""
+    return not value if leaf.kind is bool and leaf.default is True else value
+
+
+def _parameter(leaf: Declared) -> inspect.Parameter:
+    """Return the parameter that typer makes an option or an argument of."""
+    option, default = leaf.option, None if leaf.default is MISSING else leaf.default
+    kind: Any = object | None  # click would take two values for a tuple
+    if leaf.kind is bool:
+        kind, default, info = bool, False, typer.Option(leaf.name, help=option.help)
+    elif leaf.kind is list:
+        kind, info = list[str] | None, typer.Option(leaf.name, help=option.help, metavar=option.metavar)
+    else:
+
+        def read(text: Any) -> Any:  # typer reads defaults too
+            return option.read(leaf.name, leaf.kind, text) if isinstance(text, str) and text is not default else text
+
+        metavar = option.metavar or "|".join(option.words)
+        if leaf.name.startswith("-"):
+            info = typer.Option(leaf.name, help=option.help, metavar=metavar, parser=read, show_default=option.shown)
+        else:
+            kind, default = leaf.kind, inspect.Parameter.empty
+            info = typer.Argument(metavar=leaf.name, help=option.help, parser=read, show_default=False)
+    annotation = Annotated[kind, info]
+    return inspect.Parameter(_key(leaf), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
