@@ -4,7 +4,7 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,21 +75,11 @@ def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
     return Sweep(replace(scan, world_T_sensor=pose), placed(scan.xyz_m, poses))
 
 
-class Sweeps(Protocol):
-    """Source of sweeps."""
-
-    beams: BeamTable
-    last_s: float
-    """Start of the last sweep since the first, in seconds."""
-    step_s: float
-    """Nominal time between sweeps, in seconds."""
-
-    def at(self, time_s: float) -> Sweep:
-        """Return the first sweep that begins after a time."""
-
-
 class SceneSweeps:
-    """Sweeps of a scene's sensor, with labels; InputError if there is no such unit."""
+    """Sweeps of a scene's sensor, with labels; InputError if there is no such unit.
+
+    `last_s` is the start of the last sweep since the first, `step_s` the nominal time between sweeps, in seconds.
+    """
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
         units = emulator.parts.units
@@ -102,7 +92,7 @@ class SceneSweeps:
         self.last_s = end_s - self._span_s
 
     def at(self, time_s: float) -> Sweep:
-        """See `Sweeps`; InputError if the run is shorter than a revolution."""
+        """Return the first sweep that begins after a time; InputError if the run is shorter than a revolution."""
         begin_s = float(np.clip(time_s, 0.0, self.last_s))
         sweep = next(sweeps_of_scene(self._emulator, begin_s, self._span_s, self._unit), None)
         if sweep is None:
@@ -153,7 +143,7 @@ class CaptureSweeps:
         self._next, self._held = len(self._starts_ns), dict[int, Scan]()
 
     def at(self, time_s: float) -> Sweep:
-        """See `Sweeps`."""
+        """Return the first sweep that begins after a time."""
         wanted = int(np.searchsorted(self._starts_ns, self._starts_ns[0] + int(time_s * 1e9)))
         wanted = min(wanted, len(self._starts_ns) - 1)
         if wanted not in self._held and (self._reading is None or wanted < self._next):
@@ -212,3 +202,6 @@ def _marks(packets: I8, findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
             begin_deg, end_deg = last_cdeg[max(after - 1, 0)] / 100, begin_deg
         marks.append((int(t_ns[after]), Mark(begin_deg, end_deg, str(finding))))
     return marks
+
+
+Sweeps = SceneSweeps | CaptureSweeps
