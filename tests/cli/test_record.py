@@ -124,13 +124,14 @@ def test_a_walk_that_is_too_short_leaves_the_old_file_alone(cli, tmp_path):
     assert outcome.err.startswith("error: duration: found 1000 s; expected at most ")
 
 
-def wait_for(path, size):
-    """Until a file has grown."""
+def wait_for(folder, size):
+    """Wait until the unfinished capture in a folder has grown, and return its path."""
     for _ in range(600):
-        if path.exists() and path.stat().st_size > size:
-            return
+        for part in folder.glob("x.pcap.*.part"):
+            if part.stat().st_size > size:
+                return part
         time.sleep(0.05)
-    raise AssertionError(f"{path} never had {size} bytes")
+    raise AssertionError(f"no capture in {folder} ever had {size} bytes")
 
 
 def assert_ended_well(process, path, cli):
@@ -149,7 +150,7 @@ def test_a_signal_leaves_a_valid_file(cli, program, tmp_path, number):
     """SIGTERM or a hangup in the middle ends the run as Ctrl-C does."""
     path = tmp_path / "x.pcap"
     process = program("record", "static_bench", path, "--duration", "3600", "--json")
-    wait_for(tmp_path / "x.pcap.part", 500_000)
+    wait_for(tmp_path, 500_000)
     assert not path.exists()
     process.send_signal(number)
     assert_ended_well(process, path, cli)
@@ -157,31 +158,31 @@ def test_a_signal_leaves_a_valid_file(cli, program, tmp_path, number):
 
 def test_two_recordings_into_one_file_are_refused(cli, program, tmp_path):
     """The second names the process of the first and exits with 2, before it touches its own folder of truth; the first goes on till Ctrl-C."""
-    path, part, truth = tmp_path / "x.pcap", tmp_path / "x.pcap.part", tmp_path / "t"
+    path, truth = tmp_path / "x.pcap", tmp_path / "t"
     assert cli("truth", "static_bench", truth, "--duration", "0.1").code == 0
     before = {file.name: file.read_bytes() for file in truth.iterdir()}
     process = program("record", "static_bench", path, "--duration", "3600", "--json")
-    wait_for(part, 100_000)
+    wait_for(tmp_path, 100_000)
     outcome = cli("record", "static_bench", path, "--duration", "0.1", "--truth", truth)
     found = f"error: {path}: is being written by process {process.pid}; expected another place, or an end of that run\n"
     assert (outcome.code, outcome.err) == (2, found)
     assert {file.name: file.read_bytes() for file in truth.iterdir()} == before
-    wait_for(part, 500_000)
+    wait_for(tmp_path, 500_000)
     assert not path.exists()
     process.send_signal(signal.SIGINT)
     assert_ended_well(process, path, cli)
 
 
 def test_a_killed_recording_is_kept_beside_its_name(cli, program, tmp_path):
-    """After SIGKILL the earlier file stands, and OUT.pcap.part is decoded to its last whole packet."""
+    """After SIGKILL the earlier file stands, and what it left beside it is decoded to its last whole packet."""
     path = tmp_path / "x.pcap"
     path.write_text("earlier")
     process = program("record", "static_bench", path, "--duration", "3600")
-    wait_for(tmp_path / "x.pcap.part", 100_000)
+    part = wait_for(tmp_path, 100_000)
     process.kill()
     process.communicate()
     assert path.read_text() == "earlier"
-    assert cli("decode", tmp_path / "x.pcap.part", "--json").tree["packets"] > 50
+    assert cli("decode", part, "--json").tree["packets"] > 50
 
 
 def test_a_terminal_that_goes_leaves_a_report(program, heeds_signals, tmp_path):
@@ -198,7 +199,7 @@ def test_a_terminal_that_goes_leaves_a_report(program, heeds_signals, tmp_path):
             preexec_fn=lambda: (heeds_signals(), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
         )
         os.close(theirs)
-        wait_for(tmp_path / "x.pcap.part", 500_000)
+        wait_for(tmp_path, 500_000)
         os.close(ours)
         assert process.wait(timeout=100) == 130
     tree = json.loads((tmp_path / "report").read_text())
@@ -208,14 +209,14 @@ def test_a_terminal_that_goes_leaves_a_report(program, heeds_signals, tmp_path):
 
 def test_what_ignores_hangups_goes_on(program, heeds_signals, tmp_path):
     """Under nohup the end of the terminal is not that of the run."""
-    path, part = tmp_path / "x.pcap", tmp_path / "x.pcap.part"
+    path = tmp_path / "x.pcap"
     process = program(
         *("record", "static_bench", path, "--duration", "3600", "--json"),
         preexec_fn=lambda: (heeds_signals(), signal.signal(signal.SIGHUP, signal.SIG_IGN)),
     )
-    wait_for(part, 100_000)
+    part = wait_for(tmp_path, 100_000)
     process.send_signal(signal.SIGHUP)
-    wait_for(part, part.stat().st_size + 500_000)
+    wait_for(tmp_path, part.stat().st_size + 500_000)
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=100)
     assert process.returncode == 130

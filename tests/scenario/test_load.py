@@ -190,10 +190,14 @@ def test_the_longest_run_from_the_first_and_the_last_start_fits_a_capture(tmp_pa
         assert [int(stamp_s) for stamp_s, _ in dpkt.pcap.Reader(file)] == [start_ns // 10**9, due_ns // 10**9]
 
 
-def test_start_is_exact_in_nanoseconds(tmp_path):
-    """A start time with an offset and microseconds becomes exact UTC nanoseconds."""
-    scenario = load(str(written(tmp_path, SCENE)), ["start_utc=2026-05-20T11:00:00.000001+02:00"])
+@pytest.mark.parametrize("quote", ["", "'", '"'])
+def test_start_is_exact_in_nanoseconds(tmp_path, quote):
+    """A start time with an offset and microseconds becomes exact UTC nanoseconds, in quotes too."""
+    start = f"start_utc={quote}2026-05-20T11:00:00.000001+02:00{quote}"
+    scenario = load(str(written(tmp_path, SCENE)), [start])
     assert scenario.start_ns == 1_779_267_600_000_001_000  # `date -d 2026-05-20T09:00:00Z +%s`
+    in_file = SCENE.replace("[sensor]", f"{start}\n[sensor]", 1)
+    assert load(str(written(tmp_path, in_file))).start_ns == scenario.start_ns
 
 
 def test_an_ideal_scene_has_no_errors_but_those_that_are_set(tmp_path):

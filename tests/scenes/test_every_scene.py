@@ -26,6 +26,15 @@ def test_a_scene_is_read_by_name_and_by_path():
         assert load(path.stem) == load(str(path)), path.stem
 
 
+def test_the_plot_is_where_its_receiver_is():
+    """The origin of `own_plot` in UTM zone 33N and its latitude and longitude are one place by PROJ, within a metre."""
+    pyproj = pytest.importorskip("pyproj")
+    scenario = load("own_plot")
+    to_map = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:25833", always_xy=True)
+    place_m = to_map.transform(scenario.gps.longitude_deg, scenario.gps.latitude_deg)
+    assert place_m == pytest.approx(scenario.world.origin_m[:2], abs=1.0)
+
+
 @pytest.mark.parametrize("path", SCENES, ids=NAMES)
 def test_a_scene_is_long_enough_for_its_walk(path):
     """The whole of a scene's own duration can be recorded."""

@@ -9,7 +9,9 @@ _SCENE = "Name of a scene (see `vlp16emu scenes`) or path of a .toml file"
 
 SceneName = Annotated[str, Option(f"{_SCENE}.", name="SCENE")]
 SceneOrCapture = Annotated[str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")]
-CaptureFile = Annotated[Path, Option("Capture with VLP-16 packets.", name="FILE.pcap")]
+CaptureFile = Annotated[
+    Path, Option("Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.", name="FILE.pcap")
+]
 Settings = Annotated[
     list[str] | None,
     Option(
@@ -32,19 +34,17 @@ TrajectoryFile = Annotated[
         "DIR|FILE.tum",
     ),
 ]
-CaptureUnit = Annotated[
+UnitName = Annotated[
     str | None,
-    Option(
-        "One sensor of a capture with several: its number, or its address and data port.", "N|ADDRESS:PORT", "--unit"
-    ),
+    Option("Which sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
 ]
-CaptureClock = Annotated[
+WhichClock = Annotated[
     str | None,
     Option(
-        "Of a capture: the clock of all stamps. Left out it is the sensor's if that is locked to GPS or within a second of the host's, "
-        "else the host's.",
-        name="--clock",
+        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps or in the one that the GPS sentences name, "
+        "or the host's that captured. By default the sensor's if it is locked to GPS, else the host's.",
         words=("sensor", "gps", "host"),
+        shown=False,
     ),
 ]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]

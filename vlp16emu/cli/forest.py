@@ -68,7 +68,7 @@ def forest(
     Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
     path; of a hall, its things.
     """
-    from vlp16emu.errors import spare
+    from vlp16emu.output import spare
     from vlp16emu.scenario import find, load
     from vlp16emu.scenario.find import named_files
 

@@ -42,11 +42,12 @@ def picture(
 
     check_matplotlib()
     from vlp16emu.extras.viewer.picture import check_suffix
+    from vlp16emu.packets.capture import is_capture_name
 
     check_suffix(out)
     if look.from_deg is not None and look.view != "slant":
         raise InputError("--from", f"found beside --view {look.view}", "--view slant")
-    is_capture = Path(scene).suffix == ".pcap"
+    is_capture = is_capture_name(scene)
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
     with stop_on_ctrl_c() as stop:
@@ -73,7 +74,8 @@ def _of_capture(
     sweeps = sweeps_of_capture(capture, trajectory, *span)
     if trajectory is None and not is_film:
         sweeps = islice(sweeps, 1)
-    return draw_picture(sweeps, out, look, way_m=way_of(trajectory), rings=LASERS, species={}, stop=stop)
+    way_m, inputs = way_of(trajectory), [capture, *([trajectory] if trajectory else [])]
+    return draw_picture(sweeps, out, look, way_m=way_m, rings=LASERS, species={}, stop=stop, inputs=inputs)
 
 
 def _of_scene(
@@ -97,6 +99,5 @@ def _of_scene(
     t_ns = emulator.scenario.start_ns + (np.linspace(start_s, stop_s, 200) * 1e9).astype(np.int64)
     way_m = emulator.parts.motion.poses_at(t_ns).world_p_body_m
     species, rings = species_of(emulator.parts.world), len(emulator.parts.units[0].head.beams.elevation_deg)
-    return draw_picture(
-        sweeps_of_scene(emulator, *span), out, look, way_m=way_m, rings=rings, species=species, stop=stop
-    )
+    sweeps, inputs = sweeps_of_scene(emulator, *span), emulator.run.files
+    return draw_picture(sweeps, out, look, way_m=way_m, rings=rings, species=species, stop=stop, inputs=inputs)

@@ -31,7 +31,7 @@ def points(
     ideal: args.Ideal = False,
     trajectory: args.TrajectoryFile = None,
     threads: args.Threads = 0,
-    clock: args.CaptureClock = None,
+    clock: args.WhichClock = None,
     as_json: args.AsJson = False,
 ) -> None:
     """Write the points of a scene, for a sensor of any beam table, or of a capture with a trajectory.
@@ -40,8 +40,10 @@ def points(
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
     A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
+    from vlp16emu.packets.capture import is_capture_name
+
     of_capture = {one.name: getattr(errors, one.field) != one.default for one in options_of(TrajectoryErrors)}
-    if trajectory is not None or Path(scene).suffix == ".pcap":
+    if trajectory is not None or is_capture_name(scene):
         spans = {"--duration": options.duration_s, "--start": options.start_s}
         _refuse(spans | {"--set": settings, "--ideal": ideal, "--threads": threads}, f"the capture {scene}", "a scene")
         _deskew(Path(scene), out, trajectory, errors, options, clock=clock, as_json=as_json)

@@ -24,7 +24,7 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
     Raises
     ------
     TrajectoryError
-        where the walk is over before the span
+        If the walk is over before the span
     """
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)

@@ -132,7 +132,7 @@ class Packer:
 
     Parameters
     ----------
-    truth_of : where packets carry the ground truth of their records
+    truth_of : ground truth of the records that packets carry; None for none
     """
 
     def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:

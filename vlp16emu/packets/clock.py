@@ -132,9 +132,9 @@ def unit_clocks(
 
 
 def packet_clock(path: Path, unit: Sender | None, name: str | None = None, *, where: str = "clock") -> PacketClock:
-    """Return the clock for the packets of one unit, as `unit_clocks`; of a pipe, which can be read only once, the sensor's."""
-    if name is None and not path.is_file():
-        return PacketClock()
+    """Return the clock for the packets of one unit, as `unit_clocks`; by default the sensor's for a pipe, which is read only once."""
+    if path.is_fifo() and name != Clock.GPS and (name is None or name in tuple(Clock)):
+        return PacketClock(Clock(name or Clock.SENSOR))
     return unit_clocks(path, [unit], name, where=where)[0].make()
 
 

@@ -68,8 +68,6 @@ class Lidar(Preset):
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
     """White error of each azimuth reading, one sigma; with an encoder of lines, of when a line is seen, spread evenly: within 2.304 us,
     the period of a firing, it is 0.0024 at 600 rpm. 0 switches it off."""
-    azimuth_noise_limit_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.1
-    """At which that error of an even encoder is cut."""
     encoder_pitch_deg: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
     encoder."""

@@ -116,22 +116,17 @@ class Furnished:
         self.materials = tuple(materials)
         self._world_T_mesh, self._radius_m = np.reshape(placed, (-1, 3, 4)), np.array(radius_m)
 
-    def check(self, path_xy_m: Array) -> tuple[str, ...]:
-        """Report each mesh that is out of sight all along the path (n, 2), one line each, which is logged too."""
-        if not self._keys:
-            return ()
-        gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m
-        findings = []
+    def check(self, path_xy_m: Array) -> None:
+        """Warn of each mesh that is out of sight all along the path (n, 2)."""
+        gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m if self._keys else np.zeros(0)
         for key in self._mesh_of:
             nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
             if nearest_m > self._reach_m:
-                findings.append(
-                    f"{key.path}: not in sight, {nearest_m:.1f} m from the path at the nearest; expected a place"
-                    f" {self._reach_m:g} m from it at most (map coordinates must have origin_m taken off)"
+                _log.warning(
+                    "%s: not in sight, %.1f m from the path at the nearest; expected a place %g m from it at most"
+                    " (map coordinates must have origin_m taken off)",
+                    *(key.path, nearest_m, self._reach_m),
                 )
-        for finding in findings:
-            _log.warning(finding)
-        return tuple(findings)
 
     def window(self, track_m: Array) -> Window:
         """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""

@@ -51,8 +51,6 @@ class UserMesh:
     """In alphabetical order."""
     radius_m: float
     """Radius of a sphere about the centre that holds everything."""
-    findings: tuple[str, ...]
-    """Faults that the mesh was accepted with, one line each."""
 
 
 def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
@@ -69,8 +67,7 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     unit : of its coordinates
     up : axis that points upwards; y turns to z, and z to -y
     """
-    read, findings = _parts(path)
-    parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in read]
+    parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in _parts(path)]
     scale = _UNIT_M[unit]
     z_up = [(name, _turned(vertices, up) * scale, faces, dropped) for name, vertices, faces, dropped in parts]
     corners = np.array([end for _, v, f, _ in z_up for end in (v[f].min(axis=(0, 1)), v[f].max(axis=(0, 1)))])
@@ -82,16 +79,14 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
         for name, vertices, faces, _ in z_up
     )
     for name, vertices, faces, dropped in z_up:
-        findings += [f"{path}: {name}: {finding}" for finding in _findings(vertices - centre, faces, dropped)]
-    for finding in findings:
-        _log.warning(finding)
-    return UserMesh(path, centre, made, float(norm(high - low)) / 2, tuple(findings))
+        for finding in _findings(vertices - centre, faces, dropped):
+            _log.warning("%s: %s: %s", path, name, finding)
+    return UserMesh(path, centre, made, float(norm(high - low)) / 2)
 
 
-def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]]:
-    """Names, vertices and faces of all parts in the file's frame, by name; and what was left out."""
-    scene = _scene(path)
-    found, left_out = [], []
+def _parts(path: Path) -> list[tuple[str, tuple[Array, Faces]]]:
+    """Names, vertices and faces of all parts in the file's frame, by name."""
+    scene, found = _scene(path), []
     unnamed = list(scene.geometry) in (["geometry"], ["geometry_0"])  # trimesh's names for what has none
     for node in sorted(scene.graph.nodes_geometry):
         name = path.stem if unnamed else node
@@ -102,10 +97,10 @@ def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]
             vertices = np.asarray(geometry.vertices, np.float64)
             found.append((name, (_placed(f"{path}: {name}", vertices, faces, file_T_part), faces)))
         else:
-            left_out.append(f"{path}: {name}: left out, for it has no face")
+            _log.warning("%s: %s: left out, for it has no face", path, name)
     if not found:
         raise GeometryError(str(path), "no face", "a whole file with a mesh of triangles")
-    return found, left_out
+    return found
 
 
 def _scene(path: Path) -> Any:

@@ -26,7 +26,7 @@ def place(x_m, y_m, z_m=None, above_ground_m=0.0, yaw_deg=0.0, scale=1.0):
 def tree_of(*places, one_thing=True, parts=(LEAVES,)):
     """Stem and leaves about a centre 2 m over the file's origin and 1 m east of it."""
     meshes = (PartMesh("leaves", TRIANGLE), PartMesh("stem", TRIANGLE))
-    mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0, ())
+    mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0)
     section = MeshFile(
         file="tree.obj",
         unit="m",

@@ -2,14 +2,17 @@
 
 import heapq
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Iterable
+from contextlib import ExitStack
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
+from vlp16emu.output import final_name
 from vlp16emu.units import S_NS
 
 _SUFFIXES = (".mcap", ".bag", "")
@@ -24,6 +27,10 @@ _OWN_TYPES = {
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
 _HELD_NS = S_NS
 """For so long messages wait for earlier ones."""
+_FAILURES = (OSError, sqlite3.Error)
+"""What a full disk raises, the second one in a folder of ROS 2."""
+_NAME = 60
+"""Characters of the name that are part of the temporary folder's."""
 LATEST_NS = (2**31 - 1) * S_NS
 """Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
 _METADATA_VERSION = 8
@@ -75,11 +82,16 @@ class BagFile:
         self._store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
         for name, text in _OWN_TYPES.items():
             self._store.register(get_types_from_msg(text, name))
-        try:
-            self._beside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        except OSError as error:
-            raise OutputError(str(path), str(error.strerror), "a place that can be written") from error
-        self._writer = self._opened(self._beside / path.stem, suffix)
+        with ExitStack() as stack:
+            try:
+                self._final = final_name(path)
+                self._beside = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME]}.", dir=self._final.parent))
+                stack.callback(shutil.rmtree, self._beside, ignore_errors=True)
+                self._writer = self._opened(self._beside / path.stem, suffix)
+            except _FAILURES as error:
+                found = getattr(error, "strerror", None) or str(error)
+                raise OutputError(str(path), found, "a place that can be written") from error
+            self._remove = stack.pop_all()
         self._connections: dict[str, Any] = {}
         self._held: list[tuple[int, int, str, Any]] = []
         self._number = count()
@@ -101,11 +113,11 @@ class BagFile:
             if error is None:
                 made = self._beside / self.path.stem
                 made = made / f"{made.name}.mcap" if self.path.suffix.lower() == ".mcap" else made
-                made.replace(self.path)
-        except OSError as failed:
-            raise RunError(f"{self.path}: {failed.strerror}; no bag is written") from failed
+                made.replace(self._final)
+        except _FAILURES as failed:
+            raise self._failed(failed) from failed
         finally:
-            shutil.rmtree(self._beside, ignore_errors=True)
+            self._remove.close()
 
     @staticmethod
     def time(t_ns: int) -> tuple[int, int]:
@@ -157,8 +169,11 @@ class BagFile:
         serialize = self._store.serialize_ros1 if self.is_ros1 else self._store.serialize_cdr
         try:
             self._writer.write(self._connections[topic], t_ns, serialize(message, name))
-        except OSError as error:
-            raise RunError(f"{self.path}: {error.strerror}; no bag is written") from error
+        except _FAILURES as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> RunError:
+        return RunError(f"{self.path}: {getattr(error, 'strerror', None) or error}; no bag is written")
 
     def _opened(self, made: Path, suffix: str) -> Any:
         """Open the writer of a kind of bag."""

@@ -4,7 +4,7 @@ import shutil
 import tempfile
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -325,8 +325,10 @@ _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack
 
 
 @contextmanager
-def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str) -> Iterator[PointWriter]:
-    """Open a file for points in the format that its suffix names; error lines call it `where`.
+def point_file(
+    path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str, inputs: Iterable[Path] = ()
+) -> Iterator[PointWriter]:
+    """Open a file for points in the format that its suffix names; error lines call it `where`; `inputs` are not replaced.
 
     Where the points end with an error, the file holds those that were written before it; where there are none, or
     the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
@@ -335,7 +337,7 @@ def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, wher
     if path.suffix not in _WRITERS and not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
     make = _WRITERS.get(path.suffix) or door(path.suffix, "clouds")
-    with OutputFile(path, where=where) as output:
+    with OutputFile(path, where=where, inputs=inputs) as output:
         failed: Exception | None = None
         with output.writing() as file, ExitStack() as stack:
             writer = make(file, columns, about, stack)

@@ -140,6 +140,10 @@ class Deskewed:
     """Whether points have labels."""
     simulated_s: float
     """From the first pulse of the capture to the last."""
+    clock: str
+    """Of the pulses: sensor, gps or host."""
+    host_ahead_s: float
+    """Capture stamps less the sensor's clock at the first packet."""
     bytes: int
     interrupted: bool
     """Ended by its stop event."""
@@ -177,7 +181,7 @@ def write_deskewed(
         )
         columns = DESKEWED_COLUMNS + (truth.columns if truth else ())
         points = without_pose = last_ns = 0
-        with point_file(path, columns, about, where=str(path)) as writer:
+        with point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
             for chunk in chain([first], chunks):
                 for block, left_out in _blocks(chunk, way, truth, start_ns):
                     writer.write(block)
@@ -187,8 +191,19 @@ def write_deskewed(
                     break
             if without_pose and not points:
                 raise _no_pose(way, stamped.clock, start_ns / S_NS, last_ns / S_NS)
-    files, size = (str(path), str(capture), str(way.path)), path.stat().st_size
-    return Deskewed(*files, points, without_pose, truth is not None, last_ns / S_NS, size, interrupted=stop.is_set())
+    return Deskewed(
+        file=str(path),
+        capture=str(capture),
+        trajectory=str(way.path),
+        points=points,
+        without_pose=without_pose,
+        truth=truth is not None,
+        simulated_s=last_ns / S_NS,
+        clock=stamped.clock,
+        host_ahead_s=(stamped.host_ahead_ns or 0) / S_NS,
+        bytes=path.stat().st_size,
+        interrupted=stop.is_set(),
+    )
 
 
 def _blocks(

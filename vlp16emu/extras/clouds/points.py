@@ -14,7 +14,6 @@ import numpy as np
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.engine.scans import points_of
-from vlp16emu.errors import spare
 from vlp16emu.extras.clouds.cloud import (
     LABEL_COLUMNS,
     RETURN_NAMES,
@@ -96,14 +95,13 @@ def write_points(
         If the disk is full; the file is not complete
     """
     run, path, began_s, asked = emulator.run, Path(path), time.perf_counter(), PointOptions(**options)
-    spare(run.files, path)
     number, scenario, stop = run.number(asked.unit), run.scenario, stop or Event()
     scheme, truth = (label_scheme(asked.labels) if asked.labels else None), asked.truth or bool(asked.labels)
     begin_s, _ = span_s = scenario.span_s(asked.start_s, asked.duration_s)
     blocks = _blocks(run.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
     columns = SCENE_COLUMNS + TRUTH_COLUMNS * truth + LABEL_COLUMNS * bool(scheme)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
-    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path))
+    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=run.files)
     with (
         run.engine.windows.stopped_by(stop),
         file as writer,

@@ -1,4 +1,4 @@
-"""A capture as firing sequences, numbered through gaps."""
+"""Firing sequences of a capture, numbered through gaps."""
 
 from dataclasses import dataclass
 from itertools import islice
@@ -10,21 +10,24 @@ from numpy.typing import NDArray
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets.capture import Capture
 from vlp16emu.packets.layout import (
+    AZIMUTH_CODES,
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
     DATA_BYTES,
     DATA_PAYLOAD,
     RETURN_MODE_BYTE,
     SEQUENCES_PER_BLOCK,
-    CapturedUnit,
 )
+from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.types import ReturnMode
-from vlp16emu.units import HOUR_NS, US_NS
+from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _LEAST_PACKETS = 80
 """One revolution at 600 rpm has 75."""
 _MOST_PACKETS = 50_000
 """One minute; more would change no figure."""
+_RPM = 270.0, 1320.0
+"""300 to 1200 rpm (63-9243 Rev D, section 8.3, p. 50) with a tenth of margin: other rotors stand, or run up or down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +50,20 @@ class Sequences:
     """(p,) of the capture."""
     is_dual: bool
 
+    @property
+    def rpm(self) -> float:
+        """Mean speed of the rotor."""
+        turned = (self.azimuth_cdeg[-1] - self.azimuth_cdeg[0]) / AZIMUTH_CODES
+        return float(turned / (self.block[-1] * BLOCK_PERIOD_NS / S_NS) * 60)
+
 
 def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
-    """Read a minute of a capture at most; product and mode bytes of old firmware are not looked at.
+    """Read a minute of a capture at most, whatever the product byte.
 
-    CaptureError where it is none, or holds less than a revolution of a VLP-16, or its return mode changes.
+    Raises
+    ------
+    CaptureError
+        If it is no capture, holds less than a revolution or two return modes, or its rotor has no speed of a VLP-16
     """
     with Capture(path) as capture:
         own = (one for one in capture if len(one.payload) == DATA_BYTES and (unit is None or unit.owns(one)))
@@ -61,7 +73,10 @@ def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
     fields = np.frombuffer(b"".join(packet.payload for packet in packets), DATA_PAYLOAD)
     if len(modes := np.unique(fields["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
-    return _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
+    sequences = _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
+    if not _RPM[0] <= sequences.rpm <= _RPM[1]:
+        raise CaptureError(str(path), f"a rotor at {sequences.rpm:.1f} rpm", "300 to 1200 rpm")
+    return sequences
 
 
 def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64]) -> Sequences:

@@ -12,8 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.packets.layout import BLOCK_PERIOD_NS
-from vlp16emu.units import S_NS, US_NS
+from vlp16emu.units import US_NS
 
 _WINDOW = 15
 _SMOOTHEST_MM, _FARTHEST_MM = 20.0, 35.0
@@ -147,10 +146,8 @@ def _silence(sequences: Sequences) -> Statistics:
 
 
 class Turning(NamedTuple):
-    """The readings of the encoder against an even turn that changes its speed evenly."""
+    """Errors of the encoder against an even turn that changes its speed evenly."""
 
-    rpm: float
-    """Mean."""
     once_cdeg: complex
     """Amplitudes of the sine (imaginary) and the cosine (real) of the azimuth."""
     twice_cdeg: complex
@@ -166,8 +163,7 @@ def turning_of(sequences: Sequences) -> Turning:
     waves = [wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)]
     basis = np.stack([np.ones(len(block)), span, span**2, *waves], axis=1)
     found, *_ = np.linalg.lstsq(basis, azimuth.astype(float), rcond=None)
-    rpm = (azimuth[-1] - azimuth[0]) / 36_000 / (block[-1] * BLOCK_PERIOD_NS / S_NS) * 60
-    return Turning(float(rpm), complex(*found[3:5]), complex(*found[5:7]), azimuth - basis @ found)
+    return Turning(complex(*found[3:5]), complex(*found[5:7]), azimuth - basis @ found)
 
 
 def hum_cdeg(sequences: Sequences, rest_cdeg: NDArray[np.float64]) -> float:
@@ -184,7 +180,7 @@ def local(series: NDArray[Any]) -> NDArray[Any]:
 def _rotation(sequences: Sequences) -> Statistics:
     """Speed, errors that repeat with the turn, the hum, and the noise of readings."""
     azimuth, block = sequences.azimuth_cdeg, sequences.block
-    rpm, once, twice, rest = turning_of(sequences)
+    rpm, (once, twice, rest) = sequences.rpm, turning_of(sequences)
     step = np.diff(azimuth)[np.diff(block) == 1]
     mode = int(np.bincount(np.clip(step, 0, None)).argmax())
     out = {

@@ -184,6 +184,10 @@ class DataChunk:
         self.is_lost = ~self.is_regular & is_whole & ~self.is_gap
         self.is_broken = ~(self.is_regular | self.is_gap | self.is_lost)
         self.gap_number = np.where(odd_inside, self.number[:-1], self.after)
+        gaps_cdeg = self.forward_cdeg[:-1][self.is_gap][self.is_odd[:-1][self.is_gap]]
+        if len(gaps_cdeg):  # the last packet has no time step that would explain its gap
+            off_cdeg = np.abs(self.forward_cdeg[-1][:, None] - gaps_cdeg).min(axis=1)
+            self.is_odd[-1] &= off_cdeg > _GAP_TOLERANCE_CDEG
         self.is_odd[:-1][self.is_gap] = False
         self.is_odd[:-1, -1] &= self.is_regular
         self.is_odd[self.is_still] = False

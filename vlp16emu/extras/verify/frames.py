@@ -128,6 +128,7 @@ class _Frames:
         udp = words[:, 6:].sum(axis=1) + sent.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
         # The words of what holds its own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
         fields = [
+            ("IP version", raw["version"] >> 4, 4),
             ("header bytes", np.array([len(each.ip) + 8 for each in datagrams]), 28),
             ("type of service", raw["tos"], 0),
             ("IP length", raw["total"], 28 + payload_bytes),
@@ -143,6 +144,7 @@ class _Frames:
         self.value = np.stack([np.asarray(column, np.int64) for column in values], axis=1)
         self.field, self.wanted = (np.broadcast_to(of, self.value.shape) for of in (names, wanted))
         self.is_other = (self.value != self.wanted) & ~self.is_rewritten[:, None]
+        self.is_other[:, 1:] &= self.is_other[:, :1] == 0  # the fields of another version lie elsewhere
         self.field_number = np.broadcast_to(self.number[:, None], self.value.shape)
 
 

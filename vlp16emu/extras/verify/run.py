@@ -11,7 +11,8 @@ from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, InOrder, check_fr
 from vlp16emu.extras.verify.position import PositionRules
 from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
 from vlp16emu.packets.capture import Capture, Datagram
-from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET, CapturedUnit, chosen_unit
+from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
+from vlp16emu.packets.units import CapturedUnit, chosen_unit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
@@ -93,7 +94,7 @@ def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_
     """Check each of several units by itself against all rules, all of them in one pass and with little memory."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [(unit, _Check(Findings(limit_per_rule), chunk_packets)) for unit in units]
-    with Capture(path) as capture:
+    with Capture(path, repeats=True) as capture:
         for datagram in capture:
             for unit, check in checks:
                 if unit is None or unit.owns(datagram):
@@ -150,7 +151,8 @@ class _Check:
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check what is left, and sum up."""
         if not self._packets:
-            raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
+            found = f"no VLP-16 packets, but {capture.missed}" if capture.missed else "no VLP-16 packets"
+            raise CaptureError(str(path), found, "data packets on UDP port 2368")
         self._finish_data()
         self._collect(PacketKind.POSITION, self._in_order[PacketKind.POSITION].rest())
         self._check_position()

@@ -1,27 +1,18 @@
 """Content of a tile: its ground and stems, and things of the same few shapes, placed again and again."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
 from vlp16emu.forest.plants.flora import Flora, Trees, bark_material
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.stem import STEM_PARTS
-from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.points import PointPattern
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey, tile_distance_m
-from vlp16emu.random import generator
 from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Semantic, ShapeKey
 from vlp16emu.world.polyline import Corridor
-
-if TYPE_CHECKING:
-    from vlp16emu.forest.stand.floor_shapes import FloorKind
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
 NO_TREES = np.zeros(0, TREE)
@@ -164,43 +155,3 @@ def plant_surfaces(
     rows["instance"], rows["species"] = plants["id"][:, None], plants["species"][:, None]
     rows["material"] = bark_material(plants["species"], table)[:, None] + leaf
     return rows
-
-
-@dataclass(frozen=True, slots=True)
-class LayerKind:
-    """Recipe for the things of a section of a scene."""
-
-    name: str  # key of the section
-    purpose: Growth  # what draws them
-    draws: tuple[int, ...]  # how many numbers each thing draws, together
-    lay: Callable[..., PlacedThings]  # from the layer, the site, places (n, 2) and those numbers (n, draws) to things
-    shape: "FloorKind | None" = None  # of what covers the ground
-    spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
-    reach_m: float = math.inf
-    """Greatest distance from the path: farther off the beam is wider than such a plant; assumption."""
-
-    @property
-    def is_ground(self) -> bool:
-        """True if it is part of the ground: without numbers, and too low for the far medium."""
-        from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS  # here: that file takes from this one
-
-        return self.shape in GROUND_KINDS
-
-
-@dataclass(frozen=True, slots=True)
-class Layer:
-    """Things of one kind that grow or lie on the ground."""
-
-    section: Any  # what the user wrote
-    kind: LayerKind
-    species: Sequence[Any]  # of the plants that they are or were
-    season: Season
-    plants: Flora
-    pattern: PointPattern  # their places, before those on the path and in trunks are left out
-
-    def place(self, site: Site) -> PlacedThings:
-        """Things of a tile, a function of the site alone."""
-        near = site.distance_m < self.kind.reach_m
-        xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
-        rng = generator(site.seed, self.kind.purpose, site.ix, site.iy, 1)
-        return self.kind.lay(self, site, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))

@@ -5,9 +5,10 @@ trunk is left out.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +31,9 @@ from vlp16emu.forest.plants.undergrowth import (
     ShrubKey,
 )
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.floor_shapes import LOG_TAPER, FloorKind, labelled
+from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
 from vlp16emu.forest.stand.placed import (
     NO_TREES,
-    Layer,
-    LayerKind,
     PlacedThings,
     Site,
     between,
@@ -62,6 +61,7 @@ from vlp16emu.forest.stand.settings import (
     Woods,
 )
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
+from vlp16emu.random import generator
 from vlp16emu.settings import Section
 from vlp16emu.types import Array, HeightField, IntArray, Semantic
 from vlp16emu.world.vectors import places_m
@@ -70,6 +70,44 @@ _CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is sc
 _ROOM_SHARE, _MOST_ROOM_M = 0.15, 0.5
 """Of a sapling's height, and at most, from its bark to that of a tree: assumption; none grows up through the foot of another."""
 _FOOT_SHARE = 0.1  # of a shrub's width, the radius within which its stems leave the ground
+
+
+@dataclass(frozen=True, slots=True)
+class LayerKind:
+    """Recipe for the things of a section of a scene."""
+
+    name: str  # key of the section
+    purpose: Growth  # what draws them
+    draws: tuple[int, ...]  # how many numbers each thing draws, together
+    lay: Callable[..., PlacedThings]  # from the layer, the site, places (n, 2) and those numbers (n, draws) to things
+    shape: FloorKind | None = None  # of what covers the ground
+    spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
+    reach_m: float = math.inf
+    """Greatest distance from the path: farther off the beam is wider than such a plant; assumption."""
+
+    @property
+    def is_ground(self) -> bool:
+        """True if it is part of the ground: without numbers, and too low for the far medium."""
+        return self.shape in GROUND_KINDS
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Things of one kind that grow or lie on the ground."""
+
+    section: Any  # what the user wrote
+    kind: LayerKind
+    species: Sequence[Any]  # of the plants that they are or were
+    season: Season
+    plants: Flora
+    pattern: PointPattern  # their places, before those on the path and in trunks are left out
+
+    def place(self, site: Site) -> PlacedThings:
+        """Things of a tile, a function of the site alone."""
+        near = site.distance_m < self.kind.reach_m
+        xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
+        rng = generator(site.seed, self.kind.purpose, site.ix, site.iy, 1)
+        return self.kind.lay(self, site, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
 
 
 def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
