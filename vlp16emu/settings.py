@@ -66,7 +66,7 @@ class Section(BaseModel):
 
 
 class Preset(Section):
-    """A table one key of which gives those of the other keys that are not given beside it."""
+    """A table with a key that gives the values of the keys that are not given beside it."""
 
     presets: ClassVar[Mapping[str, Mapping[str, object]]]
     preset_key: ClassVar[str] = "preset"
