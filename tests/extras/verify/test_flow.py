@@ -8,7 +8,7 @@ import tracemalloc
 import pytest
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.extras.verify import Rule, verify_capture
+from vlp16emu.extras.verify import Rule, verify
 
 HOUR_US = 3_600_000_000
 
@@ -204,7 +204,7 @@ def test_cut_file_is_reported_and_checked_up_to_there(tmp_path, traffic):
     """A file that ends within a packet is no broken traffic, but the result says that it is cut."""
     path = traffic(0.5).save(tmp_path / "cut.pcap")
     path.write_bytes(path.read_bytes()[:-100])
-    result = verify_capture(path)
+    result = verify(path)
     assert (result.is_cut, result.is_clean) == (True, True)
 
 
@@ -222,7 +222,7 @@ def test_memory_does_not_grow_with_the_capture(tmp_path, traffic):
     for name, seconds in (("short", 1.25), ("long", 5.0)):
         path = traffic(seconds).save(tmp_path / name)
         tracemalloc.start()
-        verify_capture(path)
+        verify(path)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.1 * peaks[0]

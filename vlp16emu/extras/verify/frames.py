@@ -11,17 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
+from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
-from vlp16emu.packets.layout import (
-    BLOCK_FLAG,
-    DATA_BYTES,
-    DATA_PAYLOAD,
-    POSITION_BYTES,
-    POSITION_PAYLOAD,
-    RETURN_MODE_BYTE,
-    SEQUENCES_PER_PACKET,
-)
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
@@ -33,17 +25,19 @@ JITTER_US = 5 * MS_NS // US_NS
 """By how much a capturing host may be late with a stamp, bursts included; a quiet one stays below 0.1 ms."""
 _DRIFT_PPM = 150
 """Sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off."""
-_LAYOUTS = {PacketKind.DATA: DATA_PAYLOAD, PacketKind.POSITION: POSITION_PAYLOAD}
-_MODE_AT: int = DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
-_PERIODS_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
+_LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
+_MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
+_PERIODS_NS = {
+    layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()
+}
 _HELD = 128
 """Packets among which one is put in its place: those of 0.17 s in single return."""
-_FLAG = BLOCK_FLAG.to_bytes(2, "little")
-SENTENCE_OFFSET: int = POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
+_FLAG = layout.BLOCK_FLAG.to_bytes(2, "little")
+SENTENCE_OFFSET: int = layout.POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
 """First character of the sentence in a position payload."""
 PORT = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
 """Source port of each kind, and destination unless the user has set another (63-9243 Rev D, section 10.2.3.12)."""
-PAYLOAD_BYTES = {PacketKind.DATA: DATA_BYTES, PacketKind.POSITION: POSITION_BYTES}
+PAYLOAD_BYTES = {PacketKind.DATA: layout.DATA_BYTES, PacketKind.POSITION: layout.POSITION_BYTES}
 _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
 _VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
@@ -97,9 +91,9 @@ def kind_of(datagram: Datagram) -> PacketKind | None:
             if port == usual:
                 return kind
     payload = datagram.payload
-    if len(payload) == DATA_BYTES and payload.startswith(_FLAG):
+    if len(payload) == layout.DATA_BYTES and payload.startswith(_FLAG):
         return PacketKind.DATA
-    has_sentence = len(payload) == POSITION_BYTES and payload.startswith(b"$GPRMC", SENTENCE_OFFSET)
+    has_sentence = len(payload) == layout.POSITION_BYTES and payload.startswith(b"$GPRMC", SENTENCE_OFFSET)
     return PacketKind.POSITION if has_sentence else None
 
 

@@ -1,4 +1,4 @@
-"""From a capture file to the findings."""
+"""Captures checked against the rules of VLP-16 traffic, unit by unit."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -69,29 +69,24 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
 
     Parameters
     ----------
-    capture : classic pcap file
-    unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+    capture : file or pattern of files, as `Capture`
+    unit : the sensor, if there are several: its number from 1, or `address:port` with its data port
     limit_per_rule : findings kept of each rule; all are counted
 
     Raises
     ------
     CaptureError
-        where the file cannot be read, or holds no VLP-16 packets at all
+        If the file cannot be read, or holds no VLP-16 packets at all
     InputError
-        where there is no such unit, or there are several and none is named
+        If there is no such unit, or there are several and none is named
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
-    return verify_capture(path, chosen, limit_per_rule=limit_per_rule)
-
-
-def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_rule: int = 10) -> Verification:
-    """Check the packets of one unit, or without one all VLP-16 packets, as `verify`."""
-    return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
+    return verify_units(path, [chosen], limit_per_rule=limit_per_rule)[0]
 
 
 def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10) -> list[Verification]:
-    """Check each of several units by itself against all rules, all of them in one pass and with little memory."""
+    """Check each of several units by itself, all of them in one pass and with little memory; None stands for all packets."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [(unit, _Check(Findings(limit_per_rule), chunk_packets)) for unit in units]
     with Capture(path, repeats=True) as capture:
