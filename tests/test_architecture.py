@@ -73,7 +73,7 @@ FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floo
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("raycast/embree", "sinks/pacing.py"),
+    "ctypes": ("output.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
     "serial": ("sinks/", "extras/bench/"),
     "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/viewer/"),

@@ -134,12 +134,13 @@ def test_a_folder_that_takes_no_new_file_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "x"
     path.write_bytes(b"earlier")
 
-    def refusing(*_):
+    def refusing(*_, **__):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr("builtins.open", refusing)
-    with pytest.raises(OutputError, match="Permission denied; expected a file that can be written"):
-        OutputFile(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", refusing)
+        with pytest.raises(OutputError, match="Permission denied; expected a file that can be written"):
+            OutputFile(path)
     assert path.read_bytes() == b"earlier"
 
 

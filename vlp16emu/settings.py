@@ -66,17 +66,17 @@ class Section(BaseModel):
 
 
 class Preset(Section):
-    """A table whose key `preset` gives those of the other keys that are not given beside it."""
+    """A table one key of which gives those of the other keys that are not given beside it."""
 
     presets: ClassVar[Mapping[str, Mapping[str, object]]]
+    preset_key: ClassVar[str] = "preset"
 
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, table: Any) -> Any:
-        """Fill in what the preset gives; one that is unknown is named by the check of its key."""
         if not isinstance(table, dict):
             return table
-        preset = table.get("preset", cls.model_fields["preset"].default)
+        preset = table.get(cls.preset_key, cls.model_fields[cls.preset_key].default)
         return {**cls.presets.get(preset, {}), **table} if isinstance(preset, str) else table
 
 

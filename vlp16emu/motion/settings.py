@@ -59,11 +59,6 @@ class MotionSection(Section):
     if TYPE_CHECKING:
         kind: str
 
-    @property
-    def own_seed(self) -> int | None:
-        """Seed that the section names; None for that of the scene."""
-        return None
-
     def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":
         """Return the motion of the carrier and points (n, 2) of its path.
 
@@ -259,11 +254,6 @@ class Walk(MotionSection):
     """How the trunk of the person moves."""
     harness: Harness | None = None
     """How the pack hangs on the person; strapped tight without it."""
-
-    @property
-    def own_seed(self) -> int | None:
-        """Seed that the section names."""
-        return self.seed
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:

@@ -193,7 +193,7 @@ class Capture:
 
 
 _NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
-_CUT_SHORT = "frames of which only the begin was captured (capture with `tcpdump -s 0`)"
+_CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
 
 class _Fragments:

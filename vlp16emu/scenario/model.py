@@ -140,17 +140,21 @@ class Scenario(Section):
     @property
     def world_seed(self) -> int:
         """Seed of what the sensor sees."""
-        return self.seed if self.world.own_seed is None else self.world.own_seed
+        return self._seed_of(self.world)
 
     @property
     def motion_seed(self) -> int:
         """Seed of how the carrier moves."""
-        return self.seed if self.motion.own_seed is None else self.motion.own_seed
+        return self._seed_of(self.motion)
 
     @property
     def sensor_seed(self) -> int:
         """Seed of the first sensor and of the instruments beside it."""
-        return self.seed if self.sensor.seed is None else self.sensor.seed
+        return self._seed_of(self.sensor)
+
+    def _seed_of(self, section: Section) -> int:
+        own: int | None = getattr(section, "seed", None)
+        return self.seed if own is None else own
 
     @property
     def start_ns(self) -> int:

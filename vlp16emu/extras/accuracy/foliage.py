@@ -19,7 +19,7 @@ from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import PlantPart, Returns
+from vlp16emu.types import F4, PlantPart, Returns
 
 _NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
 _NORMAL_95 = 1.96
@@ -75,7 +75,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
             yield from ((one, us, share) for one in found)
 
 
-def is_two(distance_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+def is_two(distance_m: F4) -> NDArray[np.bool_]:
     """Return whether pulses have two returns in dual return, by their distances (..., 3)."""
     is_apart = distance_m[..., _STRONGEST] != distance_m[..., _LAST]
     two: NDArray[np.bool_] = is_apart | (distance_m[..., _SECOND] > 0)

@@ -21,10 +21,10 @@ from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.settings import Detector
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Firings, Hits, Poses
+from vlp16emu.types import I8, Firings, Hits, Poses
 from vlp16emu.units import seconds_to_ns
 
-PosesAt = Callable[[NDArray[np.int64]], Poses]
+PosesAt = Callable[[I8], Poses]
 
 GROUP = 8
 """Firing sequences of a group: an adaptive beam is judged among so many, and no others."""
@@ -85,7 +85,7 @@ def draw_groups(
         yield number, [Group(place * GROUP, GROUP) for place in places.tolist()]
 
 
-def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> NDArray[np.int64]:
+def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> I8:
     """Draw one of the numbers below `things` from each of some strata of nearly equal size."""
     edges = np.arange(strata + 1) * things // strata
     return draw.integers(edges[:-1], edges[1:])

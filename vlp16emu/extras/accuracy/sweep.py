@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble, beam_of
 from vlp16emu.engine.windows import Batching, workers
@@ -20,7 +19,7 @@ from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Poses, ReturnMode
+from vlp16emu.types import I8, Poses, ReturnMode
 
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 
@@ -89,7 +88,7 @@ def pose_rates(unit: Unit) -> list[PoseRate]:
 def _held(poses_at: PosesAt, start_ns: int, hold_ns: int) -> PosesAt:
     """Return poses that hold for `hold_ns` their value at its beginning."""
 
-    def held(t_ns: NDArray[np.int64]) -> Poses:
+    def held(t_ns: I8) -> Poses:
         begin_ns, whose = np.unique((t_ns - start_ns) // hold_ns * hold_ns + start_ns, return_inverse=True)
         poses = poses_at(begin_ns)
         return Poses(t_ns, poses.world_R_body[whose], poses.world_p_body_m[whose])
@@ -178,15 +177,12 @@ def measure_accuracy(
 ) -> Accuracy:
     """Measure errors and run time of beams and poses of a scene, which is called `scene`, with the first of its units.
 
+    RunError if no pulse has a return.
+
     Parameters
     ----------
     pulses : number of pulses, rounded up to whole groups
     done : called with the share of the work that is done
-
-    Raises
-    ------
-    RunError
-        If no pulse has a return
     """
     parts = assemble(scenario)
     unit = parts.units[0]
