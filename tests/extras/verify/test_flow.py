@@ -2,7 +2,6 @@
 
 import functools
 import operator
-import struct
 import tracemalloc
 
 import pytest
@@ -106,14 +105,6 @@ def test_old_sentence_is_found_only_while_locked(traffic):
         assert {finding.packet for finding in result.findings} == {i + 1}
 
 
-def test_sensor_without_gps_is_clean(traffic):
-    """No pulse and no sentence break no rule."""
-    made = traffic(0.5)
-    for i in made.position():
-        made.write_position(i, 202, bytes(310))
-    assert made.verified().is_clean
-
-
 @pytest.mark.parametrize(
     ("text", "void", "notes"),
     [
@@ -184,20 +175,6 @@ def test_all_findings_are_counted_and_the_first_ones_kept(traffic):
     assert result.counts == {Rule.FLAG: 50}
     assert [f.packet for f in result.findings] == [i + 1 for i in broken[:3]]
     assert str(result.findings[0]) == f"packet {broken[0] + 1}: flag: 0000 at block 0; expected ffee"
-
-
-def test_other_traffic_is_left_alone(traffic):
-    """A name query and an ARP frame between the packets are counted as others and move the numbers on."""
-    made = traffic(0.5)
-    query = bytearray(made.frames[0][:42] + bytes(30))
-    query[34:42] = struct.pack(">4H", 40_000, 53, 38, 0)
-    arp = bytearray(made.frames[0][:12] + b"\x08\x06" + bytes(28))
-    made.frames[:0], made.stamps_us[:0] = [query, arp], made.stamps_us[:1] * 2
-    i = made.data(100)
-    made.payload(i)[0]["blocks"]["flag"][0] = 0
-    result = made.verified()
-    assert result.other_frames == 2
-    assert [f.packet for f in result.findings] == [i + 1]
 
 
 def test_cut_file_is_reported_and_checked_up_to_there(tmp_path, traffic):

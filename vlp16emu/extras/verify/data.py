@@ -14,17 +14,17 @@ from vlp16emu.types import ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
-"""Of the equal pairs of a packet; 603 packets of a real unit show 0.03 % overall and 1.1 % at most."""
+"""Share of the equal pairs of a packet; 603 packets of a real unit show 0.03 % overall and 1.1 % at most."""
 
 _STEP_TOLERANCE_CDEG = 6
 """Real units read azimuths with 0.5 cdeg of noise, which makes steps 0.8 cdeg wide; the widest seen is 4.5."""
 _GAP_TOLERANCE_CDEG = 26
-"""By which the azimuth left out may disagree with the time left out: 9 cdeg of once-per-revolution error, as
+"""Difference of the azimuth left out from the time left out: 9 cdeg of once-per-revolution error, as
 seen on real units, at either end, and the noise of two readings and a step."""
 _GAP_TOLERANCE = 0.005
-"""The same in proportion to the gap, for speed control: 3 rpm of 600."""
+"""Further difference in proportion to the gap, for speed control: 3 rpm of 600."""
 _CLOCK_PPM = 10
-"""By which a clock that follows GPS may run faster or slower for a while."""
+"""Rate error of a clock that follows GPS, for a while."""
 
 _RPM = (300, 1200)
 """Source: 63-9243 Rev D, section 8.3, p. 50."""
@@ -34,11 +34,11 @@ _RPM_STEPS = 100
 """Fewer steps than these say too little about the speed."""
 _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
 _STILL_CDEG = 12
-"""Two readings differ by less than this where the rotor stands; at 300 rpm a packet turns by 220."""
+"""Two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220."""
 _SET_RPM = 60
 """Speeds that can be set are multiples of this (63-9243 Rev D, section 8.3)."""
 _HELD_RPM = 4.0
-"""By which the mean of a revolution may be off: speed control, 3 rpm in sibling manuals, and two readings."""
+"""Error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings."""
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
 """Lasers from the lowest to the highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
@@ -50,11 +50,11 @@ _SECTORS = 36
 _SECTOR_RETURNS = 300
 """Fewer returns say too little about a sector."""
 _SECTOR_BLOCKS = 20
-"""The same of its blocks, which a whole revolution has of each."""
+"""Fewer blocks say too little; a whole revolution has more in each sector."""
 _DARKER = 0.35
 """Light of a sector as a share of that before; behind dirt that lets 0.5 through it is 0.25, as light passes twice."""
 _STEADY = 0.25
-"""By how much the sectors change in the middle while one turns dark."""
+"""Largest median change of the sectors while one turns dark."""
 
 
 class DataChunk:
@@ -207,7 +207,7 @@ class DataChunk:
         self.late_ms = late_us / 1e3
         self.is_late = (late_us > JITTER_US) & ~takes_longer & (not self.is_broken.any())
         self.offset_us = int(offset_us[0]) + round(float(np.median(moved_us)))
-        """Of the whole chunk: a median, which no burst can move."""
+        """Clock offset of the whole chunk: a median, which no burst can move."""
 
     def _read_revolutions(self) -> None:
         """Find the mean speed of each revolution, over which the error of the encoder goes out."""

@@ -22,7 +22,7 @@ Microseconds = TypeVar("Microseconds", int, NDArray[np.int64])
 
 HOUR_US = HOUR_NS // US_NS
 JITTER_US = 5 * MS_NS // US_NS
-"""By how much a capturing host may be late with a stamp, bursts included; a quiet one stays below 0.1 ms."""
+"""Latest stamp of a capturing host, bursts included; a quiet one stays below 0.1 ms."""
 _DRIFT_PPM = 150
 """Sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off."""
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
@@ -41,7 +41,7 @@ PAYLOAD_BYTES = {PacketKind.DATA: layout.DATA_BYTES, PacketKind.POSITION: layout
 _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
 _VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
-"""From the source MAC to the source address: the one header of its old versions for all packets. Source: Kitware/VeloView,
+"""Header from source MAC to source address that its old versions give all packets. Source: Kitware/VeloView,
 LidarPlugin/Common/Network/NetworkPacket.cxx; so has a capture of 2014."""
 _HEADER = np.dtype(
     [
@@ -85,7 +85,7 @@ class ClockWatch:
 
 
 def kind_of(datagram: Datagram) -> PacketKind | None:
-    """Say what a datagram is meant to be, by the port that it comes from, or else goes to, or by length and first mark."""
+    """Return the kind of a datagram by its source port, else its destination port, else its length and first bytes."""
     for port in (datagram.source_port, datagram.destination_port):
         for kind, usual in PORT.items():
             if port == usual:
@@ -168,7 +168,7 @@ class InOrder:
         self._repeats = 0
 
     def take(self, datagram: Datagram) -> Iterator[Datagram]:
-        """Put a packet in its place, and yield those whose turn has come."""
+        """Insert a packet in order, and yield those that no packet can precede any more."""
         for known in reversed(self._held):
             if datagram.payload == known.payload:
                 self._report_again(datagram, known)
@@ -204,7 +204,7 @@ class InOrder:
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
 
     def _is_late(self, datagram: Datagram) -> bool:
-        """Whether it belongs between those that are held: by the period of data packets, or the count of position packets."""
+        """Return whether it belongs between those held: by the period of data packets, or the count of position packets."""
         if self._since_us(datagram, self._held[0]) <= 0:
             return False
         if self._kind is PacketKind.POSITION:

@@ -20,7 +20,7 @@ from vlp16emu.units import S_NS, US_NS
 _CHUNK_PACKETS = 512
 """Data packets looked at together: 0.6 MB, 0.7 s of single return."""
 _HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
-"""Of several units their chunks together are so long, but no chunk is shorter than this."""
+"""Length of the chunks of all units together, and of the shortest."""
 _MODE_AT = -2
 """Return mode and product end a data payload."""
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
@@ -35,18 +35,18 @@ _POSITION_RATES_HZ = (146.0, 53.8)
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What a capture holds and which rules it breaks."""
+    """Contents of a capture, and the rules that it breaks."""
 
     data_packets: int
     position_packets: int
     other_frames: int
-    """Of other traffic and of other units, not looked at."""
+    """Frames of other traffic and of other units, which are not checked."""
     lost_packets: int
     """Missing data and position packets."""
     void_sentences: int
     """Seconds for which the GPS receiver had no fix, by the status V of its sentences, as trees make them too."""
     span_s: float
-    """From the first packet to the last, by the capture's stamps."""
+    """Time from the first packet to the last, by the capture's stamps."""
     rpm: float | None
     """Mean rotor speed; None without data packets."""
     is_cut: bool
