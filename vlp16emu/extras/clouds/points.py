@@ -35,7 +35,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """What a file of points holds, and what it took."""
+    """Contents of a file of points, and the time it took."""
 
     file: str
     scene: str
@@ -47,14 +47,14 @@ class PointCloud:
     """Model."""
     beams: int
     elevation_deg: tuple[float, float]
-    """Of the lowest and the highest beam."""
+    """Elevation of the lowest and the highest beam."""
     pulses_per_s: float
     turn: Turn
     points: int
     returns: Mapping[str, int]
     """Points by `RETURN_NAMES`."""
     truth: bool
-    """Whether points have labels."""
+    """True if points have labels."""
     bytes: int
     simulated_s: float
     wall_s: float
