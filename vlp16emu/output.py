@@ -43,7 +43,7 @@ class OutputFile:
     path : the file, or `STDOUT`
     where : its name in error lines; `path` if left out
     buffering : as for `open`
-    inputs : files that the run reads, none of which may be replaced
+    inputs : files that the run reads, and that may not be replaced
 
     Raises
     ------
@@ -143,7 +143,7 @@ class OutputFolder:
     stranger : name of the first entry of a folder of that name that is not of an earlier run, None if there is none; by
         default a folder that has any entry is refused
     expected : what error lines call a folder that may be written
-    inputs : files that the run reads, none of which may be in the folder
+    inputs : files that the run reads, and that may not be in the folder
 
     Raises
     ------
