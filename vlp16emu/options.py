@@ -4,6 +4,7 @@ Python reads the dataclasses as they are; `vlp16emu.cli.verb` makes command-line
 """
 
 import math
+import operator
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields
 from types import NoneType
@@ -45,9 +46,10 @@ class Option:
 
     def check(self, where: str, kind: type, value: Any, found: object = None) -> None:
         """Raise InputError, in the name of `where`, if `value` is not right."""
-        limits = (self.ge, value.__ge__), (self.gt, value.__gt__), (self.le, value.__le__), (self.lt, value.__lt__)
+        limits = (operator.ge, self.ge), (operator.gt, self.gt), (operator.le, self.le), (operator.lt, self.lt)
         if kind in (int, float):
-            is_right = math.isfinite(value) and all(holds(limit) for limit, holds in limits if limit is not None)
+            kept = [holds(value, limit) for holds, limit in limits if limit is not None]
+            is_right = math.isfinite(value) and all(kept)
         else:
             is_right = not self.words or value in self.words
         if not is_right:

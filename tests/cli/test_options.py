@@ -70,6 +70,9 @@ def test_python_refuses_what_the_command_line_refuses(tmp_path):
             call(duration_s=0)
         with pytest.raises(TypeError, match="unexpected keyword argument 'length_s'"):
             call(length_s=1)
+    assert runs.SendOptions(speed=20).speed == 20
+    with pytest.raises(InputError, match=r"^speed: found 0; expected a number at least 0\.001$"):
+        runs.SendOptions(speed=0)
     with pytest.raises(InputError, match=r"^speed: found nan; expected a number at least 0\.001$"):
         replay(tmp_path / "x.pcap", speed=float("nan"))
     assert not list(tmp_path.iterdir())
