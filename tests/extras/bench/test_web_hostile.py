@@ -133,8 +133,9 @@ def test_a_client_that_asks_without_waiting_keeps_nobody_waiting(web):
         sender.join()
 
 
-def test_connections_are_bounded(make):
+def test_connections_are_bounded(make, monkeypatch):
     """One more than there may be is closed at once; when one ends, another has its place."""
+    monkeypatch.setattr("vlp16emu.extras.bench.web.LONGEST_S", 600.0)
     _, device = make()
     get = b"GET /cgi/info.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     with WebServer(device, "127.0.0.1", 0) as server, contextlib.ExitStack() as stack:
