@@ -23,7 +23,7 @@ STDOUT = Path("-")
 """Stands for standard output, as for tcpdump and tshark."""
 
 _LONGEST_NAME_BYTES = 240
-"""Of the 255 that Linux allows (NAME_MAX of limits.h), 14 are for what is added."""
+"""Of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added."""
 _RIGHTS = 0o777
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 """Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h."""
@@ -43,7 +43,7 @@ class OutputFile:
     path : the file, or `STDOUT`
     where : its name in error lines; `path` if left out
     buffering : as for `open`
-    inputs : files that the run reads, none of which may be replaced
+    inputs : files that the run reads, not to be replaced
 
     Raises
     ------
@@ -143,7 +143,7 @@ class OutputFolder:
     stranger : name of the first entry of a folder of that name that is not of an earlier run, None if there is none; by
         default a folder that has any entry is refused
     expected : what error lines call a folder that may be written
-    inputs : files that the run reads, none of which may be in the folder
+    inputs : files that the run reads, not to be in the folder
 
     Raises
     ------
