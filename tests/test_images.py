@@ -128,7 +128,7 @@ def test_png_and_exr_agree(seen):
     assert len(np.unique(png(seen, "rgb").reshape(-1, 3), axis=0)) > 50
 
 
-def test_threads_change_no_byte(hall, seen, tmp_path):
+def test_threads_change_no_byte(seen, tmp_path):
     """One thread gives the bytes that several give."""
     kind = json.loads((seen / "cameras.json").read_text())["kind"]
     one, out = Emulator("static_bench", TILTED, ideal=True, threads=1), tmp_path / "views"

@@ -74,7 +74,7 @@ DOORS: dict[str, dict[str, str]] = {
         "gps_in": "vlp16emu.extras.bench.gps_in:GpsReader",
         "forest_site": "vlp16emu.forest.make:ForestSite",
         "hall_site": "vlp16emu.world.hall:HallSite",
-        "live": "vlp16emu.extras.live.flight:flying",
+        "live": "vlp16emu.extras.live.flight:Flight",
         "live_motion": "vlp16emu.extras.live.motion:live_motion",
         "outlets": "vlp16emu.extras.bench.outlets:Ways",
         "truth": "vlp16emu.extras.truth.truth:Truth",

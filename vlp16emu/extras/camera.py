@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.raycast.caster import Geometry
-from vlp16emu.types import NO_SURFACE, Firings
+from vlp16emu.types import F4, F8, I8, NO_SURFACE, U1, U4, Firings
 
-Array = NDArray[np.float64]
-Pixels = tuple[NDArray[np.int64], NDArray[np.int64], Array]
+Pixels = tuple[I8, I8, F8]
 """Columns, rows and nearness (n,) of points; of two points at a pixel the one of greater nearness hides the other."""
 
 _LARGEST_PX = 16_384
@@ -38,10 +37,7 @@ _DEFAULTS = {CameraKind.PANORAMA: ((2048, 512), _ALL_ROUND_DEG), CameraKind.PINH
 class Camera:
     """A camera at one point, z forward, x right, y down; its principal point is the middle of its image.
 
-    Raises
-    ------
-    InputError
-        If size and field of view do not suit the kind
+    InputError if size and field of view do not suit the kind.
     """
 
     kind: CameraKind
@@ -75,7 +71,7 @@ class Camera:
         half_rad = math.radians(self.fov_deg) / 2
         return self.width / 2 / (math.tan(half_rad) if self.kind is CameraKind.PINHOLE else half_rad)
 
-    def rays(self, rows: range) -> Array:
+    def rays(self, rows: range) -> F8:
         """Return unit directions (rows * width, 3) in the camera's frame through the middles of pixels, row by row."""
         u = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal_px
         v = (np.array(rows)[:, None] + 0.5 - self.height / 2) / self.focal_px
@@ -92,16 +88,16 @@ class Camera:
 class Orthographic:
     """A camera of parallel rays: lengths across the view have one scale everywhere."""
 
-    axes: Array
+    axes: F8
     """(3, 3) unit vectors to the right, upwards in the image, and towards the eye."""
-    centre_m: Array
+    centre_m: F8
     """(3,) place at the middle of the image, along these axes; rays begin there."""
     px_per_m: float
     size: tuple[int, int]
     """Width and height in pixels."""
 
     @classmethod
-    def around(cls, box_m: Array, from_deg: float, elevation_deg: float, size: tuple[int, int]) -> Self:
+    def around(cls, box_m: F8, from_deg: float, elevation_deg: float, size: tuple[int, int]) -> Self:
         """Look at a box with corners (2, 3) from a bearing, clockwise from north, and an elevation; the box fills the image."""
         a, e = math.radians(from_deg), math.radians(elevation_deg)
         right = np.array([-math.cos(a), math.sin(a), 0.0])
@@ -112,13 +108,13 @@ class Orthographic:
         scale = min(size[0] / (high_m[0] - low_m[0]), size[1] / (high_m[1] - low_m[1]))
         return cls(axes, (low_m + high_m) / 2, float(scale), size)
 
-    def pixels(self, places_m: Array) -> Pixels:
+    def pixels(self, places_m: F8) -> Pixels:
         """Return the pixels of places (n, 3); nearness is in metres."""
         right, up, near = ((places_m @ self.axes.T) - self.centre_m).T
         column = np.floor(self.size[0] / 2 + right * self.px_per_m).astype(np.int64)
         return column, np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64), near
 
-    def rays(self, rows: range) -> tuple[Array, Array]:
+    def rays(self, rows: range) -> tuple[F8, F8]:
         """Return origins (rows * width, 3) of rays through the middles of pixels, row by row, and their direction (3,)."""
         right_m = (np.arange(self.size[0]) + 0.5 - self.size[0] / 2) / self.px_per_m
         up_m = (self.size[1] / 2 - np.array(rows)[:, None] - 0.5) / self.px_per_m
@@ -131,23 +127,21 @@ class Seen(NamedTuple):
 
     is_met: NDArray[np.bool_]
     """(n,)."""
-    range_m: NDArray[np.float32]
+    range_m: F4
     """(n,) 0 where nothing is met."""
-    surface: NDArray[np.uint32]
+    surface: U4
     """(n,) row of the geometry's table; `NO_SURFACE` where nothing is met."""
-    cos_incidence: NDArray[np.float32]
+    cos_incidence: F4
     """(n,)."""
 
-    def rgb(self, colours: NDArray[np.uint8], light: ArrayLike, background: ArrayLike) -> Array:
+    def rgb(self, colours: U1, light: ArrayLike, background: ArrayLike) -> F8:
         """Return colours (n, 3): those of the surfaces (m, 3) times `light` (n,), the background where nothing is met."""
         rows = np.where(self.is_met, self.surface, 0)
         lit = colours[rows] * np.asarray(light)[..., None]
         return np.where(self.is_met[:, None], lit, background)
 
 
-def look(
-    geometry: Geometry, origin_m: Array, direction: Array, far_m: float, *, near_m: float = 0.0, t_ns: int = 0
-) -> Seen:
+def look(geometry: Geometry, origin_m: F8, direction: F8, far_m: float, *, near_m: float = 0.0, t_ns: int = 0) -> Seen:
     """Cast n rays, a multiple of 8, whose origins and directions broadcast to (n, 3)."""
     rays = Firings.rays(t_ns, *(np.atleast_2d(of)[:, None] for of in (origin_m, direction)))
     hits = geometry.cast(rays, np.array([near_m]), far_m)

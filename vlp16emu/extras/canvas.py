@@ -1,9 +1,9 @@
 """A canvas for points: the nearest in front, edges darkened by eye-dome lighting."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.extras.camera import Pixels
+from vlp16emu.types import U1
 
 _BACKGROUND = (14, 18, 24)
 _RELIEF = 0.35
@@ -25,7 +25,7 @@ class Canvas:
         self._near = np.full(height * width, -np.inf)
         self._rgb = np.zeros((height * width, 3), np.uint8)
 
-    def add(self, pixels: Pixels, rgb: NDArray[np.uint8]) -> None:
+    def add(self, pixels: Pixels, rgb: U1) -> None:
         """Draw points at pixels (n,) in colours (n, 3); what lies outside is left out."""
         width, height = self.size
         order = np.argsort(pixels[2], kind="stable")
@@ -39,7 +39,7 @@ class Canvas:
                 self._near[pixel[in_front]] = near[inside][in_front]
                 self._rgb[pixel[in_front]] = rgb[inside][in_front]
 
-    def image(self) -> NDArray[np.uint8]:
+    def image(self) -> U1:
         """Return the picture (height, width, 3), with relief."""
         width, height = self.size
         near = self._near.reshape(height, width)

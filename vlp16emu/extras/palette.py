@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import U1, PlantPart, Semantic
 
 Rgb = tuple[int, int, int]
 
@@ -61,7 +61,7 @@ def colour_of_kind(kind: str) -> Rgb:
     return _KIND.get(kind, _KIND["other"])
 
 
-def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> NDArray[np.uint8]:
+def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> U1:
     """Colours (m, 3) of a table of surfaces (m,) `SURFACE`, by the names of species by number."""
     looks = np.column_stack([surfaces[name].astype(np.int64) for name in ("semantic", "part", "species")])
     different, which = np.unique(looks, axis=0, return_inverse=True)

@@ -47,17 +47,12 @@ def plotted(
     few_colours: int | None = None,
     dpi: int = 100,
 ) -> Iterator["Figure"]:
-    """Yield a figure in the common style, and write it as PNG afterwards.
+    """Yield a figure in the common style, and write it as PNG afterwards; MissingExtraError if matplotlib is not installed.
 
     Parameters
     ----------
     layout : engine of matplotlib; None if axes are placed by hand
     few_colours : size of the file's palette, for points and leaves, whose noise is costly in all colours; None for all
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed
     """
     check_matplotlib()
     import matplotlib as mpl

@@ -9,7 +9,6 @@ import threading
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.engine import Job, Unit
 from vlp16emu.engine.windows import Batching
@@ -19,7 +18,7 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Firings, Hits
+from vlp16emu.types import I8, Firings, Hits
 
 _SEQUENCES, _LASERS = 8, 2
 _RAYS, _TIMES = 512, 4
@@ -79,7 +78,7 @@ class Audit:
             self.tally.add(compared)
 
 
-def _some_firings(firings: Firings, rows: slice, lasers: NDArray[np.int64]) -> Firings:
+def _some_firings(firings: Firings, rows: slice, lasers: I8) -> Firings:
     """Return some lasers of some consecutive sequences."""
     arrays = {name: getattr(firings, name)[rows] for name in ("clock_ns", "reading_deg")}
     for name in ("t_ns", "azimuth_deg", "origin_m", "direction", "beam_axis"):
@@ -88,7 +87,7 @@ def _some_firings(firings: Firings, rows: slice, lasers: NDArray[np.int64]) -> F
     return Firings(index=firings.index + rows.start, **arrays)
 
 
-def _some_hits(hits: Hits, rows: slice, lasers: NDArray[np.int64]) -> Hits:
+def _some_hits(hits: Hits, rows: slice, lasers: I8) -> Hits:
     """Return the hits of some lasers of some consecutive sequences."""
     own, before = hits.count[rows], int(hits.count[: rows.start].sum())
     stop = before + np.cumsum(own, dtype=np.int64).reshape(own.shape)

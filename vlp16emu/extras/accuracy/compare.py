@@ -6,7 +6,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from vlp16emu.types import F4, F8, I8, U1
 
 FEWEST_CLUSTERS = 8
 """Clusters with errors; with fewer no interval is given."""
@@ -31,24 +32,23 @@ class Outcome(IntEnum):
     MATCHED = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Detections:
+class Detections(NamedTuple):
     """Detections of n pulses; columns as in `Returns`."""
 
-    distance_m: NDArray[np.float32]
+    distance_m: F4
     """(n, 3), 0 if there is no such return."""
-    reflectivity: NDArray[np.uint8]
+    reflectivity: U1
     """(n, 3)."""
 
 
 class Comparison(NamedTuple):
     """Comparison of n pulses with the answer."""
 
-    outcome: NDArray[np.int64]
+    outcome: I8
     """(n,) `Outcome`."""
-    error_m: NDArray[np.float64]
+    error_m: F8
     """(k,) range errors of the matched pulses."""
-    reflectivity_error: NDArray[np.float64]
+    reflectivity_error: F8
     """(k,) likewise, in counts."""
     wrong_last: int
     """Number of pulses with another echo taken for the last."""
@@ -120,7 +120,7 @@ def errors_of(compared: Comparison, resolution_m: float) -> Errors:
     )
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: F8) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from vlp16emu.engine import assemble
 from vlp16emu.engine.windows import workers
 from vlp16emu.extras.accuracy.curve import LevelOfDetail, Mean
-from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, Group, opened_windows
+from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, opened_windows
 from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import PlantPart, Returns
+from vlp16emu.types import F4, PlantPart, Returns
 
 _NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
 _NORMAL_95 = 1.96
@@ -62,7 +62,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     unit = parts.units[0]
     bench, detector, poses_at = Bench(unit, unit.beam.rays), unit.detector.without_chance(), unit.motion.poses_at
 
-    def returns(geometry: Geometry, group: Group) -> Returns:
+    def returns(geometry: Geometry, group: range) -> Returns:
         firings = bench.aimed(group, poses_at)
         hits = bench.cast(geometry, firings, unit.beam)
         return detect(firings, hits, geometry.surfaces, detector, truth=True)
@@ -70,12 +70,12 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     with workers(os.cpu_count() or 1, "foliage") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             found = list(pool.map(partial(returns, geometry), groups))
-            timed = bench.aimed(Group(groups[0].first, TIMED_SEQUENCES), poses_at)
+            timed = bench.aimed(range(start := groups[0].start, start + TIMED_SEQUENCES), poses_at)
             us = min(bench.timed(geometry, timed, unit.beam)[0] for _ in range(_REPEATS))
             yield from ((one, us, share) for one in found)
 
 
-def is_two(distance_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+def is_two(distance_m: F4) -> NDArray[np.bool_]:
     """Return whether pulses have two returns in dual return, by their distances (..., 3)."""
     is_apart = distance_m[..., _STRONGEST] != distance_m[..., _LAST]
     two: NDArray[np.bool_] = is_apart | (distance_m[..., _SECOND] > 0)

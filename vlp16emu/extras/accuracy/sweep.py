@@ -4,23 +4,21 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble, beam_of
 from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.compare import Detections, Errors, compare, errors_of
 from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row
-from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, Group, PosesAt, apart_m, joined, opened_windows
+from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, PosesAt, apart_m, joined, opened_windows
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Poses, ReturnMode
+from vlp16emu.types import I8, Poses, ReturnMode
 
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 
@@ -34,8 +32,7 @@ _POSED = 4
 """Every fourth group measures errors of poses and of the answer itself, as answers are costly."""
 
 
-@dataclass(frozen=True, slots=True)
-class BeamSetting:
+class BeamSetting(NamedTuple):
     """A setting of the beam."""
 
     kind: Kind
@@ -45,8 +42,7 @@ class BeamSetting:
     beam: Footprint
 
 
-@dataclass(frozen=True, slots=True)
-class PoseRate:
+class PoseRate(NamedTuple):
     """A rate at which pulses get new poses."""
 
     name: str
@@ -89,7 +85,7 @@ def pose_rates(unit: Unit) -> list[PoseRate]:
 def _held(poses_at: PosesAt, start_ns: int, hold_ns: int) -> PosesAt:
     """Return poses that hold for `hold_ns` their value at its beginning."""
 
-    def held(t_ns: NDArray[np.int64]) -> Poses:
+    def held(t_ns: I8) -> Poses:
         begin_ns, whose = np.unique((t_ns - start_ns) // hold_ns * hold_ns + start_ns, return_inverse=True)
         poses = poses_at(begin_ns)
         return Poses(t_ns, poses.world_R_body[whose], poses.world_p_body_m[whose])
@@ -107,11 +103,11 @@ class _Ladder:
         self._detections = defaultdict[str, list[Detections]](list)
         self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
 
-    def look(self, geometry: Geometry, groups: Sequence[Group], pool: ThreadPoolExecutor) -> None:
+    def look(self, geometry: Geometry, groups: Sequence[range], pool: ThreadPoolExecutor) -> None:
         """Detect the groups of one window with all settings."""
         bench, poses_at, some = self._bench, self._bench.unit.motion.poses_at, groups[::_POSED]
 
-        def answers(groups: Sequence[Group], poses_at: PosesAt = poses_at, number: int = 0) -> list[Detections]:
+        def answers(groups: Sequence[range], poses_at: PosesAt = poses_at, number: int = 0) -> list[Detections]:
             aimed = [bench.aimed(group, poses_at) for group in groups]
             return list(pool.map(lambda firings: bench.answer(geometry, firings, self._wide, number), aimed))
 
@@ -125,11 +121,10 @@ class _Ladder:
         for rate in self._pose_rates:
             self._detections[rate.name] += answers(some, rate.poses_at)
 
-    def time(self, geometry: Geometry, block: Group) -> None:
+    def time(self, geometry: Geometry, block: range) -> None:
         """Measure run time of all settings, in turn, so that other load meets them alike."""
         bench = self._bench
-        few = Group(block.first, min(TIMED_SEQUENCES, block.count))
-        firings = bench.aimed(few, bench.unit.motion.poses_at)
+        firings = bench.aimed(block[:TIMED_SEQUENCES], bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
             timed |= {rate.name: (bench.timed_aim(block, rate.poses_at), bench.rays) for rate in self._pose_rates}
@@ -178,15 +173,12 @@ def measure_accuracy(
 ) -> Accuracy:
     """Measure errors and run time of beams and poses of a scene, which is called `scene`, with the first of its units.
 
+    RunError if no pulse has a return.
+
     Parameters
     ----------
     pulses : number of pulses, rounded up to whole groups
     done : called with the share of the work that is done
-
-    Raises
-    ------
-    RunError
-        If no pulse has a return
     """
     parts = assemble(scenario)
     unit = parts.units[0]
@@ -195,7 +187,7 @@ def measure_accuracy(
     with workers(os.cpu_count() or 1, "accuracy") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             ladder.look(geometry, groups, pool)
-            ladder.time(geometry, Group(groups[0].first // block * block, block))
+            ladder.time(geometry, range(begin := groups[0].start // block * block, begin + block))
             done(share)
     summed = ladder.summed(scene, scenario.seed)
     if not (seen := summed.rows[0].errors).returns:

@@ -19,8 +19,7 @@ from typing import Self
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, Vlp16emuError
-from vlp16emu.extras.bench.documents import document
-from vlp16emu.extras.bench.forms import PATHS, FormError, submit
+from vlp16emu.extras.bench.documents import PATHS, FormError, document, submit
 from vlp16emu.extras.bench.state import Device
 
 MOST_CONNECTIONS = 32

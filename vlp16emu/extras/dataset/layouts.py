@@ -4,13 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
 from vlp16emu.extras.clouds.labels import label_scheme
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.scan import Scan
+from vlp16emu.types import F8, U4
 from vlp16emu.units import S_NS
 
 _MOST_INSTANCES = 0xFFFF
@@ -44,7 +44,7 @@ def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
         (folder / name).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
 
 
-def _deskewed(emulator: Emulator, scan: Scan) -> NDArray[np.float64]:
+def _deskewed(emulator: Emulator, scan: Scan) -> F8:
     """Return points (n, 3) of a scan in the sensor's frame at the scan's first pulse."""
     assert scan.world_T_sensor is not None
     pulse = emulator.world_T_sensor(scan.t_ns)
@@ -53,7 +53,7 @@ def _deskewed(emulator: Emulator, scan: Scan) -> NDArray[np.float64]:
     return np.asarray(world_m @ first[:3, :3])
 
 
-def _numbers(instances: NDArray[np.uint32], known: dict[int, int]) -> NDArray[np.uint32]:
+def _numbers(instances: U4, known: dict[int, int]) -> U4:
     """Return numbers (n,) of instances; new ones become known."""
     own, index = np.unique(instances, return_inverse=True)
     for instance in own[own > 0].tolist():

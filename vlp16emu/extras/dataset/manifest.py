@@ -30,12 +30,9 @@ _LARGEST_BYTES = 10**10
 class Manifest:
     """The file that lists the walks of a dataset that are in their places.
 
-    A walk is listed before it takes its place, so what stands there and is not listed is someone else's.
+    OutputError if the folder `out` has a manifest of another program, or in the place of a walk a file that is not listed.
 
-    Raises
-    ------
-    OutputError
-        If the folder `out` has a manifest of another program, or in the place of a walk a file that is not listed
+    A walk is listed before it takes its place, so what stands there and is not listed is someone else's.
     """
 
     def __init__(self, out: Path, walks: Sequence[DatasetWalk]) -> None:

@@ -127,10 +127,7 @@ def load_spec(path: Path) -> DatasetSpec:
 def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
     """Return the walks of a dataset, with scene files found from `folder`.
 
-    Raises
-    ------
-    ScenarioError
-        If a scene or a setting is wrong, or a sensor has no packets and the layout needs them
+    ScenarioError if a scene or a setting is wrong, or a sensor has no packets and the layout needs them.
     """
     split_of, walks = _split_of(spec), list[DatasetWalk]()
     for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):

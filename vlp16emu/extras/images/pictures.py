@@ -12,7 +12,7 @@ from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.output import OutputFolder, write_json
 from vlp16emu.packets import DISTANCE_LSB_M
-from vlp16emu.types import Poses
+from vlp16emu.types import F4, U1, Poses
 
 LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.uint8, "species": np.uint16}
 """Folders of PNG files and the type of their pixels; depth is in steps of 2 mm, as in packets."""
@@ -28,13 +28,6 @@ class PictureFolder:
     ----------
     path : new or empty folder
     cameras : content of `cameras.json`
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made or is not empty
-    MissingExtraError
-        If Pillow or OpenEXR is not installed
     """
 
     def __init__(self, path: Path, cameras: Mapping[str, Any]) -> None:
@@ -77,9 +70,7 @@ class PictureFolder:
         """Number of images written."""
         return len(self._poses) - 1
 
-    def add(
-        self, pose: Poses, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32], labels: Mapping[str, NDArray[Any]]
-    ) -> None:
+    def add(self, pose: Poses, rgb: U1, depth_m: F4, labels: Mapping[str, NDArray[Any]]) -> None:
         """Write one image, taken at a pose of the camera.
 
         Parameters

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
+from vlp16emu.extras.options import ScoreInputs, TrajectoryErrors
 from vlp16emu.extras.score.clouds import cloud_distances, density_per_m2, uniformity
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.paths import RPE_DELTA_M, PathScore, score_path
@@ -25,7 +26,7 @@ from vlp16emu.extras.score.trees import (
     stem_scores,
 )
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import F8, PlantPart, Semantic
 
 Cloud = Mapping[str, NDArray[Any]]
 
@@ -43,38 +44,12 @@ _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
 
 
-@dataclass(frozen=True, slots=True)
-class ScoreInputs:
-    """Files to score and their ground truth."""
-
-    truth: Path
-    """Truth folder of a run."""
-    trajectory: Path | None = None
-    times: Path | None = None
-    """Times of a trajectory in KITTI's format."""
-    map: Path | None = None
-    points: Path | None = None
-    """Points with the labels `leaf_wood` or `instance`."""
-    stems: Path | None = None
-    inventory: Path | None = None
-    truth_points: Path | None = None
-    unit: int = 1
-    alignment: str = "none"
-    radius_m: float = 0.5
-    """Largest distance between a stem of a map and its true stem."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """A threshold."""
+class Limit(NamedTuple):
+    """A threshold; NaN keeps none."""
 
     name: str
     sign: str
     bound: float
-
-    def holds(self, value: float) -> bool:
-        """Return whether a value keeps it; NaN keeps none."""
-        return bool(_SIGNS[self.sign](value, self.bound))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,14 +90,13 @@ class ScoreCard:
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
         """Return the thresholds that are not kept, with the values, as text; InputError if there is no score of that name."""
-        for limit in limits:
-            if limit.name not in self.scores:
-                raise InputError("--require", f"found {limit.name}", ", ".join(self.scores))
-        return [
-            f"{limit.name} is {self.scores[limit.name]:.6g}, required {limit.sign} {limit.bound:g}"
-            for limit in limits
-            if not limit.holds(self.scores[limit.name])
-        ]
+        missed = []
+        for name, sign, bound in limits:
+            if name not in self.scores:
+                raise InputError("--require", f"found {name}", ", ".join(self.scores))
+            if not _SIGNS[sign](self.scores[name], bound):
+                missed.append(f"{name} is {self.scores[name]:.6g}, required {sign} {bound:g}")
+        return missed
 
     def tree(self) -> dict[str, Any]:
         """Return everything for JSON, in which null is what cannot be computed."""
@@ -135,10 +109,10 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
     """Read thresholds such as `ate_m<0.3`; InputError if one is malformed."""
     limits = []
     for text in texts:
-        found = _LIMIT.fullmatch(text)
         try:
-            limits.append(Limit(found[1], found[2], float(found[3])) if found else Limit("", "", float("")))
-        except ValueError:
+            name, sign, bound = _LIMIT.fullmatch(text).groups()  # type: ignore[union-attr]
+            limits.append(Limit(name, sign, float(bound)))
+        except (AttributeError, ValueError):
             raise InputError("--require", f"found {text}", "NAME<NUMBER, with <, <=, > or >=") from None
     return limits
 
@@ -146,12 +120,7 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
 def make_card(inputs: ScoreInputs) -> ScoreCard:
     """Score everything that is given.
 
-    Raises
-    ------
-    InputError
-        If a file is wrong, or is given without its ground truth
-    MissingExtraError
-        If the library of a file is not installed
+    InputError if a file is wrong, or is given without its ground truth; MissingExtraError if the library of a file is not installed.
     """
     _check(inputs)
     card = ScoreCard(inputs)
@@ -188,9 +157,9 @@ def _need(true: Cloud, *names: str) -> None:
             raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
 
 
-def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) -> None:
+def _score_map(card: ScoreCard, found: F8, true: Cloud | None) -> None:
     """Score a map by itself, and against true points if they are given."""
-    from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
+    from vlp16emu.extras.clouds.deskew import Trajectory
 
     way = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors())
     first_ns = np.array([math.ceil(way.span_s[0] * 1e9)])

@@ -3,17 +3,15 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform
-
-Array = NDArray[np.float64]
+from vlp16emu.types import F8
 
 _DISKS = 9000
 """Disks of PU-Net (Yu et al., CVPR 2018, section 4.2)."""
 
 
-def cloud_distances(found: Array, true: Array, within_m: tuple[float, ...]) -> dict[str, float]:
+def cloud_distances(found: F8, true: F8, within_m: tuple[float, ...]) -> dict[str, float]:
     """Compare two clouds (n, 3) and (m, 3), in metres, by the distances of nearest points.
 
     Returns
@@ -34,7 +32,7 @@ def cloud_distances(found: Array, true: Array, within_m: tuple[float, ...]) -> d
     return scores
 
 
-def density_per_m2(xy_m: Array, centre_m: Array, radius_m: float) -> float:
+def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return points (n, 2) per square metre of plan within a circle, an indicator of a sensor's placement.
 
     After Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a region of interest;
@@ -44,7 +42,7 @@ def density_per_m2(xy_m: Array, centre_m: Array, radius_m: float) -> float:
     return float(inside.sum() / (math.pi * radius_m**2))
 
 
-def uniformity(xy_m: Array, centre_m: Array, radius_m: float, *, share: float = 0.01, seed: int = 1) -> float:
+def uniformity(xy_m: F8, centre_m: F8, radius_m: float, *, share: float = 0.01, seed: int = 1) -> float:
     """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
     NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the `share` p of the area, there

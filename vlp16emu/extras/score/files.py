@@ -63,12 +63,7 @@ class Stem:
 def read_cloud(path: Path) -> Cloud:
     """Read the places of points, `xyz` (n, 3) in metres, and their labels (n,), from a file with a suffix in `_READERS`.
 
-    Raises
-    ------
-    InputError
-        If it is no such file, or has no points or a NaN
-    MissingExtraError
-        If the library for .pcd, .las or .laz is not installed
+    InputError if it is no such file, or has no points or a NaN; MissingExtraError if the library for .pcd, .las or .laz is not installed.
     """
     if path.suffix not in _READERS:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
@@ -143,10 +138,7 @@ _READERS: Mapping[str, Callable[[Path], Cloud]] = MappingProxyType(
 def read_stems(path: Path) -> tuple[Stem, ...]:
     """Read a CSV of stems: x, y (or x_m, y_m), and if there are z, x_breast_m, y_breast_m, dbh_m or dbh (m), dbh_cm, and a number.
 
-    Raises
-    ------
-    InputError
-        If it is none, a cell is no number, a number of a tree is there twice, or a DBH is in another unit
+    InputError if it is none, a cell is no number, a number of a tree is there twice, or a DBH is in another unit.
     """
     table = read_table(path, _COLUMNS, "a CSV of stems with columns x and y", InputError)
     places = table.numbers("x_m", "y_m", "z_m", "dbh_m")

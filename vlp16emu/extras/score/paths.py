@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
+from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
-
-Array = NDArray[np.float64]
 
 RPE_DELTA_M = 1.0
 """Length of path for relative errors, which short walks have too."""
@@ -27,23 +27,20 @@ class PathScore:
     poses: int
     left_out: int
     """Estimated poses outside the time of the truth."""
-    true_m: Array
+    true_m: F8
     """(n, 3)."""
-    found_m: Array
+    found_m: F8
     """(n, 3), aligned."""
-    errors_m: Array
+    errors_m: F8
     """(n,)."""
 
 
 def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScore:
     """Compare a trajectory with the truth at its own stamps, between which the truth is interpolated.
 
-    The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`.
+    TrajectoryError, InputError if one is no trajectory, or they have fewer than three instants in common.
 
-    Raises
-    ------
-    TrajectoryError, InputError
-        If one is no trajectory, or they have fewer than three instants in common
+    The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`.
     """
     try:
         from evo.core import metrics
@@ -58,7 +55,7 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
         raise InputError(str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}")
     pair = _aligned(found, inside, true, alignment)
 
-    def score(metric: metrics.PE) -> tuple[float, Array]:
+    def score(metric: metrics.PE) -> tuple[float, F8]:
         try:
             metric.process_data(pair)
         except (FilterException, metrics.MetricsException):

@@ -4,12 +4,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.extras.score.files import Stem
-
-Array = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from vlp16emu.types import F8, I8
 
 _COCO = tuple(np.arange(50, 100, 5) / 100)
 """Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
@@ -41,7 +38,7 @@ def stem_scores(found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tup
     return scores
 
 
-def leaf_wood_scores(found: Numbers, true: Numbers) -> dict[str, float]:
+def leaf_wood_scores(found: I8, true: I8) -> dict[str, float]:
     """Return accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over points whose true label is one of them."""
     known = true > 0
     found, true = found[known], true[known]
@@ -53,7 +50,7 @@ def leaf_wood_scores(found: Numbers, true: Numbers) -> dict[str, float]:
     return scores
 
 
-def instance_scores(found: Numbers, true: Numbers) -> dict[str, float]:
+def instance_scores(found: I8, true: I8) -> dict[str, float]:
     """Return panoptic, segmentation and recognition quality of instances (n,) of points, 0 for none.
 
     Kirillov et al., Panoptic Segmentation, CVPR 2019: pairs of more than 0.5 intersection over union are matches.
@@ -71,7 +68,7 @@ def instance_scores(found: Numbers, true: Numbers) -> dict[str, float]:
     return {"pq": sq * rq, "sq": sq, "rq": rq, **scores}
 
 
-def boxes_of(xyz_m: Array, instance: Numbers, least_points: int) -> tuple[Array, Numbers]:
+def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
     """Return axis-aligned boxes (k, 2, 3) around the points of each instance that has enough, and their counts (k,)."""
     names, counts = np.unique(instance[instance > 0], return_counts=True)
     names, counts = names[counts >= least_points], counts[counts >= least_points]
@@ -79,7 +76,7 @@ def boxes_of(xyz_m: Array, instance: Numbers, least_points: int) -> tuple[Array,
     return np.array(boxes).reshape(-1, 2, 3), counts
 
 
-def box_scores(found: Array, confidence: NDArray[np.int64], true: Array) -> dict[str, float]:
+def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
     """Return average precision of boxes (k, 2, 3) against the true ones, by intersection over union in 3D.
 
     Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at 0.25 and 0.5, `box_map` the mean
@@ -91,18 +88,18 @@ def box_scores(found: Array, confidence: NDArray[np.int64], true: Array) -> dict
     return scores | {"box_map": float(np.mean([_average_precision(overlap, limit) for limit in _COCO]))}
 
 
-def _overlaps(found: Array, true: Array) -> Array:
+def _overlaps(found: F8, true: F8) -> F8:
     """Return intersection over union (k, m) of boxes."""
     low = np.maximum(found[:, None, 0], true[None, :, 0])
     high = np.minimum(found[:, None, 1], true[None, :, 1])
     both = np.prod(np.clip(high - low, 0, None), axis=-1)
     volumes = [np.prod(boxes[:, 1] - boxes[:, 0], axis=-1) for boxes in (found, true)]
     either = volumes[0][:, None] + volumes[1] - both
-    overlaps: Array = np.divide(both, either, out=np.zeros_like(both), where=either > 0)
+    overlaps: F8 = np.divide(both, either, out=np.zeros_like(both), where=either > 0)
     return overlaps
 
 
-def _average_precision(overlap: Array, limit: float) -> float:
+def _average_precision(overlap: F8, limit: float) -> float:
     """Return the area under precision over recall of boxes in order of confidence; NaN without true boxes."""
     n_found, n_true = overlap.shape
     if not n_true:

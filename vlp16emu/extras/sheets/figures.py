@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from vlp16emu.types import HeightField
-
-Array = NDArray[np.float64]
+from vlp16emu.types import F8, HeightField
 
 CELL_M = 0.5
 """Edge of the cells for areas and slopes: about the length of a foot on the slope."""
@@ -73,7 +71,7 @@ def _row(name: str, trees: NDArray[np.void], ground_m2: float) -> StandRow:
     )
 
 
-def clark_evans(xy_m: Array, all_xy_m: Array, ground_m2: float) -> float:
+def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
     """Return the index of Clark and Evans (1954): mean distance to the nearest neighbour over its expectation at random.
 
     It is 1 at random, less in clumps, and up to 2.149 in a regular pattern.
@@ -87,7 +85,7 @@ def clark_evans(xy_m: Array, all_xy_m: Array, ground_m2: float) -> float:
     return float(nearest_m.mean() * 2 * np.sqrt(len(xy_m) / ground_m2))
 
 
-def cells_near(way_xy_m: Array, radius_m: float) -> Array:
+def cells_near(way_xy_m: F8, radius_m: float) -> F8:
     """Return the middles (n, 2) of the cells of `CELL_M` within a radius of a dense line of points (m, 2).
 
     Their number times `CELL_M` squared is the area around the path.
@@ -96,11 +94,11 @@ def cells_near(way_xy_m: Array, radius_m: float) -> Array:
     high = np.ceil((way_xy_m.max(axis=0) + radius_m) / CELL_M)
     x_m, y_m = (CELL_M * (np.arange(a, b) + 0.5) for a, b in zip(low, high, strict=True))
     cells = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
-    near: Array = cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m]
+    near: F8 = cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m]
     return near
 
 
-def relief(cells_xy_m: Array, height_m: HeightField) -> Relief:
+def relief(cells_xy_m: F8, height_m: HeightField) -> Relief:
     """Return heights and slopes of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
     x_m, y_m = cells_xy_m.T
     half = CELL_M / 2

@@ -23,10 +23,7 @@ _GROUND_CELL_M = 0.25
 def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> None:
     """Write all trees within the sensor's range, with what a run saw of their stems if the folder of its truth is given.
 
-    Raises
-    ------
-    InputError
-        If the folder has no truth of returns of this scene
+    InputError if the folder has no truth of returns of this scene.
     """
     more = seen.stems_seen(seen.trees, truth) if truth else None
     rows = seen.inventory(seen.trees)

@@ -3,21 +3,19 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from vlp16emu.extras.palette import colour_of_kind, colour_of_species
 from vlp16emu.extras.sheets.section import MARK_LEAD, StandSection
 from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-
-Array = NDArray[np.float64]
 
 INK, SOFT, WALK = "#26302b", "#747e78", "#c8372d"
 """Colours of writing, of what is less important, and of the path; on paper."""
@@ -42,7 +40,7 @@ _BELOW_PX = 14.0
 """Middle of the scale bar under the plan, where it covers nothing."""
 
 
-def extent_m(seen: Survey) -> tuple[Array, Array]:
+def extent_m(seen: Survey) -> tuple[F8, F8]:
     """Return the south-west and the north-east corner (2,) of the plan of a survey."""
     low_m, high_m = seen.bounds_m
     return low_m - _MARGIN_M, high_m + _MARGIN_M
@@ -135,7 +133,7 @@ def _draw_trees(axes: "Axes", seen: Survey) -> None:
         axes.add_collection(discs, autolim=False)
 
 
-def _draw_path(axes: "Axes", path_xy_m: Array) -> None:
+def _draw_path(axes: "Axes", path_xy_m: F8) -> None:
     """Draw the path with arrow heads along it, or the place where the sensor stands."""
     axes.plot(*path_xy_m[0], marker="o", ms=6, mfc="white", mec=WALK, mew=1.6, zorder=8)
     if len(path_xy_m) < 2:

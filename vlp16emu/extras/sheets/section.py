@@ -11,11 +11,9 @@ from vlp16emu.extras.palette import surface_colours
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.forest.stand.nearby import AllNear, Grow, cut_out
 from vlp16emu.raycast.caster import Geometry, caster
-from vlp16emu.types import HeightField
+from vlp16emu.types import F8, U1, HeightField
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
 
 MARK_LEAD = 0.02
 """Share of a strip's length between its ends and the marks that name them on a plan."""
@@ -49,9 +47,9 @@ _INSIDE_M = 0.01
 class StandSection:
     """A strip of the world, seen level and from the side."""
 
-    start_xy_m: Array
+    start_xy_m: F8
     """(2,) left end of the strip's middle line."""
-    along: Array
+    along: F8
     """(2,) unit vector to the right of the picture; the view is to the left of it."""
     length_m: float
     depth_m: float
@@ -61,18 +59,18 @@ class StandSection:
     """Heights in the world between which it is drawn."""
 
     @property
-    def towards(self) -> Array:
+    def towards(self) -> F8:
         """(2,) unit vector into the picture."""
         return np.array([-self.along[1], self.along[0]])
 
-    def holds(self, xy_m: Array, lead_m: float) -> NDArray[np.bool_]:
+    def holds(self, xy_m: F8, lead_m: float) -> NDArray[np.bool_]:
         """Return which points (n, 2) lie in the strip, or beyond its ends by less than `lead_m`."""
         along_m, into_m = self.coordinates(xy_m)
         lengthwise = (along_m >= -lead_m) & (along_m <= self.length_m + lead_m)
         inside: NDArray[np.bool_] = lengthwise & (np.abs(into_m) <= self.depth_m / 2)
         return inside
 
-    def within(self, low_m: Array, high_m: Array) -> "StandSection":
+    def within(self, low_m: F8, high_m: F8) -> "StandSection":
         """Return the strip, shortened about its middle until its ends and their marks lie in a rectangle with corners (2,)."""
         middle_m = self.start_xy_m + self.length_m / 2 * self.along
         room_m = np.minimum(middle_m - low_m, high_m - middle_m)
@@ -80,7 +78,7 @@ class StandSection:
         length_m = min(self.length_m, 2 * float(reach_m) / (1 + 4 * MARK_LEAD))
         return replace(self, start_xy_m=middle_m - length_m / 2 * self.along, length_m=length_m)
 
-    def coordinates(self, xy_m: Array) -> tuple[Array, Array]:
+    def coordinates(self, xy_m: F8) -> tuple[F8, F8]:
         """Return distances of points (n, 2) along the strip and into it, 0 at its middle line."""
         offset = xy_m - self.start_xy_m
         return offset @ self.along, offset @ self.towards
@@ -110,7 +108,7 @@ def _hall_section(hall: HallWorld) -> StandSection:
     return StandSection(start_xy_m, along, length_m, width_m - 2 * _INSIDE_M, -_BELOW_M, height_m)
 
 
-def strip_along(path_m: Array, length_m: float, depth_m: float) -> StandSection:
+def strip_along(path_m: F8, length_m: float, depth_m: float) -> StandSection:
     """Lay a strip along the beginning of a path (n, 3), from west to east if the sensor stands still.
 
     A path that is shorter lies in the middle of the strip. The strip's heights are still those of the path.
@@ -125,7 +123,7 @@ def strip_along(path_m: Array, length_m: float, depth_m: float) -> StandSection:
     return StandSection(start_xy_m, along, length_m, depth_m, low_m, high_m)
 
 
-def draw_stand(seen: Survey, section: StandSection, pixels_per_m: float) -> NDArray[np.uint8]:
+def draw_stand(seen: Survey, section: StandSection, pixels_per_m: float) -> U1:
     """Draw what stands in a section of a survey: (rows, columns, 3)."""
     window, overhang_m = seen.window, 0.0
     shape: Grow = seen.world.shape
@@ -145,10 +143,10 @@ def draw_section(
     geometry: Geometry,
     section: StandSection,
     overhang_m: float,
-    colours: NDArray[np.uint8],
+    colours: U1,
     height_m: HeightField,
     pixels_per_m: float,
-) -> NDArray[np.uint8]:
+) -> U1:
     """Draw what stands in the strip, whole, and the ground of the strip, cut open at its near side: (rows, columns, 3).
 
     Parameters

@@ -10,10 +10,8 @@ from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.forest.plants.flora import Table, Trees
 from vlp16emu.forest.plants.stem_rings import StemForms, axis_m, stem_forms
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import F8, I8, U4, PlantPart, Semantic
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
 
 STEM_SEEN = np.dtype(
     [
@@ -47,17 +45,12 @@ def tables_of_returns(folder: Path) -> list[Path]:
 
 
 def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = None) -> NDArray[np.void]:
-    """Return the coverage of stems by the returns of a run: (n,) `STEM_SEEN`.
+    """Return the coverage of stems by the returns of a run: (n,) `STEM_SEEN`; InputError if a file is no table of returns, or of another world.
 
     Parameters
     ----------
     trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
     table : species; the program's own if None
-
-    Raises
-    ------
-    InputError
-        If a file is no table of returns, or of another world
     """
     forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
     cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
@@ -85,7 +78,7 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
     return rows
 
 
-def _of_stems(returns: dict[str, NDArray[np.float64]], ids: NDArray[np.uint32]) -> tuple[NDArray[np.int64], Array]:
+def _of_stems(returns: dict[str, F8], ids: U4) -> tuple[I8, F8]:
     """Return the returns from stems of trees with these ids (n,), ascending: row of the tree (k,), and place (k, 3)."""
     is_stem = np.isin(returns["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
     is_stem &= (returns["semantic"] == Semantic.TREE) & np.isin(returns["instance"], ids)
@@ -93,9 +86,7 @@ def _of_stems(returns: dict[str, NDArray[np.float64]], ids: NDArray[np.uint32]) 
     return np.searchsorted(ids, returns["instance"][is_stem]), at_m
 
 
-def _about_axes(
-    trees: Trees, forms: StemForms, which: NDArray[np.int64], at_m: Array
-) -> tuple[Array, Array, NDArray[np.int64]]:
+def _about_axes(trees: Trees, forms: StemForms, which: I8, at_m: F8) -> tuple[F8, F8, I8]:
     """Return height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
     own = trees[which]
     from_foot_m = at_m - places_m(own)

@@ -3,12 +3,12 @@
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.extras.plots import plotted
 from vlp16emu.extras.sheets.plan import INK, SOFT, WALK, draw_plan, extent_m, legend_entries
 from vlp16emu.extras.sheets.section import StandSection
 from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.types import U1
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,9 +32,7 @@ def section_pixels_per_m(section: StandSection) -> float:
     return min(wide, _TALLEST_SECTION_IN / tall) * _DPI
 
 
-def draw_sheet(
-    file: BinaryIO, seen: Survey, section: StandSection, drawn: NDArray[np.uint8], *, title: str, subtitle: str
-) -> None:
+def draw_sheet(file: BinaryIO, seen: Survey, section: StandSection, drawn: U1, *, title: str, subtitle: str) -> None:
     """Draw plan and section as PNG, with a title of two lines; `drawn` (rows, columns, 3) is the section by `draw_section`."""
     low_m, high_m = extent_m(seen)
     across_m, tall_m = high_m - low_m
@@ -66,7 +64,7 @@ def draw_sheet(
         figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.66 / height_in, subtitle, size=9.5, color=SOFT)
 
 
-def draw_side(axes: "Axes", seen: Survey, section: StandSection, drawn: NDArray[np.uint8]) -> None:
+def draw_side(axes: "Axes", seen: Survey, section: StandSection, drawn: U1) -> None:
     """Draw the section with heights, lengths, the sensor's path and the sensor."""
     axes.imshow(drawn, extent=(0.0, section.length_m, section.low_m, section.high_m), interpolation="none")
     axes.set(xlim=(0, section.length_m), ylim=(section.low_m, section.high_m))

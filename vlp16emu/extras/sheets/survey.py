@@ -20,14 +20,12 @@ from vlp16emu.forest.stand.nearby import Thing, things_near
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Window, World
+from vlp16emu.types import F8, Window, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.furnished import Furnished
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
 
 _STEPS_PER_S = 10
 """Rate of the points of the path: some 12 cm apart at walking speed."""
@@ -40,7 +38,7 @@ class Survey:
     world: World
     bare: ForestWorld | HallWorld
     """The world without the user's own meshes."""
-    path_m: Array
+    path_m: F8
     """(n, 3) sensor positions in order of time; one if the sensor stands still."""
     field_of_view_deg: tuple[float, float]
     """Elevations of the sensor's lowest and highest beam."""
@@ -83,7 +81,7 @@ class Survey:
         return {instance: name for one in named for instance, name in one.names.items()}
 
     @property
-    def bounds_m(self) -> tuple[Array, Array]:
+    def bounds_m(self) -> tuple[F8, F8]:
         """South-west and north-east corner (2,) of the hall, or of the rectangle around everything within the radius."""
         if self.hall is not None:
             corner_m = np.array(self.hall.size_m[:2]) / 2
@@ -123,19 +121,16 @@ class Survey:
         crowns = {i: key for i, key in zip(instance, shapes, strict=True) if isinstance(key, CrownKey)}
         return [crowns[i] for i in trees["id"].tolist()]
 
-    def inside(self, xy_m: Array) -> NDArray[np.bool_]:
+    def inside(self, xy_m: F8) -> NDArray[np.bool_]:
         """Return which points (k, 2) lie within the radius."""
         within: NDArray[np.bool_] = Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m
         return within
 
 
-def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: Array | None = None) -> Survey:
+def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: F8 | None = None) -> Survey:
     """Survey the surroundings of the path of a scenario's sensor, or of `path_xy_m` (n, 2) if its motion is not known yet.
 
-    Raises
-    ------
-    InputError
-        If a part of the scenario cannot be made, or the radius exceeds the sensor's range
+    InputError if a part of the scenario cannot be made, or the radius exceeds the sensor's range.
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:
@@ -167,7 +162,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path
     )
 
 
-def way_m(scenario: Scenario, motion: Motion) -> Array:
+def way_m(scenario: Scenario, motion: Motion) -> F8:
     """Return positions (n, 3) of the sensor over the scene's duration; one if it stands still."""
     if not motion.moves:
         return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m

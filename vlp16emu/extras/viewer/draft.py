@@ -5,7 +5,6 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.sheets.survey import Survey
@@ -22,11 +21,11 @@ from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import Sensor
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 """x and y in the world (m), and how long the person stops there (s)."""
 
@@ -75,13 +74,13 @@ class Outlook:
     revolutions: float = 0.0
     packets: int = 0
     """Data packets of the first sensor."""
-    path_m: Array | None = None
+    path_m: F8 | None = None
     """(n, 3) on the ground; None if nobody can walk it."""
-    in_the_way_m: Array | None = None
+    in_the_way_m: F8 | None = None
     """(m, 3) feet of stems nearer than `path_clearance_m`."""
     fault: str = ""
     """Why nobody can walk it."""
-    fault_m: Array | None = None
+    fault_m: F8 | None = None
     """(1, 3) place of the fault on the ground."""
 
 
@@ -182,7 +181,7 @@ class Draft:
             in_the_way_m=self._in_the_way_m(scenario, path.xy_m),
         )
 
-    def _in_the_way_m(self, scenario: Scenario, path_xy_m: Array) -> Array:
+    def _in_the_way_m(self, scenario: Scenario, path_xy_m: F8) -> F8:
         trees = self._seen.trees
         if not isinstance(scenario.world, Woods) or not len(trees):
             return np.zeros((0, 3))
@@ -194,12 +193,7 @@ class Draft:
     def save(self, to: FilePath) -> None:
         """Write the scene file with the current course; comments and other keys stay as the user wrote them.
 
-        Raises
-        ------
-        InputError
-            If the course is no walk
-        OutputError
-            If the file cannot be written, or would not find the scene's files
+        InputError if the course is no walk; OutputError if the file cannot be written, or would not find the scene's files.
         """
         import tomlkit
 

@@ -40,18 +40,13 @@ def is_ours(headers: Headers, names: frozenset[str]) -> bool:
 
 @contextmanager
 def guarded_server(host: str, port: int, label: str) -> Iterator[viser.ViserServer]:
-    """Serve the page until the end of the context.
+    """Serve the page until the end of the context; OutputError if the address is not of this machine, or the port is in use.
 
     Parameters
     ----------
     host : address to listen on; beside loopback the only name that requests may use
     port : 0 for any that is free
     label : title of the panel
-
-    Raises
-    ------
-    OutputError
-        If the address is not of this machine, or the port is in use
     """
     try:  # viser would try the next thousand ports, and wait for ever if there is no such address
         with socketserver.TCPServer((host, port), socketserver.BaseRequestHandler):

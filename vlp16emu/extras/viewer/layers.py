@@ -1,29 +1,26 @@
 """Colours of points by label or measurement, and their legend."""
 
 import colorsys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.palette import colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.extras.palette import Rgb, colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.scan import Scan
-from vlp16emu.types import SURFACE, PlantPart, Semantic
+from vlp16emu.types import F8, SURFACE, U1, PlantPart, Semantic
 from vlp16emu.units import S_NS
 
-Rgb = NDArray[np.uint8]
-
-Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
+Entries = Mapping[str, Rgb] | tuple[float, float, str] | None
 """Legend of a layer: colours by name, or the ends of a scale with their unit; None for instances, which have no names."""
 
-_Labelled = tuple[NDArray[Any], Callable[[int], tuple[int, int, int]], Callable[[int], str | None]]
 _LABELLED = ("natural", "class", "part", "species", "instance")
 MEASURED = ("range", "reflectivity", "ring", "time")
 LAYERS = (*_LABELLED, *MEASURED, "range error")
 
-PART_RGB: dict[PlantPart, tuple[int, int, int]] = {
+PART_RGB: dict[PlantPart, Rgb] = {
     PlantPart.NONE: (150, 128, 94),
     PlantPart.STEM: (122, 72, 40),
     PlantPart.BRANCH_FIRST_ORDER: (206, 128, 46),
@@ -51,56 +48,62 @@ def layers_of_scan(scan: Scan) -> tuple[str, ...]:
     return MEASURED if scan.labels is None else LAYERS
 
 
-def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
+def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> U1:
     """Return the colours (n, 3) of the points of a sweep by one of its layers; `species` are names by number."""
-    if layer == "natural" and scan.labels is not None:
-        return surface_colours(_surfaces(scan), species)
-    if (labelled := _labelled(scan, layer, species)) is not None:
-        different, which = np.unique(labelled[0], return_inverse=True)
-        colours = [labelled[1](value) for value in different.tolist()]
-        return np.array(colours, np.uint8).reshape(-1, 3)[which.ravel()]
-    value, (least, most, _) = _measured(scan, layer)
-    return colours_of_scale(value, least, most)
+    if scan.labels is None or layer not in _LABELLED:
+        values, (least, most, _) = _measured(scan, layer)
+        return colours_of_scale(values, least, most)
+    if layer == "natural":
+        surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
+        for name in ("semantic", "part", "species"):
+            surfaces[name] = getattr(scan.labels, name)
+        return surface_colours(surfaces, species)
+    different, which = np.unique(_labels(scan, layer), return_inverse=True)
+    named, other = _named(layer, species), ("", colour_of_kind("ground"))
+    of_instance = layer == "instance"
+    rgb = [_instance_rgb(value) if of_instance else named.get(value, other)[1] for value in different.tolist()]
+    return np.array(rgb, np.uint8).reshape(-1, 3)[which.ravel()]
 
 
-def colours_of_scale(values: NDArray[np.float64], least: float, most: float) -> Rgb:
+def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
+    """Return the legend of a layer, of what a sweep shows."""
+    if scan.labels is None or layer not in _LABELLED:
+        return _measured(scan, layer)[1]
+    named = _named(layer, species)
+    return (
+        None if layer == "instance" else dict(named[n] for n in np.unique(_labels(scan, layer)).tolist() if n in named)
+    )
+
+
+def colours_of_scale(values: F8, least: float, most: float) -> U1:
     """Return colours (n, 3) of values (n,) on a scale, which diverges from its middle if it begins below 0."""
     scale = _EITHER_WAY if least < 0 else _SCALE
     place = np.clip((values - least) / max(most - least, 1e-9), 0.0, 1.0) * (len(scale) - 1)
     return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
 
 
-def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
-    """Return the legend of a layer, of what a sweep shows."""
-    if (labelled := _labelled(scan, layer, species)) is None:
-        return _measured(scan, layer)[1]
-    values, colour, name = labelled
-    if layer == "instance":
-        return None
-    return {text: colour(one) for one in np.unique(values).tolist() if (text := name(one)) is not None}
+def _labels(scan: Scan, layer: str) -> NDArray[Any]:
+    labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "species"}.get(layer, layer))
+    return labels
 
 
-def _labelled(scan: Scan, layer: str, species: Mapping[int, str]) -> _Labelled | None:
-    """Return labels (n,) of a layer and the functions of their colours and names; None for a measured layer."""
-    if layer not in _LABELLED or (labels := scan.labels) is None:
-        return None
-    none = colour_of_kind("ground")
-    table: dict[str, _Labelled] = {
-        "class": (labels.semantic, _of_class, lambda one: Semantic(one).name.lower()),
-        "part": (labels.part, lambda one: PART_RGB[PlantPart(one)], lambda one: PlantPart(one).name.lower()),
-        "instance": (labels.instance, _of_instance, str),
-        "species": (labels.species, lambda n: colour_of_species(species[n]) if n in species else none, species.get),
-    }
-    return table.get(layer, table["species"])  # the legend of "natural" is that of the species
+def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]:
+    """Return name and colour of the values of a layer."""
+    if layer == "class":
+        named = {kind.value: (name := kind.name.lower(), colour_of_kind(name)) for kind in Semantic}
+        return named | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}
+    if layer == "part":
+        return {part.value: (part.name.lower(), rgb) for part, rgb in PART_RGB.items()}
+    return {number: (name, colour_of_species(name)) for number, name in species.items()}
 
 
-def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float, float, str]]:
+def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
     """Return values (n,) of a layer, and the ends of its scale with their unit."""
     if layer == "range error" and scan.labels is not None:
         error_cm = 100.0 * (scan.distance_m.astype(np.float64) - scan.labels.range_m)
         return error_cm, (-_ERROR_CM, _ERROR_CM, "cm")
     since_s = (scan.t_ns - scan.start_ns) / S_NS
-    # Ranges of metres beyond 40 are few in a forest, reflectivities beyond 100 are of retroreflectors.
+    # Few ranges exceed 40 m in a forest; reflectivities beyond 100 are of retroreflectors.
     values: dict[str, tuple[NDArray[Any], float, str]] = {
         "range": (scan.distance_m, 40.0, "m"),
         "reflectivity": (scan.reflectivity, 100.0, ""),
@@ -111,22 +114,7 @@ def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float,
     return np.asarray(value, np.float64), (0.0, most, unit)
 
 
-def _surfaces(scan: Scan) -> NDArray[np.void]:
-    assert scan.labels is not None
-    surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
-    for name in ("semantic", "part", "species"):
-        surfaces[name] = getattr(scan.labels, name)
-    return surfaces
-
-
-def _of_class(value: int) -> tuple[int, int, int]:
-    """Return the colour of a semantic class; trees have the green of a beech."""
-    kind = Semantic(value)
-    return colour_of_species("european_beech") if kind is Semantic.TREE else colour_of_kind(kind.name.lower())
-
-
-def _of_instance(number: int) -> tuple[int, int, int]:
-    """Return the colour of a plant or thing; grey for points of neither."""
+def _instance_rgb(number: int) -> Rgb:
     if not number:
         return (140, 140, 140)
     red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (number % 2))

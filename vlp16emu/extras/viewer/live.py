@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError, PacketError, RunError
@@ -27,7 +26,7 @@ from vlp16emu.motion.settings import Walk
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.scan import Scan
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
-from vlp16emu.types import HeightField, Packet, PacketKind
+from vlp16emu.types import F8, I8, HeightField, Packet, PacketKind
 from vlp16emu.units import S_NS
 
 _HOST, _PORT = "127.0.0.1", 8016
@@ -53,7 +52,7 @@ class Backdrop(NamedTuple):
     """What the page knows before the first packet is sent."""
 
     pieces: list[Piece]
-    path_m: NDArray[np.float64]
+    path_m: F8
     """(n, 3) of the sensor, in a live scene the expected one; one if the sensor stands still."""
     hall: bool
     turn_s: float
@@ -69,9 +68,9 @@ class Glimpse(NamedTuple):
 
     payloads: bytes
     """(n, 1206) bytes of its data packets."""
-    since_ns: NDArray[np.int64]
+    since_ns: I8
     """(n,) time of each packet's first pulse, since the first pulse of the run."""
-    world_T_sensor: NDArray[np.float64]
+    world_T_sensor: F8
     """(n, 4, 4) poses at these times."""
     late: Lateness
     """Lateness of all packets so far."""
@@ -234,14 +233,14 @@ class LivePage:
         self._look_at(place_m)
         self._text.content = "  \n".join(_lines(glimpse, sum(len(part.world_m) for part in self._parts)))
 
-    def _draw_person(self, place_m: NDArray[np.float64]) -> None:
+    def _draw_person(self, place_m: F8) -> None:
         ground_m = float(self._backdrop.height_m(place_m[:1], place_m[1:2])[0])
         tall_m = max(float(place_m[2]) - ground_m - 2 * _PERSON_RADIUS_M, 0.1)
         middle_m = place_m[0], place_m[1], (ground_m + place_m[2]) / 2 - _PERSON_RADIUS_M
         look: dict[str, Any] = {"cast_shadow": False, "position": middle_m}
         self._server.scene.add_cylinder("/person", _PERSON_RADIUS_M, tall_m, _PERSON_RGB, **look)
 
-    def _look_at(self, place_m: NDArray[np.float64]) -> None:
+    def _look_at(self, place_m: F8) -> None:
         """Move cameras with the sensor, with their direction and distance kept."""
         if self._follow.value is not True:
             return

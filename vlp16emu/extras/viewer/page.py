@@ -25,6 +25,7 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.motion.settings import Walk
 from vlp16emu.scan import Scan
 from vlp16emu.sensor.beams import BeamTable
+from vlp16emu.types import F4, F8, U4
 
 _MOST_KEPT = 50
 """Sweeps drawn together: 1.2 million points."""
@@ -37,9 +38,7 @@ _SECTOR_M, _STEP_DEG = 8.0, 1.0
 _PATH, _HIT, _LOST, _WRONG = (220, 60, 40), (255, 70, 50), (150, 160, 175), (230, 0, 60)
 
 
-def draw_stand(
-    server: viser.ViserServer, pieces: Iterable[Piece], way_m: NDArray[np.float64], *, hall: bool
-) -> viser.FrameHandle:
+def draw_stand(server: viser.ViserServer, pieces: Iterable[Piece], way_m: F8, *, hall: bool) -> viser.FrameHandle:
     """Draw what stands along a path (n, 3), look at it from behind the start, and return the node above it."""
     scene = server.scene
     root = scene.add_frame("/stand", show_axes=False)
@@ -58,7 +57,7 @@ def draw_stand(
     return root
 
 
-def look_from(server: viser.ViserServer, place_m: NDArray[np.float64], ahead_m: NDArray[np.float64]) -> None:
+def look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8) -> None:
     """Put the initial camera behind a place and over it."""
     away_m = math.hypot(*ahead_m[:2])
     east, north = ahead_m[:2] / away_m if away_m > 0 else (1.0, 0.0)
@@ -79,14 +78,11 @@ def scene_page(
 ) -> "Page":
     """Grow and draw a scene to a radius from its path; a walk's path can be drawn anew, and saved to a file.
 
+    InputError if there is no such unit, or the stand cannot be grown.
+
     Parameters
     ----------
     progress : called with the share of the stand that has grown
-
-    Raises
-    ------
-    InputError
-        If there is no such unit, or the stand cannot be grown
     """
     text, scenario, parts = server.gui.add_markdown("growing the world"), emulator.scenario, emulator.parts
     bare = getattr(parts.world, "bare", parts.world)
@@ -235,7 +231,7 @@ def within(value: object, low: float, high: float) -> float | None:
     return min(max(float(value), low), high) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
-def beams_of(scan: Scan, beams: BeamTable) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def beams_of(scan: Scan, beams: BeamTable) -> tuple[F8, NDArray[np.bool_]]:
     """Return the ends (L, 3) of a scan's first beams in the sensor's frame, by rising elevation, and which (L,) have a return."""
     rising = np.sort(beams.elevation_deg)
     first = scan.t_ns < scan.start_ns + beams.sequence_ns
@@ -247,7 +243,7 @@ def beams_of(scan: Scan, beams: BeamTable) -> tuple[NDArray[np.float64], NDArray
     return ends_m, np.isin(np.arange(len(rising)), ring)
 
 
-def sectors_of(marks: tuple[Mark, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+def sectors_of(marks: tuple[Mark, ...]) -> tuple[F4, U4]:
     """Return vertices (v, 3) in the sensor's frame and triangles (f, 3) of level sectors between the azimuths of marks."""
     corners = []
     for begin_deg, end_deg, _ in marks:

@@ -11,19 +11,18 @@ from threading import Event
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.canvas import Canvas
-from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
+from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.scan import decode
-
-Array = NDArray[np.float64]
+from vlp16emu.types import F8, U1
 
 _NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}
 """Library by suffix; of the extra 'picture'."""
@@ -39,24 +38,12 @@ _SENSOR_RGB = (255, 70, 50)
 _MOST_ENTRIES = 12
 _MILLIONS = 100_000
 """Points from which on they are counted in millions."""
+_FROM_DEG = 205.0
+"""Bearing of the eye, unless another is wanted: light falls from the south."""
 _STATIONS = 200
 """Number of places along a path."""
 _FEWEST_COLUMNS = 800
 """Firing sequences of a revolution at 1200 rpm are some 900."""
-
-
-@dataclass(frozen=True, slots=True)
-class PictureLook:
-    """How a picture is made."""
-
-    colour: str
-    """A layer, see `layers_of_scan`."""
-    from_deg: float
-    """Bearing of the eye, clockwise from north; in the view "slant"."""
-    size: tuple[int, int]
-    """In pixels."""
-    view: str = "slant"
-    """slant: points of all sweeps from above; sweep: one revolution from straight above; image: one as rows of lasers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,16 +63,16 @@ class View:
     """Where the points of a sweep lie in a picture, and what is written beside them."""
 
     size: tuple[int, int]
-    pixels: Callable[[Array], Pixels]
+    pixels: Callable[[F8], Pixels]
     """Pixels of places (n, 3)."""
-    places: Callable[[Sweep], Array]
+    places: Callable[[Sweep], F8]
     """Places (n, 3) of the points of a sweep that are shown, NaN for the others."""
-    sensor: Callable[[Sweep], Array | None] = lambda _: None
+    sensor: Callable[[Sweep], F8 | None] = lambda _: None
     """Place (3,) of the sensor, or None if it is not in the picture."""
     px_per_m: float | None = None
     """Scale of a view in which the points of all sweeps add up; None if it shows one sweep at a time."""
     dot_px: tuple[int, int] = (2, 2)
-    circles_m: Array | None = None
+    circles_m: F8 | None = None
     """(k, 3) points of circles of range."""
     labels: tuple[tuple[float, float, str], ...] = ()
     """Words at columns and rows, from below, of a still."""
@@ -94,12 +81,7 @@ class View:
 def check_suffix(path: Path) -> None:
     """Refuse a file that cannot be drawn.
 
-    Raises
-    ------
-    OutputError
-        If the suffix is not one of .png, .gif and .mp4
-    MissingExtraError
-        If the library that writes such files is not installed
+    OutputError if the suffix is not one of .png, .gif and .mp4; MissingExtraError if the library that writes such files is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in _NEEDED:
@@ -123,7 +105,7 @@ def sweeps_of_capture(path: Path, trajectory: Path | None, start_s: float, durat
             yield by_trajectory(scan, way)
 
 
-def way_of(trajectory: Path | None) -> Array | None:
+def way_of(trajectory: Path | None) -> F8 | None:
     """Return places (k, 3) along a whole trajectory."""
     if trajectory is None:
         return None
@@ -138,13 +120,15 @@ def draw_picture(
     path: Path,
     look: PictureLook,
     *,
-    way_m: Array | None,
+    way_m: F8 | None,
     rings: int,
     species: Mapping[int, str],
     stop: Event,
     inputs: Collection[Path] = (),
 ) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
+
+    InputError if there is no revolution, or none with such a layer; OutputError, MissingExtraError as `check_suffix`.
 
     Parameters
     ----------
@@ -155,13 +139,6 @@ def draw_picture(
     species : names by number
     stop : ends the picture between two revolutions
     inputs : files that are read, which the picture may not replace
-
-    Raises
-    ------
-    InputError
-        If there is no revolution, or none with such a layer
-    OutputError, MissingExtraError
-        As `check_suffix`
     """
     spare(inputs, path)
     check_suffix(path)
@@ -169,23 +146,25 @@ def draw_picture(
     first = next(sweeps, None)
     if first is None:
         raise InputError("picture", "no whole revolution", "at least one in the span")
-    if look.colour not in (known := layers_of_scan(first.scan)):
-        raise InputError("--colour", f"found {look.colour}", ", ".join(known))
-    drawing = _Drawing(_view(look, first, way_m, rings), look.colour, species)
+    known = layers_of_scan(first.scan)
+    colour = look.colour or ("natural" if "natural" in known else "reflectivity")
+    if colour not in known:
+        raise InputError("--colour", f"found {colour}", ", ".join(known))
+    drawing = _Drawing(_view(look, first, way_m, rings), colour, species)
     one_by_one = suffix == ".png" and drawing.view.px_per_m is None
     images = drawing.images(chain([first], islice(sweeps, 0) if one_by_one else sweeps), stop)
     with OutputFile(path) as output, output.writing() as file:
         if suffix == ".png":
             for _ in images:
                 pass
-            _still(file, drawing, entries_of(first.scan, look.colour, species))
+            _still(file, drawing, entries_of(first.scan, colour, species))
         else:
             (_gif if suffix == ".gif" else _mp4)(file, (drawing.marked(sweep) for sweep in images), look.size)
     interrupted = stop.is_set()
-    return PictureRun(str(path), drawing.revolutions, drawing.points, look.colour, path.stat().st_size, interrupted)
+    return PictureRun(str(path), drawing.revolutions, drawing.points, colour, path.stat().st_size, interrupted)
 
 
-def _view(look: PictureLook, first: Sweep, way_m: Array | None, rings: int) -> View:
+def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View:
     """Return the view of a look: around the path, or without one around the sensor."""
     if look.view == "image":
         return laser_rows(look.size, rings)
@@ -200,18 +179,20 @@ def _view(look: PictureLook, first: Sweep, way_m: Array | None, rings: int) -> V
     return _slanted(look, np.stack([low, high]))
 
 
-def _slanted(look: PictureLook, box_m: Array) -> View:
+def _slanted(look: PictureLook, box_m: F8) -> View:
     """Return a view of the world from above at a slant; points beside the box would hide what is near the path."""
-    camera = Orthographic.around(box_m, look.from_deg, _ELEVATION_DEG, look.size)
+    camera = Orthographic.around(
+        box_m, _FROM_DEG if look.from_deg is None else look.from_deg, _ELEVATION_DEG, look.size
+    )
 
-    def sensor(sweep: Sweep) -> Array | None:
+    def sensor(sweep: Sweep) -> F8 | None:
         pose = sweep.scan.world_T_sensor
         return None if pose is None else pose[:3, 3]
 
     return View(look.size, camera.pixels, lambda sweep: _inside(box_m, sweep.world_m), sensor, camera.px_per_m)
 
 
-def _inside(box_m: Array, places: Array) -> Array:
+def _inside(box_m: F8, places: F8) -> F8:
     """Return places (n, 3), NaN for those beside a box."""
     inside = ((places >= box_m[0]) & (places <= box_m[1]))[:, :2].all(axis=1)
     return np.where(inside[:, None], places, np.nan)
@@ -234,7 +215,7 @@ def from_above(size: tuple[int, int], radius_m: float) -> View:
         if 30 < y < height - 30 and 0 < x < width
     )
 
-    def places(sweep: Sweep) -> Array:
+    def places(sweep: Sweep) -> F8:
         ahead, left, up = sweep.scan.xyz_m.T
         return _inside(box_m, np.column_stack([-left, ahead, up]).astype(np.float64))
 
@@ -251,13 +232,13 @@ def laser_rows(size: tuple[int, int], rings: int) -> View:
     azimuths = ((left + deg * wide / 360.0, below, f"{deg}\N{DEGREE SIGN}") for deg in range(0, 360, 45))
     ends = ((8, height - top - (rings - n - 0.4) * per_ring, f"ring {n}") for n in (0, rings - 1))
 
-    def pixels(place: Array) -> Pixels:
+    def pixels(place: F8) -> Pixels:
         """Return the pixels of azimuth (deg), ring and nearness (n, 3)."""
         azimuth_deg, ring, near = place.T
         column = left + np.floor(azimuth_deg * wide / 360.0).astype(np.int64)
         return column, top + (rings - 1 - ring.astype(np.int64)) * tall // rings, near
 
-    def places(sweep: Sweep) -> Array:
+    def places(sweep: Sweep) -> F8:
         scan = sweep.scan
         # Of several returns the nearest is in front, by so little that none shades another.
         return np.column_stack([scan.azimuth_deg % 360.0, scan.ring, -1e-6 * scan.distance_m])
@@ -290,7 +271,7 @@ class _Drawing(Canvas):
             if stop.is_set():
                 return
 
-    def marked(self, sweep: Sweep) -> NDArray[np.uint8]:
+    def marked(self, sweep: Sweep) -> U1:
         """Return the picture with the place of the sensor in it."""
         image = self.image()
         if (sensor := self.view.sensor(sweep)) is not None:
@@ -299,14 +280,14 @@ class _Drawing(Canvas):
         return image
 
 
-def _gif(file: Any, frames: Iterator[NDArray[np.uint8]], _size: tuple[int, int]) -> None:
+def _gif(file: Any, frames: Iterator[U1], _size: tuple[int, int]) -> None:
     from PIL import Image
 
     made = (Image.fromarray(frame) for frame in frames)
     next(made).save(file, "GIF", save_all=True, append_images=made, duration=1000 // _FRAMES_PER_S, loop=0)
 
 
-def _mp4(file: Any, frames: Iterator[NDArray[np.uint8]], size: tuple[int, int]) -> None:
+def _mp4(file: Any, frames: Iterator[U1], size: tuple[int, int]) -> None:
     """Write a film as MP4, frame by frame; ffmpeg writes by name."""
     from imageio_ffmpeg import write_frames
 

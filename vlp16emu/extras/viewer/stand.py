@@ -14,10 +14,9 @@ from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.forest.plants.undergrowth import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.tiles import TILE_M, TileKey
-from vlp16emu.types import Mesh, PlantPart, ShapeKey
+from vlp16emu.types import F4, F8, I8, U4, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.polyline import Polyline
 
-Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
 _FACES = 300_000
@@ -45,15 +44,15 @@ class Piece:
     """A mesh of one colour with its instances."""
 
     name: str
-    vertices_m: NDArray[np.float32]
-    faces: NDArray[np.uint32]
+    vertices_m: F4
+    faces: U4
     """(f, 3) triangles."""
     colour: Rgb
-    position_m: Array
+    position_m: F8
     """(n, 3) in the world."""
-    wxyz: Array
+    wxyz: F8
     """(n, 4) unit quaternions."""
-    scale: Array
+    scale: F8
     """(n, 3) along the axes of the mesh."""
 
 
@@ -91,7 +90,7 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
         yield _piece(f"single/{count}", _joined(meshes), colour, _ONE)
 
 
-def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], Array]:
+def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
     """Return the placements (n,) that are drawn, and the size (n,) of each in metres: 0 for tiles, whose stems have faces of their own."""
     window = seen.window
     is_tile, is_floor = (
@@ -147,7 +146,7 @@ def lump(mesh: Mesh) -> Mesh:
     return _gathered(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))
 
 
-def _gathered(mesh: Mesh, cluster: NDArray[np.int64], cost: NDArray[np.floating]) -> Mesh:
+def _gathered(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh:
     """Move all vertices (n,) of a cluster to its cheapest, and remove faces that then have no area."""
     order = np.lexsort([cost, cluster])
     _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)
@@ -197,7 +196,7 @@ def _ground(seen: Survey) -> Mesh:
     return Mesh(vertices_m, faces.reshape(-1, 4).astype(np.uint32))
 
 
-def _moved(mesh: Mesh, world_T_shape: Array) -> Mesh:
+def _moved(mesh: Mesh, world_T_shape: F8) -> Mesh:
     vertices_m = mesh.vertices_m @ world_T_shape[:, :3].T + world_T_shape[:, 3]
     return Mesh(vertices_m.astype(np.float32), mesh.faces)
 
@@ -208,13 +207,13 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     return Mesh(np.concatenate([mesh.vertices_m for mesh in meshes]), np.concatenate(faces))
 
 
-def _triangles(mesh: Mesh) -> NDArray[np.uint32]:
+def _triangles(mesh: Mesh) -> U4:
     """Return triangles; quads (a, b, c, d) become (a, b, d) and (c, d, b), as in casters."""
     faces = mesh.faces
     return faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
 
 
-def _piece(name: str, mesh: Mesh, colour: tuple[int, ...], world_T_shape: Array) -> Piece:
+def _piece(name: str, mesh: Mesh, colour: tuple[int, ...], world_T_shape: F8) -> Piece:
     """Return a mesh with its placements (n, 3, 4), without shear, which instances in a browser cannot have."""
     scale = np.linalg.norm(world_T_shape[:, :, :3], axis=1)
     turn = Rotation.from_matrix(world_T_shape[:, :, :3] / scale[:, None, :])

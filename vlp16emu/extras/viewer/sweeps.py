@@ -4,20 +4,22 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import CaptureError, InputError
-from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, TrajectoryErrors
-from vlp16emu.extras.verify import Finding, Rule, verify_capture
+from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
+from vlp16emu.extras.options import TrajectoryErrors
+from vlp16emu.extras.verify import Finding, Rule, verify_units
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scan import Labels, LabelsOf, Scan, scans_in
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable
+from vlp16emu.types import F8, I8
 
 _TURNS = 2.2
 """Span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed."""
@@ -47,14 +49,14 @@ class Sweep(NamedTuple):
     """A revolution of the sensor."""
 
     scan: Scan
-    world_m: NDArray[np.float64]
+    world_m: F8
     """(n, 3) points in the world."""
     marks: tuple[Mark, ...] = ()
 
 
-def placed(xyz_m: NDArray[np.floating], world_T_sensor: NDArray[np.float64]) -> NDArray[np.float64]:
+def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
     """Return points (n, 3) in the world, each by a pose of its own (n, 4, 4)."""
-    world_m: NDArray[np.float64] = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
+    world_m: F8 = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
     return world_m + world_T_sensor[:, :3, 3]
 
 
@@ -74,21 +76,11 @@ def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
     return Sweep(replace(scan, world_T_sensor=pose), placed(scan.xyz_m, poses))
 
 
-class Sweeps(Protocol):
-    """Source of sweeps."""
-
-    beams: BeamTable
-    last_s: float
-    """Start of the last sweep since the first, in seconds."""
-    step_s: float
-    """Nominal time between sweeps, in seconds."""
-
-    def at(self, time_s: float) -> Sweep:
-        """Return the first sweep that begins after a time."""
-
-
 class SceneSweeps:
-    """Sweeps of a scene's sensor, with labels; InputError if there is no such unit."""
+    """Sweeps of a scene's sensor, with labels; InputError if there is no such unit.
+
+    `last_s` is the start of the last sweep since the first, `step_s` the nominal time between sweeps, in seconds.
+    """
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
         units = emulator.parts.units
@@ -101,7 +93,7 @@ class SceneSweeps:
         self.last_s = end_s - self._span_s
 
     def at(self, time_s: float) -> Sweep:
-        """See `Sweeps`; InputError if the run is shorter than a revolution."""
+        """Return the first sweep that begins after a time; InputError if the run is shorter than a revolution."""
         begin_s = float(np.clip(time_s, 0.0, self.last_s))
         sweep = next(sweeps_of_scene(self._emulator, begin_s, self._span_s, self._unit), None)
         if sweep is None:
@@ -112,28 +104,25 @@ class SceneSweeps:
 class CaptureSweeps:
     """Sweeps of a capture, in the sensor's frame or, with the ground truth of the run, in the world.
 
+    InputError if there is no such unit or no whole revolution.
+
     Parameters
     ----------
     path : capture; faulty packets are passed over
     truth : folder written by `record --truth --truth-returns`
     unit : number of the sensor, from 1
-
-    Raises
-    ------
-    InputError
-        If there is no such unit or no whole revolution
     """
 
     def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:
         self._path, self._folder, self._number = path, truth, unit
         self._way = None if truth is None else Trajectory(truth, unit, TrajectoryErrors())
         self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
-        found = verify_capture(path, self._unit, limit_per_rule=_MARKED)
+        found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
         """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
         self.species = {} if truth is None else _species(truth)
         """Names of species by number."""
-        reader, packets, self._starts_ns = self._reader(), list[NDArray[np.int64]](), list[int]()
+        reader, packets, self._starts_ns = self._reader(), list[I8](), list[int]()
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
             """Keep frame, time and azimuths of the packets; return no labels."""
@@ -155,7 +144,7 @@ class CaptureSweeps:
         self._next, self._held = len(self._starts_ns), dict[int, Scan]()
 
     def at(self, time_s: float) -> Sweep:
-        """See `Sweeps`."""
+        """Return the first sweep that begins after a time."""
         wanted = int(np.searchsorted(self._starts_ns, self._starts_ns[0] + int(time_s * 1e9)))
         wanted = min(wanted, len(self._starts_ns) - 1)
         if wanted not in self._held and (self._reading is None or wanted < self._next):
@@ -200,7 +189,7 @@ def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDAr
     return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}
 
 
-def _marks(packets: NDArray[np.int64], findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
+def _marks(packets: I8, findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
     """Return the marks of findings with their times (UTC in ns), by frame, time and azimuths (n, 4) of the packets read."""
     frame, t_ns, first_cdeg, last_cdeg = packets.T
     marks = list[tuple[int, Mark]]()
@@ -214,3 +203,6 @@ def _marks(packets: NDArray[np.int64], findings: Sequence[Finding]) -> list[tupl
             begin_deg, end_deg = last_cdeg[max(after - 1, 0)] / 100, begin_deg
         marks.append((int(t_ns[after]), Mark(begin_deg, end_deg, str(finding))))
     return marks
+
+
+Sweeps = SceneSweeps | CaptureSweeps

@@ -11,7 +11,7 @@ TREES = np.array(
 )
 
 
-def test_rows_add_up_to_what_a_hand_would_reckon():
+def test_rows_add_up_to_sums_by_hand():
     """Density, quadratic mean diameter, basal area, volume and leaf area follow from the trees and the area."""
     birch, oak, together = stand_rows(TREES, {1: "silver_birch", 7: "english_oak"}, 500.0)
     assert (birch.species, oak.species, together.species) == ("silver_birch", "english_oak", "all")
@@ -22,10 +22,7 @@ def test_rows_add_up_to_what_a_hand_would_reckon():
     assert together.stem_m3_per_ha == pytest.approx(2.75 * 20)
     assert together.leaf_area_index == pytest.approx(200 / 500)
     assert together.height_max_m == 25.0
-
-
-def test_one_species_needs_no_sum():
-    """A pure stand has one row, and a bare plain has none."""
+    # A pure stand has one row, and a bare plain has none.
     assert [row.species for row in stand_rows(TREES[:2], {1: "silver_birch"}, 500.0)] == ["silver_birch"]
     assert stand_rows(TREES[:0], {}, 500.0) == []
 

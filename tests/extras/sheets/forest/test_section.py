@@ -44,15 +44,11 @@ def test_what_stands_there_is_drawn_at_its_height_in_its_colour():
     assert (picture == picture[:, :1]).all()
 
 
-def test_distance_pales():
-    """At the far side of the strip colours have faded half-way into the paper, beyond it they fade no more."""
+def test_distance_pales_and_the_overhang_is_seen():
+    """Colours fade with distance up to the strip's far side; a wall 2 m before the strip is seen with 3 m of overhang, not with none."""
     near, far, beyond = (draw(into_m)[40, 0].astype(int) for into_m in (-2.0, 2.0, 4.0))
     assert far == pytest.approx(0.45 * near + 0.55 * PAPER, abs=1)
     assert (beyond == far).all()
-
-
-def test_crowns_before_the_strip_are_seen_as_far_as_they_may_hang_out():
-    """A wall 2 m before the strip is seen with 3 m of overhang, and not with none."""
     assert (draw(-4.0)[40, 0] == COLOURS[0]).all()
     assert (draw(-4.0, overhang_m=0.0)[40, 0] == PAPER).all()
 

@@ -1,7 +1,6 @@
 """The sheet with plan and section."""
 
 import io
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.palette import colour_of_species
-from vlp16emu.extras.plots import check_matplotlib
 from vlp16emu.extras.sheets.plan import legend_entries
 from vlp16emu.extras.sheets.section import StandSection
 from vlp16emu.extras.sheets.sheet import draw_sheet, draw_side
@@ -56,15 +53,9 @@ def picture():
     return sheet(survey())
 
 
-def test_a_sheet_is_a_png_with_a_palette(picture):
-    """Pictures of leaves stay small: one byte per pixel."""
-    assert picture.format == "PNG"
-    assert picture.mode == "P"
-    assert picture.width == 1008
-
-
 def test_crowns_have_the_colour_of_their_species_and_their_size(picture):
-    """Crowns of two birches, drawn at 42 % over white, cover what discs of their width would."""
+    """Crowns of two birches, drawn at 42 % over white, cover what discs of their width would, in a file with a palette."""
+    assert (picture.format, picture.mode, picture.width) == ("PNG", "P", 1008)
     birch = 0.42 * np.array(colour_of_species("silver_birch")) + 0.58 * np.array([252, 251, 248])
     pixels_per_m = (12.0 - 1.9 - 0.7) * 84 / 40
     expected = np.pi / 4 * (36 + 16) * pixels_per_m**2 / (picture.width * picture.height)
@@ -98,13 +89,6 @@ def test_an_empty_plain_can_be_drawn():
     """No trees, no things, no relief: the sheet is drawn all the same."""
     plain = SimpleNamespace(height_m=lambda x, _: np.zeros_like(x))
     assert sheet(survey(near=np.zeros(0, TREE), things=[], bare=plain)).width == 1008
-
-
-def test_without_matplotlib_the_extra_is_named(monkeypatch):
-    """Where matplotlib is missing, the message says how to get it."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"a picture needs matplotlib: pip install 'vlp16emu\[picture\]'"):
-        check_matplotlib()
 
 
 def test_a_section_and_its_marks_stay_within_a_small_survey():
