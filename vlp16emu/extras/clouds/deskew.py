@@ -23,6 +23,7 @@ from vlp16emu.extras.clouds.cloud import (
     time_comment,
 )
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
+from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
@@ -38,18 +39,6 @@ _PACKETS = 100
 """Placed at once: 38 400 points, some 20 MB."""
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
 """Columns that packets have as they are."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrajectoryErrors:
-    """Extrinsics, time offset and drift between a trajectory and the sensor, true or wrong on purpose."""
-
-    time_offset_s: float = 0.0
-    """Added to the time of each pulse before its pose is looked up."""
-    mount: tuple[float, float, float, float, float, float] = (0.0,) * 6
-    """Place (x, y, z in m) and turn (roll, pitch, yaw in degrees, as of `[motion.mount]`) of the sensor on the body of the poses."""
-    drift: tuple[float, float, float, float] = (0.0,) * 4
-    """To the east, north and up in m per minute, and counter-clockwise about the first pose in degrees per minute."""
 
 
 class Trajectory:

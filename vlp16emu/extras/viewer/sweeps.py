@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import CaptureError, InputError
-from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, TrajectoryErrors
+from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
+from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.verify import Finding, Rule, verify_units
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
