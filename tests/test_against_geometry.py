@@ -6,7 +6,7 @@ from raycast.reference import SlowScene
 
 from vlp16emu.engine import Engine, assemble
 from vlp16emu.extras.accuracy.compare import compare, errors_of
-from vlp16emu.extras.accuracy.sample import Bench, Group, apart_m, joined
+from vlp16emu.extras.accuracy.sample import Bench, apart_m, joined
 from vlp16emu.extras.accuracy.sweep import beam_settings
 from vlp16emu.scenario import load
 
@@ -140,7 +140,7 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
     look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
     list(Engine.of(scenario, taps=[look]).returns(0, 0.01))
     poses_at = unit.motion.poses_at
-    groups = [Group(first, 8) for first in range(0, 1808, 192)]
+    groups = [range(first, first + 8) for first in range(0, 1808, 192)]
     aimed = [bench.aimed(group, poses_at) for group in groups]
     answers = {
         scene: joined([bench.answer(scene, firings, settings[-1].beam) for firings in aimed])

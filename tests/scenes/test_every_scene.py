@@ -15,13 +15,9 @@ SCENES = list(scene_files().values())
 NAMES = list(scene_files())
 
 
-def test_there_are_scenes():
-    """The folder is where this test looks for it."""
-    assert {"birch_walk", "spruce_walk", "static_bench"} <= set(NAMES)
-
-
 def test_a_scene_is_read_by_name_and_by_path():
     """A scene of the folder loads by its name, and is the same by its path."""
+    assert {"birch_walk", "spruce_walk", "static_bench"} <= set(NAMES)
     for path in SCENES:
         assert load(path.stem) == load(str(path)), path.stem
 

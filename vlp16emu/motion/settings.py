@@ -24,7 +24,7 @@ _Swing = Annotated[float, Field(ge=0, le=45)]
 
 
 class Mount(Section):
-    """How a device sits on its carrier."""
+    """Extrinsics of a device on its carrier."""
 
     lever_arm_m: Annotated[tuple[_Offset, _Offset, _Offset], Field(strict=False)] = (0.0, 0.0, 0.0)
     """Its origin in the carrier's frame: forward, left, up."""

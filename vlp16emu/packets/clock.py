@@ -51,7 +51,7 @@ class PacketClock:
 
     Parameters
     ----------
-    clock : where the time comes from
+    clock : source of the time
     host_behind_ns : by how much capture stamps are behind UTC, as far as the choice of the hour is concerned
     """
 
@@ -86,7 +86,7 @@ class PacketClock:
 
 
 class UnitClock(NamedTuple):
-    """What the first packets of a unit say of its clock."""
+    """Clock of a unit, as its first packets tell."""
 
     clock: Clock
     """The chosen one, or the default: the sensor's if it is locked, else the host's."""

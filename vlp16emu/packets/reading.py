@@ -283,7 +283,8 @@ class CaptureReader:
         self._factory = int(fields["factory"][0])
         for mode in np.unique(fields["return_mode"]):
             stride = 2 if mode == RETURN_MODE_BYTE[ReturnMode.DUAL] else 1
-            step_cdeg = np.diff(azimuth_cdeg[fields["return_mode"] == mode, ::stride].astype(np.int64)) % AZIMUTH_CODES
+            own_cdeg: I8 = azimuth_cdeg[fields["return_mode"] == mode, ::stride].astype(np.int64)
+            step_cdeg: I8 = np.diff(own_cdeg) % AZIMUTH_CODES
             # A far wider step than its neighbours is the edge of a field of view.
             even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
             self._turned_cdeg += int(step_cdeg[even].sum())

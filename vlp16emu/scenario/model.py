@@ -32,7 +32,6 @@ _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 
 
 def _from_text(start: Any) -> Any:
-    """Take a time in quotes for the time that it is."""
     try:
         return datetime.fromisoformat(start) if isinstance(start, str) else start
     except ValueError:
@@ -163,12 +162,12 @@ class Scenario(Section):
         return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
 
     def span_s(self, start_s: float, duration_s: float | None, *, where: str = "start_s") -> tuple[float, float]:
-        """Begin and end of a run, in seconds since the first pulse; it ends with the scene where no duration is given.
+        """Return begin and end of a run, in seconds since the first pulse; without a duration it ends with the scene.
 
         Raises
         ------
         InputError
-            where the run would begin after the end of the scene; `where` is what the line calls its begin
+            If the run would begin after the end of the scene; `where` is the name of its begin in the error
         """
         if duration_s is not None:
             return start_s, start_s + duration_s

@@ -29,7 +29,6 @@ _PRESETS: dict[str, dict[str, object]] = {
 
 
 def _of_a_host(address: str) -> str:
-    """Refuse what a sensor cannot be set to."""
     try:
         known = IPv4Address(address)
     except ValueError:
@@ -43,7 +42,7 @@ Address = Annotated[str, AfterValidator(_of_a_host)]
 
 
 class Lidar(Preset):
-    """What all lidars have in common."""
+    """Keys that all lidars have in common."""
 
     seed: Seed | None = None
     """Seed of the errors of this sensor, and of the GPS receiver and inertial unit beside it; the scene's seed if not set."""
@@ -184,12 +183,12 @@ AnySensor = Annotated[Sensor | FreeSensor, OneOf(Lidar, "sensors", "model", "vlp
 
 
 def on_the_wire(sensor: Sensor | FreeSensor) -> Sensor:
-    """Hand on a sensor that has packets.
+    """Return a sensor that has packets.
 
     Raises
     ------
     ScenarioError
-        where it has none
+        If it has none
     """
     if isinstance(sensor, FreeSensor):
         raise ScenarioError(

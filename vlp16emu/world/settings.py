@@ -26,7 +26,7 @@ class WorldSection(Section):
     """The user's own things; they may lie anywhere."""
 
     def site(self, seed: int) -> Site:
-        """Return its ground, on which the path and then the world are made.
+        """Return the ground, on which the path and then the world are made.
 
         Raises
         ------

@@ -16,11 +16,11 @@ def test_groups_are_spread_over_the_run(moves):
     drawn = list(draw_groups(BATCHING, blocks, 4096, 7, moves=moves))
     groups = [group for _, of_segment in drawn for group in of_segment]
     assert len(groups) == 4096 // (GROUP * 16)
-    at = np.array([group.first for group in groups]) / (blocks * BATCHING.block)
+    at = np.array([group.start for group in groups]) / (blocks * BATCHING.block)
     assert (np.floor(at * len(groups)) == np.arange(len(groups))).all()
     if moves:
         for segment, of_segment in drawn:
-            assert {group.first // BATCHING.block // BATCHING.segment for group in of_segment} == {segment}
+            assert {group.start // BATCHING.block // BATCHING.segment for group in of_segment} == {segment}
 
 
 def test_groups_are_eights_of_a_run():
@@ -28,9 +28,9 @@ def test_groups_are_eights_of_a_run():
     seen = set()
     for seed in range(60):
         for _, groups in draw_groups(BATCHING, 2, 16 * 128, seed, moves=True):
-            assert all(group.count == GROUP and group.first % GROUP == 0 for group in groups)
-            assert all(0 <= group.first < 2 * BATCHING.block for group in groups)
-            seen |= {group.first for group in groups}
+            assert all(len(group) == GROUP and group.start % GROUP == 0 for group in groups)
+            assert all(0 <= group.start < 2 * BATCHING.block for group in groups)
+            seen |= {group.start for group in groups}
     assert len(seen) > 100
 
 

@@ -32,8 +32,7 @@ class Outcome(IntEnum):
     MATCHED = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Detections:
+class Detections(NamedTuple):
     """Detections of n pulses; columns as in `Returns`."""
 
     distance_m: F4

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vlp16emu.engine import assemble
 from vlp16emu.engine.windows import workers
 from vlp16emu.extras.accuracy.curve import LevelOfDetail, Mean
-from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, Group, opened_windows
+from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, opened_windows
 from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
@@ -62,7 +62,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     unit = parts.units[0]
     bench, detector, poses_at = Bench(unit, unit.beam.rays), unit.detector.without_chance(), unit.motion.poses_at
 
-    def returns(geometry: Geometry, group: Group) -> Returns:
+    def returns(geometry: Geometry, group: range) -> Returns:
         firings = bench.aimed(group, poses_at)
         hits = bench.cast(geometry, firings, unit.beam)
         return detect(firings, hits, geometry.surfaces, detector, truth=True)
@@ -70,7 +70,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     with workers(os.cpu_count() or 1, "foliage") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             found = list(pool.map(partial(returns, geometry), groups))
-            timed = bench.aimed(Group(groups[0].first, TIMED_SEQUENCES), poses_at)
+            timed = bench.aimed(range(start := groups[0].start, start + TIMED_SEQUENCES), poses_at)
             us = min(bench.timed(geometry, timed, unit.beam)[0] for _ in range(_REPEATS))
             yield from ((one, us, share) for one in found)
 

@@ -27,21 +27,12 @@ from vlp16emu.units import seconds_to_ns
 PosesAt = Callable[[I8], Poses]
 
 GROUP = 8
-"""Firing sequences of a group: an adaptive beam is judged among so many, and no others."""
+"""Firing sequences of a group, from a multiple of eight on: an adaptive beam is judged among so many, and no others."""
 TIMED_SEQUENCES = 96
 """Firing sequences on which run time is measured in each window: then a call costs below a tenth of a ray each."""
 _MOST_SEGMENTS = 8
 """Most segments of a long walk: each needs a window of the world."""
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Consecutive firing sequences, cast as in a run: of a block, from a multiple of eight on."""
-
-    first: int
-    """Number of the first one."""
-    count: int
 
 
 def apart_m(detector: Detector) -> float:
@@ -69,8 +60,8 @@ def joined(parts: Sequence[Detections]) -> Detections:
 
 def draw_groups(
     batching: Batching, blocks: int, pulses: int, seed: int, *, moves: bool
-) -> Iterator[tuple[int, list[Group]]]:
-    """Draw groups of the first blocks of a run, of so many pulses at least, by segments that share a window of the world.
+) -> Iterator[tuple[int, list[range]]]:
+    """Draw groups of firing sequences of the first blocks of a run, of so many pulses at least, by segments that share a window.
 
     Yields the number of a segment, 0 alone if nothing moves, and its groups in order of time.
     """
@@ -82,7 +73,7 @@ def draw_groups(
     for number in chosen.tolist():
         first, stop = number * segment * per_block, min((number + 1) * segment, blocks) * per_block
         places = first + _one_of_each(draw, stop - first, min(most, stop - first))
-        yield number, [Group(place * GROUP, GROUP) for place in places.tolist()]
+        yield number, [range(place, place + GROUP) for place in (GROUP * places).tolist()]
 
 
 def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> I8:
@@ -93,7 +84,7 @@ def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> I8:
 
 def opened_windows(
     scenario: Scenario, parts: Parts, pulses: int, pool: Executor
-) -> Iterator[tuple[Geometry, list[Group], float]]:
+) -> Iterator[tuple[Geometry, list[range], float]]:
     """Open the windows of a sample of the pulses of a run's first unit, one after the other; `pool` grows shapes.
 
     Yields a window, groups in it, and the share of the run that ends with them.
@@ -104,7 +95,7 @@ def opened_windows(
     built, blocks = caster(parts.world, pool), len(batching.blocks(0, run_ns))
     for segment, groups in draw_groups(batching, blocks, pulses, unit.seed, moves=parts.moves):
         geometry = built.open(window_of(parts, scenario.start_ns, batching, segment))
-        yield geometry, groups, min((groups[-1].first + GROUP) * batching.sequence_ns / run_ns, 1.0)
+        yield geometry, groups, min(groups[-1].stop * batching.sequence_ns / run_ns, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +106,9 @@ class Bench:
     rays: int
     """Sub-rays of an answer."""
 
-    def aimed(self, group: Group, poses_at: PosesAt) -> Firings:
+    def aimed(self, group: range, poses_at: PosesAt) -> Firings:
         """Aim the sequences of a group."""
-        return self.unit.head.aim(group.first, group.count, poses_at, beam_axis=True)
+        return self.unit.head.aim(group.start, len(group), poses_at, beam_axis=True)
 
     def cast(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Hits:
         """Cast pulses between the unit's limits of range."""
@@ -139,8 +130,8 @@ class Bench:
         detect(firings, hits, geometry.surfaces, self.unit.detector, truth=False)
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(hits.count.mean())
 
-    def timed_aim(self, block: Group, poses_at: PosesAt) -> float:
+    def timed_aim(self, block: range, poses_at: PosesAt) -> float:
         """Pose and aim as a run does; return microseconds per pulse on one core."""
         began_s = time.thread_time()
-        firings = self.unit.head.aim(block.first, block.count, poses_at, beam_axis=self.unit.beam.has_width)
+        firings = self.unit.head.aim(block.start, len(block), poses_at, beam_axis=self.unit.beam.has_width)
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size

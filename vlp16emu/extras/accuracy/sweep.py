@@ -4,8 +4,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.compare import Detections, Errors, compare, errors_of
 from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row
-from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, Group, PosesAt, apart_m, joined, opened_windows
+from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, PosesAt, apart_m, joined, opened_windows
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
@@ -33,8 +32,7 @@ _POSED = 4
 """Every fourth group measures errors of poses and of the answer itself, as answers are costly."""
 
 
-@dataclass(frozen=True, slots=True)
-class BeamSetting:
+class BeamSetting(NamedTuple):
     """A setting of the beam."""
 
     kind: Kind
@@ -44,8 +42,7 @@ class BeamSetting:
     beam: Footprint
 
 
-@dataclass(frozen=True, slots=True)
-class PoseRate:
+class PoseRate(NamedTuple):
     """A rate at which pulses get new poses."""
 
     name: str
@@ -106,11 +103,11 @@ class _Ladder:
         self._detections = defaultdict[str, list[Detections]](list)
         self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
 
-    def look(self, geometry: Geometry, groups: Sequence[Group], pool: ThreadPoolExecutor) -> None:
+    def look(self, geometry: Geometry, groups: Sequence[range], pool: ThreadPoolExecutor) -> None:
         """Detect the groups of one window with all settings."""
         bench, poses_at, some = self._bench, self._bench.unit.motion.poses_at, groups[::_POSED]
 
-        def answers(groups: Sequence[Group], poses_at: PosesAt = poses_at, number: int = 0) -> list[Detections]:
+        def answers(groups: Sequence[range], poses_at: PosesAt = poses_at, number: int = 0) -> list[Detections]:
             aimed = [bench.aimed(group, poses_at) for group in groups]
             return list(pool.map(lambda firings: bench.answer(geometry, firings, self._wide, number), aimed))
 
@@ -124,11 +121,10 @@ class _Ladder:
         for rate in self._pose_rates:
             self._detections[rate.name] += answers(some, rate.poses_at)
 
-    def time(self, geometry: Geometry, block: Group) -> None:
+    def time(self, geometry: Geometry, block: range) -> None:
         """Measure run time of all settings, in turn, so that other load meets them alike."""
         bench = self._bench
-        few = Group(block.first, min(TIMED_SEQUENCES, block.count))
-        firings = bench.aimed(few, bench.unit.motion.poses_at)
+        firings = bench.aimed(block[:TIMED_SEQUENCES], bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
             timed |= {rate.name: (bench.timed_aim(block, rate.poses_at), bench.rays) for rate in self._pose_rates}
@@ -191,7 +187,7 @@ def measure_accuracy(
     with workers(os.cpu_count() or 1, "accuracy") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             ladder.look(geometry, groups, pool)
-            ladder.time(geometry, Group(groups[0].first // block * block, block))
+            ladder.time(geometry, range(begin := groups[0].start // block * block, begin + block))
             done(share)
     summed = ladder.summed(scene, scenario.seed)
     if not (seen := summed.rows[0].errors).returns:

@@ -26,15 +26,15 @@ _OWN_TYPES = {
 """Definitions in github.com/ros-drivers/velodyne (velodyne_msgs/msg) and nmea_msgs (msg), and in
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
 _HELD_NS = S_NS
-"""For so long messages wait for earlier ones."""
+"""Time for which messages wait for earlier ones."""
 _FAILURES = (OSError, sqlite3.Error)
-"""What a full disk raises, the second one in a folder of ROS 2."""
+"""Errors of a full disk, the second one in a folder of ROS 2."""
 _NAME = 60
 """Characters of the name that are part of the temporary folder's."""
 LATEST_NS = (2**31 - 1) * S_NS
 """Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
 _METADATA_VERSION = 8
-"""Of rosbag2: the last one whose quality of service is a text."""
+"""Last version of rosbag2 whose quality of service is a text."""
 
 
 def check_bag(path: Path) -> None:
@@ -43,9 +43,9 @@ def check_bag(path: Path) -> None:
     Raises
     ------
     OutputError
-        where the ending is another, or the folder is there already
+        If the ending is another, or the folder is there already
     MissingExtraError
-        where rosbags is not installed
+        If rosbags is not installed
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES or not path.name:
@@ -68,9 +68,9 @@ class BagFile:
     Raises
     ------
     OutputError
-        where the suffix is another, the folder is there already, or nothing can be written there
+        If the suffix is another, the folder is there already, or nothing can be written there
     MissingExtraError
-        where rosbags is not installed
+        If rosbags is not installed
     """
 
     def __init__(self, path: Path) -> None:
@@ -137,8 +137,10 @@ class BagFile:
         Raises
         ------
         RunError
-            where the disk is full
+            If the disk is full, or no bag can hold the stamp
         """
+        if not 0 <= t_ns <= LATEST_NS:
+            raise RunError(f"{self.path}: a message at {t_ns / S_NS:.3f} s since 1970 fits no bag; no bag is written")
         heapq.heappush(self._held, (t_ns, next(self._number), topic, self._make(name, fields)))
         self.counts[topic] = self.counts.get(topic, 0) + 1
         first_ns, last_ns = self.span_ns or (t_ns, t_ns)
@@ -147,7 +149,7 @@ class BagFile:
             self._append()
 
     def _make(self, name: str, fields: Iterable[Any]) -> Any:
-        """Make a message, and those within it."""
+        """Return a message with those inside it."""
         from rosbags.interfaces import Nodetype
 
         made = []
@@ -187,7 +189,7 @@ class BagFile:
         return writer
 
     def _connection(self, topic: str, name: str) -> Any:
-        """Announce a topic: reliable, the last ten; fixed transforms are kept for whoever comes later, as tf2_ros does."""
+        """Announce a topic: reliable, the last ten; fixed transforms are latched, as tf2_ros does."""
         from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
         is_fixed, any_time = topic == "/tf_static", QosTime(0, 0)

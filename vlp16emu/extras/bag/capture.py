@@ -32,15 +32,15 @@ Row = tuple[int, list[float]]
 
 @dataclass(frozen=True, slots=True)
 class BagResult:
-    """What a bag holds."""
+    """Contents of a bag."""
 
     file: str
     messages: dict[str, int]
-    """By topic."""
+    """Messages of each topic."""
     duration_s: float
-    """From the first message to the last."""
+    """Time from the first message to the last."""
     clocks: tuple[str, ...]
-    """Of each unit, in the order of their topics: sensor, gps or host."""
+    """Clock of each unit, in the order of their topics: sensor, gps or host."""
     host_ahead_s: tuple[float, ...]
     """Capture stamps less the sensor's clock at the first data packet of each unit."""
     repeats: int
@@ -112,7 +112,7 @@ def write_bag(
 
 @contextmanager
 def _named(capture: Path) -> Iterator[None]:
-    """Put the name of the capture into errors of its packets."""
+    """Add the name of the capture to errors of its packets."""
     try:
         yield
     except PacketError as error:

@@ -23,6 +23,7 @@ from vlp16emu.extras.clouds.cloud import (
     time_comment,
 )
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
+from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
@@ -37,19 +38,7 @@ _MINUTE_NS = 60 * S_NS
 _PACKETS = 100
 """Placed at once: 38 400 points, some 20 MB."""
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
-"""As the packets have them."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrajectoryErrors:
-    """What lies between a trajectory and the sensor, or is put there on purpose."""
-
-    time_offset_s: float = 0.0
-    """Added to the time of each pulse before its pose is looked up."""
-    mount: tuple[float, float, float, float, float, float] = (0.0,) * 6
-    """Place (x, y, z in m) and turn (roll, pitch, yaw in degrees, as of `[motion.mount]`) of the sensor on the body of the poses."""
-    drift: tuple[float, float, float, float] = (0.0,) * 4
-    """To the east, north and up in m per minute, and counter-clockwise about the first pose in degrees per minute."""
+"""Columns that packets have as they are."""
 
 
 class Trajectory:
@@ -58,7 +47,7 @@ class Trajectory:
     Parameters
     ----------
     path : a TUM file, or a folder with the truth of a run, whose trajectory of a unit is taken
-    unit : of the run, from 1; InputError where the folder has no such truth or unit
+    unit : of the run, from 1; InputError if the folder has no such truth or unit
     errors : put on its poses
     """
 
@@ -103,7 +92,7 @@ class Trajectory:
 
 
 class CaptureTruth:
-    """What each point of a capture lies on, from the truth of its run.
+    """Ground truth of the points of a capture, from the truth folder of its run.
 
     Parameters
     ----------
@@ -121,7 +110,7 @@ class CaptureTruth:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of the points, beside `DESKEWED_COLUMNS`."""
+        """Columns of the points beside `DESKEWED_COLUMNS`."""
         known = {column.name for column in DESKEWED_COLUMNS} | {"reflectance"}
         wanted = TRUTH_COLUMNS + LABEL_COLUMNS * (self._labels is not None)
         return tuple(column for column in wanted if column.name not in known)
@@ -139,7 +128,7 @@ class CaptureTruth:
 
 @dataclass(frozen=True, slots=True)
 class Deskewed:
-    """What a file of points of a capture holds."""
+    """Contents of a file of points of a capture."""
 
     file: str
     capture: str
@@ -148,11 +137,11 @@ class Deskewed:
     without_pose: int
     """Points left out, as the trajectory has no pose at their pulses."""
     truth: bool
-    """Whether points have labels."""
+    """True if points have labels."""
     simulated_s: float
-    """From the first pulse of the capture to the last."""
+    """Time from the first pulse of the capture to the last."""
     clock: str
-    """Of the pulses: sensor, gps or host."""
+    """Clock of the pulses: sensor, gps or host."""
     host_ahead_s: float
     """Capture stamps less the sensor's clock at the first packet."""
     bytes: int
@@ -174,9 +163,9 @@ def write_deskewed(
     Raises
     ------
     InputError, TrajectoryError
-        where the truth is that of another run, or no pulse has a pose
+        If the truth is of another run, or no pulse has a pose
     CaptureError, PacketError
-        where the capture cannot be read, or is damaged; the file holds the points before
+        If the capture cannot be read, or is damaged; the file holds the points before
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     stamped = packet_clock(capture, known, clock, where="--clock")

@@ -1,4 +1,4 @@
-"""From a capture to the settings of the unit that made it."""
+"""Settings of the unit that made a capture."""
 
 import math
 

@@ -1,7 +1,7 @@
 """Statistics of a unit, from its packets alone, which depend little on what stood before it.
 
 Ranges are held against a cubic through fifteen pulses of the same laser, where all of them met a smooth surface. Each
-statistic is absent where the capture has too little for it.
+statistic is absent if the capture has too little for it.
 """
 
 import math
@@ -22,7 +22,7 @@ _MIDDLE_LEVEL = 20.0
 _LEAST = 500
 """Records, from which on a statistic is worth its name."""
 _COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
-"""From half a metre to 40 m; and so many codes of a laser and range, at least."""
+"""Codes, edges of the range classes from half a metre to 40 m, and the least number of codes in a class."""
 _HUM_CYCLES_PER_BLOCK = 0.16
 _MOST_COUNTS = 15
 
@@ -30,7 +30,7 @@ Statistics = dict[str, float]
 
 
 class Smooth:
-    """What pulses on smooth surfaces measure: residuals of the ranges with their slot of the beat, and reflectivities."""
+    """Residuals of the ranges of pulses on smooth surfaces, with their slot of the beat, and their reflectivities."""
 
     def __init__(self, sequences: Sequences) -> None:
         powers = np.vander(np.arange(_WINDOW) - _WINDOW // 2, 4).astype(float)
@@ -202,7 +202,7 @@ def _rotation(sequences: Sequences) -> Statistics:
 
 
 def _residues(sequences: Sequences) -> Statistics:
-    """How evenly codes of distance are used."""
+    """Evenness of the codes of distance."""
     d = sequences.distance_lsb
     odd = [(codes[codes > 0] % 2).mean() for codes in d.T if (codes > 0).sum() >= _LEAST]
     if len(odd) < _SLOTS:
