@@ -56,24 +56,24 @@ FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "g
 EXTRAS_TAKE = {
     "accuracy": {"plots"},
     "bag": {"truth"},
-    "clouds": {"recorded", "truth"},
+    "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
-    "dataset": {"clouds"},
+    "dataset": {"clouds", "options"},
     "canvas": {"camera"},
-    "images": {"camera", "palette", "truth"},
+    "images": {"camera", "options", "palette", "truth"},
     "live": {"recorded"},
-    "score": {"clouds", "plots", "recorded"},
+    "score": {"clouds", "options", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
     "truth": {"bench"},
-    "viewer": {"camera", "canvas", "clouds", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "canvas", "clouds", "options", "palette", "plots", "sheets", "verify"},
 }
-"""Which extras each extra may import beside the core: trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
+"""Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
 FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("raycast/embree", "sinks/pacing.py"),
+    "ctypes": ("output.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
     "serial": ("sinks/", "extras/bench/"),
     "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/viewer/"),

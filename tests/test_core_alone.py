@@ -29,11 +29,11 @@ def core(tmp_path_factory):
         (folder / name).symlink_to(ROOT / name)
     env = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("kernels"))}
 
-    def run(*arguments):
+    def run(*arguments, code=0):
         command = [sys.executable, "-m", "vlp16emu", *arguments, "--json"]
         done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        assert done.returncode == code, done.stderr
+        return done.stderr if code else json.loads(done.stdout)
 
     assert not [name for name in AROUND if (folder / "vlp16emu" / name).exists()]
     return run
@@ -73,3 +73,13 @@ def test_it_streams_the_same_bytes(core, packets):
             sent = [packet.payload for packet in packets if len(packet.payload) == length]
             assert len(sent) > 20
             assert [receiver.recv(2000) for _ in sent] == sent
+
+
+def test_a_scene_with_events_is_refused_in_one_line(core, tmp_path):
+    """What can happen to a sensor is an extra: its absence is one clear line, and no file is made."""
+    events = "--set", 'events=[{kind = "drop", at_s = 0.1}]'
+    line = core("record", "static_bench", str(tmp_path / "x.pcap"), *events, code=2)
+    assert "vlp16emu.extras" in line
+    assert "expected a complete installation" in line
+    assert "Traceback" not in line
+    assert not list(tmp_path.iterdir())

@@ -37,18 +37,14 @@ def rmse_mm(placed, placing):
 
 
 def test_true_poses_put_every_point_on_its_surface(placed):
-    """With the pose of its pulse each point lies on its surface within 2 mm, as closely as the wire's steps allow.
+    """With the pose of its pulse each point lies on its surface as closely as the wire's steps allow: half of 2 mm and 0.011 deg.
 
-    These are half of 2 mm along the beam and 0.0107 deg across it, 0.0110 deg at 300 deg/s.
+    Flat errors of half a step have an RMSE of 0.58 mm on a wall met head-on: nothing else is left.
     """
     assert len(placed.bound_m) > 500_000
     of_bound = placed.error_m["pulse"] / placed.bound_m
     assert 0.85 < of_bound.max() <= 1.0  # reached, or it would prove nothing
     assert placed.bound_m.max() < 2e-3
-
-
-def test_the_errors_that_are_left_are_the_wires_own(placed):
-    """Flat errors of half a step either way have an RMSE of 0.58 mm on a wall met head-on: nothing else is left."""
     assert 0.5 < rmse_mm(placed, "pulse") < 0.65
 
 
@@ -57,13 +53,6 @@ def test_one_pose_per_packet_or_sweep_leaves_the_surfaces(placed):
     assert (placed.error_m["packet"] > placed.bound_m).mean() > 0.01
     assert rmse_mm(placed, "packet") > 2 * rmse_mm(placed, "pulse")
     assert np.quantile(placed.error_m["sweep"][placed.upright], 0.95) > 0.1
-
-
-def test_at_300_deg_s_even_a_firing_sequence_needs_more_than_one_pose(turning):
-    """While a sequence's 16 lasers fire, the body turns by another 0.010 deg, and that is seen."""
-    error_m = turning.error_m["firing sequence"]
-    assert (error_m > turning.bound_m).any()
-    assert rmse_mm(turning, "firing sequence") > 1.05 * rmse_mm(turning, "pulse")
 
 
 def test_the_error_of_a_turn_is_the_angle_turned_times_the_distance(deskew, turning):

@@ -20,7 +20,7 @@ from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.packets.pose import pack_pose
 from vlp16emu.run.options import PosesIn
 from vlp16emu.types import PacketKind
-from vlp16emu.units import MS_NS, S_NS, US_NS
+from vlp16emu.units import S_NS, US_NS
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -160,11 +160,6 @@ def test_lost_poses_are_reported_and_survived(flown):
     assert flown.streamed.sent.simulated_s == pytest.approx(RUN_S, abs=0.1)
 
 
-def test_packets_follow_poses_soon(flown):
-    """Every second packet follows its pose within 20 ms, on a machine that has other things to do."""
-    assert 0.0 < flown.streamed.live.latency_median_us < 20_000
-
-
 def test_poses_come_by_a_call_too():
     """A live stream begins with the first pose that `put_pose` brings, and ends after the duration that is asked for."""
     emulator, stop = (
@@ -198,7 +193,6 @@ def test_a_flight_is_put_into_the_present():
     first = streamed.sent.first
     assert streamed.sent.moved_s > 0
     assert abs(first.sensor_ns - first.truth_ns - streamed.sent.moved_s * S_NS) < US_NS  # stamps are whole us
-    assert abs(first.host_ns - first.sensor_ns) < 100 * MS_NS  # a busy machine; idle it is below ten
     start_us = (emulator.scenario.start_ns // US_NS + streamed.sent.moved_s * 1_000_000) % 3_600_000_000
     assert int.from_bytes(data.payloads[0][1200:1204], "little") - start_us < 250_000
 

@@ -1,5 +1,6 @@
 """Files that runs write."""
 
+import ctypes
 import errno
 import fcntl
 import logging
@@ -7,11 +8,12 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, OutputFolder
 
 CHILD = """
 import sys
@@ -70,16 +72,16 @@ def test_threads_of_one_program_exclude_each_other_too(tmp_path):
 
 
 def test_a_killed_run_leaves_the_file_before_and_no_lock(writer, tmp_path):
-    """After SIGKILL the earlier file stands, what was written is beside it, and the next run replaces both."""
-    path, part = tmp_path / "x", tmp_path / "x.part"
+    """After SIGKILL the earlier file stands, what was written is beside it, and the next run is not held up."""
+    path = tmp_path / "x"
     path.write_bytes(b"earlier")
     other = writer(path)
     other.send_signal(signal.SIGKILL)
     other.wait()
+    (part,) = tmp_path.glob("x.*.part")
     assert (path.read_bytes(), part.read_bytes()) == (b"earlier", b"of the child")
     write(path)
-    assert path.read_bytes() == b"new"
-    assert not part.exists()
+    assert (path.read_bytes(), part.read_bytes()) == (b"new", b"of the child")
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
@@ -127,25 +129,19 @@ def test_a_link_stays_a_link(tmp_path):
     assert [path.name for path in target.parent.iterdir()] == ["y"]
 
 
-def test_a_file_is_written_straight_where_none_can_be_beside_it(tmp_path, monkeypatch):
-    """In a folder that takes no new files an existing one is written, by one run at a time."""
-    path, opened = tmp_path / "x", os.open
+def test_a_folder_that_takes_no_new_file_is_refused(tmp_path, monkeypatch):
+    """Written straight, the earlier file would be lost on a full disk; so it stays, and one line says why."""
+    path = tmp_path / "x"
+    path.write_bytes(b"earlier")
 
-    def refusing(file, *rest):
-        if str(file).endswith(".part"):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        return opened(file, *rest)
+    def refusing(*_, **__):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr(os, "open", refusing)
-    with pytest.raises(OutputError, match="Permission denied; expected a file that can be written"):
-        OutputFile(path)
-    path.write_bytes(b"a longer one from before")
-    with OutputFile(path) as output:
-        with pytest.raises(OutputError, match="is being written"):
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", refusing)
+        with pytest.raises(OutputError, match="Permission denied; expected a file that can be written"):
             OutputFile(path)
-        with output.writing() as file:
-            file.write(b"new")
-    assert path.read_bytes() == b"new"
+    assert path.read_bytes() == b"earlier"
 
 
 def test_a_file_that_must_not_be_written_is_refused(tmp_path, monkeypatch):
@@ -172,18 +168,95 @@ def test_a_file_system_without_locks_is_reported(tmp_path, monkeypatch, caplog):
     assert caplog.messages == [line]
 
 
-def test_a_file_that_was_renamed_meanwhile_is_not_emptied(tmp_path, monkeypatch):
-    """Between opening and locking the run before may have given its file its name: that file stays whole."""
-    path, part, locked = tmp_path / "x", tmp_path / "x.part", fcntl.flock
-    part.write_bytes(b"whole")
+@pytest.mark.parametrize("make", [lambda path: path.write_bytes(b"mine"), os.mkfifo, os.mkdir])
+@pytest.mark.parametrize("name", ["x.part", "x.0123abcd.part"])
+def test_what_others_named_like_our_parts_stays(tmp_path, make, name):
+    """A file, a pipe or a folder whose name looks like that of an unfinished file is neither opened for writing nor lost."""
+    make(tmp_path / name)
+    before = (tmp_path / name).lstat()
+    write(tmp_path / "x")
+    after = (tmp_path / name).lstat()
+    assert (after.st_ino, after.st_mode, after.st_size) == (before.st_ino, before.st_mode, before.st_size)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["x", name])
 
-    def late(*arguments):
-        if not path.exists():
-            part.rename(path)
-        locked(*arguments)
 
-    monkeypatch.setattr(fcntl, "flock", late)
-    with OutputFile(path):
-        assert path.read_bytes() == b"whole"
-        assert part.exists()
-    assert path.read_bytes() == b"whole"
+@pytest.mark.parametrize("link", [os.symlink, os.link])
+def test_an_input_is_never_written_over(tmp_path, link):
+    """An output that is an input by device and inode is refused, by whatever name."""
+    (tmp_path / "input").write_bytes(b"read")
+    link(tmp_path / "input", tmp_path / "x")
+    with pytest.raises(OutputError, match="is read by this run"):
+        OutputFile(tmp_path / "x", inputs=[tmp_path / "input"])
+    assert (tmp_path / "input").read_bytes() == b"read"
+
+
+def test_links_in_a_circle_are_refused(tmp_path):
+    """A link that leads to itself is one line of the system's words (ELOOP of POSIX)."""
+    (tmp_path / "x").symlink_to("y")
+    (tmp_path / "y").symlink_to("x")
+    for output in (OutputFile, OutputFolder):
+        with pytest.raises(OutputError, match="Too many levels of symbolic links"):
+            output(tmp_path / "x")
+
+
+def test_a_name_as_long_as_the_system_allows(tmp_path):
+    """A name of 255 bytes (NAME_MAX of Linux) is written."""
+    write(tmp_path / ("x" * 255))
+    assert (tmp_path / ("x" * 255)).read_bytes() == b"new"
+
+
+def test_a_file_that_is_left_has_no_final_name(tmp_path):
+    """What is incomplete stays at its own place beside the earlier file."""
+    (tmp_path / "x").write_bytes(b"earlier")
+    with OutputFile(tmp_path / "x") as output:
+        output.file.write(b"half")
+        output.leave()
+    assert (tmp_path / "x").read_bytes() == b"earlier"
+    assert Path(output.place).read_bytes() == b"half"
+
+
+def fill(place, content, **options):
+    """Write a folder with one file."""
+    with OutputFolder(place, **options) as folder:
+        (folder.path / "a").write_text(content)
+
+
+@pytest.mark.parametrize("swap", [True, False])
+def test_a_folder_replaces_what_is_ours(tmp_path, monkeypatch, swap):
+    """It takes its name at the end, with renameat2(2) and without it; a folder that is not ours is refused and stays."""
+    if not swap:
+        monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: None)
+    place = tmp_path / "new" / "x"
+    ours = {"stranger": lambda folder: next((path.name for path in folder.iterdir() if path.name != "a"), None)}
+    for content in ("first", "second"):
+        fill(place, content, **ours)
+        assert [(path.name, path.read_text()) for path in place.iterdir()] == [("a", content)]
+    (place / "mine").touch()
+    for options, found in ((ours, "mine"), ({}, "a")):
+        with pytest.raises(OutputError, match=f"holds {found}"):
+            fill(place, "third", **options)
+    assert sorted(path.name for path in place.iterdir()) == ["a", "mine"]
+    assert [path.name for path in place.parent.iterdir()] == ["x"]
+
+
+def test_a_folder_that_became_somebody_elses_stays(tmp_path):
+    """What others put there while the run lasts is not replaced; the new folder is left beside it."""
+    place = tmp_path / "x"
+
+    def meanwhile():
+        with OutputFolder(place) as folder:
+            (folder.path / "a").touch()
+            place.mkdir()
+            (place / "mine").touch()
+
+    with pytest.raises(RunError, match=r"x: holds mine; it is left as .*x\.[0-9a-f]{8}\.part"):
+        meanwhile()
+    (left,) = tmp_path.glob("x.*.part")
+    assert ([*map(str, place.iterdir())], [path.name for path in left.iterdir()]) == ([f"{place}/mine"], ["a"])
+
+
+def test_an_error_leaves_no_new_folder(tmp_path):
+    """A folder whose block ends with an error is removed."""
+    with pytest.raises(ValueError), OutputFolder(tmp_path / "x"):  # noqa: PT011
+        raise ValueError
+    assert list(tmp_path.iterdir()) == []

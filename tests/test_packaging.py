@@ -51,6 +51,7 @@ def test_a_wheel_has_its_data(wheel):
     scenes |= {f"vlp16emu/scenes/own_plot/{path.name}" for path in (ROOT / "scenes" / "own_plot").iterdir()}
     assert len(scenes) >= 7
     assert names >= scenes | {"vlp16emu/py.typed", "vlp16emu/forest/species.toml", "vlp16emu/extras/bench/page.html"}
+    assert "vlp16emu/extras/bench/firmware.json" in names
 
 
 def test_a_wheel_has_the_command_and_the_licence(wheel):

@@ -101,7 +101,7 @@ def test_what_cannot_be_replayed_is_refused(capture, tmp_path):
     """A capture without a sensor's packets, and the present at another speed than its own, are errors of one line."""
     empty = tmp_path / "empty.pcap"
     empty.write_bytes(capture.read_bytes()[:24])
-    with pytest.raises(CaptureError, match=r"empty\.pcap: .*no data packets"):
+    with pytest.raises(CaptureError, match=r"empty\.pcap: .*no data packet"):
         replay(empty)
     with pytest.raises(InputError, match="--now"):
         replay(capture, now=True, speed=2.0)

@@ -121,14 +121,6 @@ def test_steps_count_the_numbers_between(same_bytes):
     assert same_bytes.steps(np.array([3], np.uint8), np.array([250], np.uint8)) == ", 2.5e+02"
 
 
-def test_tables_take_the_place_of_older_ones(same_bytes, tmp_path):
-    """What a file of results says before its first table and from its second heading on stays."""
-    path = tmp_path / "results.md"
-    path.write_text("# Title\n\nWords.\n\n| old |\n|---|\n\n## Before\n\n| more |\n")
-    same_bytes.write(path, "| new |\n|---|\n")
-    assert path.read_text() == "# Title\n\nWords.\n\n| new |\n|---|\n\n## Before\n\n| more |\n"
-
-
 def test_embree_takes_the_configuration_of_the_environment():
     """`VLP16EMU_EMBREE` limits the instruction set of the one device of a process."""
     program = "from vlp16emu.raycast.embree import device; device()"

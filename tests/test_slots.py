@@ -107,9 +107,16 @@ def test_truth_alone_is_the_same(run, tmp_path):
     assert (tmp_path / "t" / "returns.parquet").read_bytes() == (folder / "returns.parquet").read_bytes()
 
 
-def test_packets_that_are_lost_have_no_rows(tmp_path):
-    """Rows are those of the packets in the capture, by their number there, also where the wire drops and repeats some."""
-    events = [{"kind": "drop", "at_s": 0.1, "share": 0.3}, {"kind": "duplicate", "at_s": 0.1, "share": 0.2}]
+@pytest.mark.parametrize(
+    "events",
+    [
+        [{"kind": "drop", "at_s": 0.1, "share": 0.3}, {"kind": "duplicate", "at_s": 0.1, "share": 0.2}],
+        [{"kind": "setting", "at_s": 0.1, "fov_deg": [40, 44], "return_mode": "dual"}],
+    ],
+    ids=["wire", "field of view"],
+)
+def test_packets_that_are_not_sent_have_no_rows(tmp_path, events):
+    """Rows are those of the packets in the capture, by their number there: some are lost or twice, or the field of view is narrow."""
     emulator = Emulator("static_bench", {"events": events, "noise.preset": "ideal", "beam.model": "none"})
     emulator.record(tmp_path / "x.pcap", duration_s=0.5, truth=TruthTo(tmp_path / "t", per_return=True))
     payloads = data_payloads(tmp_path / "x.pcap")

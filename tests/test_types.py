@@ -11,8 +11,9 @@ from vlp16emu.types import SURFACE, Firings, Hits, Mesh, PacketKind, Poses, PpsS
 K, L = 3, 16
 
 
-def firings(**changes):
-    fields = {
+GOOD = {
+    Poses: {"t_ns": np.zeros(2, np.int64), "world_R_body": np.zeros((2, 3, 3)), "world_p_body_m": np.zeros((2, 3))},
+    Firings: {
         "index": 0,
         "t_ns": np.zeros((K, L), np.int64),
         "clock_ns": np.zeros(K, np.int64),
@@ -21,86 +22,67 @@ def firings(**changes):
         "origin_m": np.zeros((K, L, 3)),
         "direction": np.zeros((K, L, 3)),
         "beam_axis": None,
-    }
-    return Firings(**(fields | changes))
-
-
-def returns(**changes):
-    fields = {
-        "firings": firings(),
-        "distance_m": np.zeros((K, L, 3), np.float32),
-        "reflectivity": np.zeros((K, L, 3), np.uint8),
-        "surface": None,
-        "surfaces": None,
-    }
-    return Returns(**(fields | changes))
-
-
-def hits(**changes):
-    fields = {
+    },
+    Hits: {
         "count": np.ones((K, L), np.uint16),
         "range_m": np.zeros(K * L, np.float32),
         "surface": np.zeros(K * L, np.uint32),
         "cos_incidence": np.zeros(K * L, np.float32),
-    }
-    return Hits(**(fields | changes))
-
-
-def poses(**changes):
-    fields = {"t_ns": np.zeros(2, np.int64), "world_R_body": np.zeros((2, 3, 3)), "world_p_body_m": np.zeros((2, 3))}
-    return Poses(**(fields | changes))
-
-
-def window(**changes):
-    fields = {
+    },
+    Window: {
         "origin_m": np.zeros(3),
         "shapes": ("a",),
         "shape": np.zeros(2, np.int32),
         "world_T_shape": np.zeros((2, 3, 4)),
         "first_surface": np.zeros(2, np.uint32),
         "surfaces": np.zeros(2, SURFACE),
-    }
-    return Window(**(fields | changes))
+    },
+}
+GOOD[Returns] = {
+    "firings": Firings(**GOOD[Firings]),
+    "distance_m": np.zeros((K, L, 3), np.float32),
+    "reflectivity": np.zeros((K, L, 3), np.uint8),
+}
 
 
 BAD = [
     (
-        poses,
+        Poses,
         {"world_p_body_m": np.zeros((3, 3))},
         "Poses.world_p_body_m: found (3, 3) float64, expected (2, 3) float64",
     ),
-    (poses, {"t_ns": np.zeros(2)}, "Poses.t_ns: found (2,) float64, expected (n) int64"),
-    (firings, {"clock_ns": np.zeros(K)}, "Firings.clock_ns: found (3,) float64, expected (3) int64"),
-    (firings, {"direction": np.zeros((K, L))}, "Firings.direction: found (3, 16) float64, expected (3, 16, 3) float64"),
+    (Poses, {"t_ns": np.zeros(2)}, "Poses.t_ns: found (2,) float64, expected (n) int64"),
+    (Firings, {"clock_ns": np.zeros(K)}, "Firings.clock_ns: found (3,) float64, expected (3) int64"),
+    (Firings, {"direction": np.zeros((K, L))}, "Firings.direction: found (3, 16) float64, expected (3, 16, 3) float64"),
     (
-        firings,
+        Firings,
         {"beam_axis": np.zeros((K, L, 2))},
         "Firings.beam_axis: found (3, 16, 2) float64, expected (3, 16, 3) float64",
     ),
-    (hits, {"surface": np.zeros(K * L + 1, np.uint32)}, "Hits.surface: found (49,) uint32, expected (48) uint32"),
-    (hits, {"range_m": np.zeros(K * L)}, "Hits.range_m: found (48,) float64, expected (n) float32"),
+    (Hits, {"surface": np.zeros(K * L + 1, np.uint32)}, "Hits.surface: found (49,) uint32, expected (48) uint32"),
+    (Hits, {"range_m": np.zeros(K * L)}, "Hits.range_m: found (48,) float64, expected (n) float32"),
     (
-        returns,
+        Returns,
         {"reflectivity": np.zeros((K, L, 2), np.uint8)},
         "Returns.reflectivity: found (3, 16, 2) uint8, expected (3, 16, 3) uint8",
     ),
-    (returns, {"distance_m": [1.0]}, "Returns.distance_m: found list, expected (3, 16, 3) float32"),
-    (window, {"shape": np.zeros(2)}, "Window.shape: found (2,) float64, expected (2) int32"),
+    (Returns, {"distance_m": [1.0]}, "Returns.distance_m: found list, expected (3, 16, 3) float32"),
+    (Window, {"shape": np.zeros(2)}, "Window.shape: found (2,) float64, expected (2) int32"),
 ]
 
 
-@pytest.mark.parametrize(("make", "changes", "message"), BAD, ids=[row[2].partition(":")[0] for row in BAD])
-def test_a_wrong_shape_is_refused(make, changes, message):
+@pytest.mark.parametrize(("kind", "changes", "message"), BAD, ids=[row[2].partition(":")[0] for row in BAD])
+def test_a_wrong_shape_is_refused(kind, changes, message):
     """An array of the wrong shape or dtype is refused by name, with what was found and expected."""
     with pytest.raises(ValueError, match=r": found ") as caught:
-        make(**changes)
+        kind(**GOOD[kind] | changes)
     assert str(caught.value) == message
 
 
 def test_right_shapes_are_kept_and_frozen():
     """An object of right shapes is made, and cannot be changed after."""
-    for make in (poses, firings, hits, returns, window):
-        made = make()
+    for kind, fields in GOOD.items():
+        made = kind(**fields)
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(made, dataclasses.fields(made)[0].name, None)
 

@@ -41,7 +41,7 @@ class _Elementary(Protocol):
 
 
 class _Both:
-    """A function of float64 for arrays, as it is, and for kernels, which find it compiled.
+    """Function of float64 for arrays, and compiled for kernels.
 
     Compiled it keeps its order, whatever the caller asks for (`fastmath`), and divides by 0 as numpy does.
 
@@ -73,7 +73,7 @@ class _Both:
 
 
 class _Broadcast(_Both):
-    """Such a function for Python to call, with numbers and arrays that broadcast."""
+    """Function of float64 that Python calls too, with numbers and arrays that broadcast."""
 
     def __call__(self, *numbers: Any) -> Any:
         arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
@@ -105,12 +105,10 @@ def _pick(condition: Any, a: Any, b: Any) -> Any:
 
 
 def _bits(x: Any) -> Any:
-    """Return the 64 bits of a number as an integer."""
     return x.view(np.int64)
 
 
 def _number(bits: Any) -> Any:
-    """Return the number of 64 bits."""
     return bits.view(np.float64)
 
 
@@ -156,7 +154,7 @@ def around_zero(y: Any) -> tuple[Any, Any]:
 
 @_inlined
 def _cos_sin(x: Any) -> tuple[Any, Any]:
-    """Cosine and sine by the nearest right angle and what is left, a sum of two numbers."""
+    """Return cosine and sine by the nearest right angle and what is left, a sum of two numbers."""
     shifted = _pick(abs(x) <= _LARGEST_RAD, x, math.nan) * (2.0 / math.pi) + _WHOLE
     n, quarter = shifted - _WHOLE, _bits(shifted)
     y = (x - n * _HALF_PI[0]) - n * _HALF_PI[1]

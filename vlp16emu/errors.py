@@ -15,7 +15,7 @@ Every message says where, what was found and what was expected.
 """
 
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -139,26 +139,6 @@ def readable(
         raise kind(str(path), f"no UTF-8 text at byte {error.start}", expected) from None
 
 
-def spare(inputs: Iterable[Path], output: Path) -> None:
-    """Refuse to write over a file that is read.
-
-    Raises
-    ------
-    OutputError
-        where `output` is one of `inputs`, by whatever name
-    """
-    if any(_is_same(file, output) for file in inputs):
-        raise OutputError(str(output), "is read by this run, and would be written over", "another place")
-
-
 def _shown(text: str, most: int) -> str:
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
     return line if len(line) <= most else f"{line[: most - 3]}..."
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    """Whether two paths lead to one file; never where one of them leads nowhere."""
-    try:
-        return one.samefile(other)
-    except OSError:
-        return False

@@ -22,9 +22,9 @@ _MOST_KEYS = 8
 
 
 def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
-    """Key path, what was found there and what was expected, of the finding that helps most; all keys that are missing.
+    """Return key path, finding and expectation of the error that helps most; of missing keys, all of them.
 
-    The message of a validator of our own says what was expected.
+    The message of a validator of our own is the expectation.
 
     Parameters
     ----------
@@ -42,7 +42,6 @@ def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
 
 
 def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
-    """Key path, what was found there and what was expected, of one finding."""
     keys, parent, node = _walk(finding["loc"], schema)
     kind = finding["type"]
     if kind in _UNKNOWN:
@@ -64,7 +63,7 @@ def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
 
 
 def expected(node: Node) -> str:
-    """Say in words what a node of the schema admits."""
+    """Return in words what a node of the schema admits."""
     if "enum" in node or "const" in node:
         *others, last = [_shown(value) for value in node.get("enum", [node.get("const")])]
         return f"{', '.join(others)} or {last}" if others else last
@@ -85,7 +84,7 @@ def expected(node: Node) -> str:
 
 
 def resolved(node: Node, schema: Node) -> Node:
-    """Replace a reference by what it points at, and what may be left out by what it is otherwise."""
+    """Return the node behind a reference; of an optional one, the type of its value."""
     node = node["anyOf"][0] if "anyOf" in node else node
     return schema["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
@@ -109,12 +108,11 @@ def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], No
 
 
 def _path(keys: list[int | str]) -> str:
-    """Write keys as `world.species[0].share`."""
     return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".") or "scene"
 
 
 def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
-    """Say for an unknown key what else its table must be, or in which other tables it is, or which one is near."""
+    """Return for an unknown key the kind of table that has it, the other tables that have it, or the nearest known key."""
     homes = [(path, tag) for path, tag in _all_keys(schema, schema) if path[-1] == keys[-1]]
     if beside := [tag for path, tag in homes if list(path) == keys and tag is not None]:
         name, _, own = beside[0]
@@ -136,7 +134,7 @@ Tag = tuple[str, str, list[str]]
 def _all_keys(
     node: Node, schema: Node, path: tuple[str, ...] = (), tag: Tag | None = None
 ) -> Iterator[tuple[tuple[str, ...], Tag | None]]:
-    """Paths of all keys outside lists, and what their table is to be for them."""
+    """Yield the paths of all keys outside lists, with the tag that their table needs."""
     node = resolved(node, schema)
     for value, variant in _variants(node):
         kind = resolved(variant, schema)
@@ -152,7 +150,7 @@ def _variants(node: Node) -> list[tuple[str, Node]]:
 
 
 def _key_of(value: object, node: Node, schema: Node) -> str | None:
-    """Key of a table that may have a word that stands in place of the table."""
+    """Return the key of a table that admits a word which was given in place of the table."""
     if isinstance(value, str):
         for kind in (node, *(resolved(variant, schema) for _, variant in _variants(node))):
             for name, inner in kind.get("properties", {}).items():
@@ -163,7 +161,6 @@ def _key_of(value: object, node: Node, schema: Node) -> str | None:
 
 
 def _shown(value: object) -> str:
-    """Write a value as TOML would, in short."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):
@@ -177,7 +174,6 @@ def _shown(value: object) -> str:
 
 
 def _bounds(node: Node) -> str:
-    """Say between which limits a number lies."""
     low, high = node.get("minimum", -math.inf), node.get("maximum", math.inf)
     if "multipleOf" in node:
         return f"from {low} to {high} in steps of {node['multipleOf']}"

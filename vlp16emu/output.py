@@ -1,12 +1,18 @@
-"""Files that runs write: beside their names, which they take when they are whole, and by one run at a time."""
+"""Outputs of runs: written beside their names, which they take when they are whole, by one run at a time."""
 
+import ctypes
 import errno
 import fcntl
+import hashlib
 import json
 import logging
 import os
+import re
+import secrets
+import shutil
 import sys
-from collections.abc import Iterator, Mapping
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
@@ -16,9 +22,11 @@ from vlp16emu.errors import OutputError, RunError
 STDOUT = Path("-")
 """Stands for standard output, as for tcpdump and tshark."""
 
-_NO_NEW_FILE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
-"""Why a folder with a file that can be written may take no other beside it."""
+_LONGEST_NAME_BYTES = 240
+"""Of the 255 that Linux allows (NAME_MAX of limits.h), 14 are for what is added."""
 _RIGHTS = 0o777
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+"""Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h."""
 
 _log = logging.getLogger(__name__)
 
@@ -26,34 +34,48 @@ _log = logging.getLogger(__name__)
 class OutputFile:
     """A file to be written; a context manager.
 
-    It is written beside its name, as NAME.part, and takes its name when it is kept; until then what stood there
-    stays, whatever ends the run. It has the rights of the file that it replaces, and a link stays a link. A pipe, a
-    device, and a file whose folder takes no new ones are written straight.
+    It is written as NAME.xxxxxxxx.part, a new file beside its name, and takes the name when it is kept. Until then the
+    earlier file stays, whatever ends the run. It gets the rights of the file that it replaces, and a link stays a
+    link. A pipe or a device is written straight.
 
     Parameters
     ----------
-    path : of the file, or `STDOUT`
-    where : what error lines call it, its path if left out
-    buffering : as of `open`
+    path : the file, or `STDOUT`
+    where : its name in error lines; `path` if left out
+    buffering : as for `open`
+    inputs : files that the run reads, none of which may be replaced
 
     Raises
     ------
     OutputError
-        where it cannot be opened, or another run writes it
+        If it cannot be opened, is one of the inputs, or another run writes it.
     """
 
-    def __init__(self, path: Path, *, where: str | None = None, buffering: int = -1) -> None:
+    def __init__(
+        self, path: Path, *, where: str | None = None, buffering: int = -1, inputs: Iterable[Path] = ()
+    ) -> None:
         self._where = where or str(path)
-        try:
-            self.file, self._final = _opened(path, self._where, buffering)
-        except OSError as error:
-            raise OutputError(self._where, str(error.strerror), "a file that can be written") from error
+        self._final: Path | None = None
+        spare(inputs, path)
+        with _opening(self._where, "a file that can be written"):
+            if path == STDOUT:
+                self.file: BinaryIO = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering)
+            elif path.exists() and not path.is_file():  # opening a folder fails, with the system's reason
+                self.file = path.open("wb", buffering)
+            else:
+                self._final = final_name(path)
+                self.file = _new_file(self._final, self._where, buffering)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.discard()
+
+    @property
+    def place(self) -> str:
+        """Name under which the bytes stand until the file is kept."""
+        return self._where if self._final is None else str(self.file.name)
 
     @contextmanager
     def writing(self) -> Iterator[BinaryIO]:
@@ -62,57 +84,178 @@ class OutputFile:
         Raises
         ------
         RunError
-            where it cannot be written to its end
+            If it cannot be written to its end.
         """
         try:
             yield self.file
             self.keep()
         except OSError as error:
             left = "the file is not complete" if self._final is None else "no file is written"
-            raise RunError(f"{self._where}: {error.strerror}; {left}") from error
+            raise RunError(f"{self._where}: {error.strerror or error}; {left}") from error
 
     def keep(self) -> None:
-        """Close the file, and give it its name.
+        """Close the file and give it its name.
 
         Raises
         ------
         OSError
-            where what is left of it cannot be written
+            If the buffered rest cannot be written.
         RunError
-            where it cannot take its name
+            If it cannot take its name.
         """
         self.file.flush()
         try:
             if self._final is not None:
-                Path(self.file.name).replace(self._final)  # before it is closed, which lets go of the lock
+                Path(self.file.name).replace(self._final)  # before it is closed, which ends the lock
         except OSError as error:
             raise RunError(f"{self._where}: {error.strerror}; it is left as {self.file.name}") from error
         finally:
             self.file.close()
 
+    def leave(self) -> None:
+        """Close an incomplete file that is worth keeping; it stays without its final name, at `place`."""
+        with suppress(OSError):  # a full disk, which has been reported
+            self.file.close()
+
     def discard(self) -> None:
-        """Close and remove a file that is not kept."""
+        """Close and remove a file that is neither kept nor left."""
         if self.file.closed:
             return
         with suppress(OSError):
             if self._final is not None:
                 Path(self.file.name).unlink()
-        with suppress(OSError):  # what cannot be written is not wanted
-            self.file.close()
+        self.leave()
 
 
-def lock(opened: int, where: str) -> None:
-    """Keep other runs off a file or folder until it is closed; where its file system has no locks, warn.
+def _name(path: Path) -> str:
+    return path.name
+
+
+class OutputFolder:
+    """A folder to be written; a context manager that keeps it unless an error leaves the block.
+
+    It is made as NAME.xxxxxxxx.part and takes its name as `OutputFile` does, in one step: what stood under the name until
+    then is as it was, or all of it is replaced.
 
     Parameters
     ----------
-    opened : its descriptor
-    where : what error lines call it
+    path : the folder; missing parents are made
+    stranger : name of the first entry of a folder of that name that is not of an earlier run, None if there is none; by
+        default a folder that has any entry is refused
+    expected : what error lines call a folder that may be written
+    inputs : files that the run reads, none of which may be in the folder
 
     Raises
     ------
     OutputError
-        where another run has it
+        If it cannot be made, holds something else or one of the inputs, or another run writes it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        stranger: Callable[[Path], str | None] = lambda folder: min(map(_name, folder.iterdir()), default=None),
+        expected: str = "a new or empty folder",
+        inputs: Iterable[Path] = (),
+    ) -> None:
+        self._where, self._stranger, self._expected = str(path), stranger, expected
+        with _opening(self._where, "a folder that can be written"):
+            self._final = final_name(path)
+            if self._final.is_mount():
+                raise OutputError(self._where, "is a mount point", "a folder in it")
+            self._check()
+            for file in self._final.iterdir() if self._final.exists() else ():
+                spare(inputs, file)
+            self._final.parent.mkdir(parents=True, exist_ok=True)
+            self.path = _part(self._final)
+            self.path.mkdir()
+            opened = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            self._close = weakref.finalize(self, os.close, opened)
+            try:
+                _claim(opened, self.path, self._final, self._where)
+            except OutputError:
+                self.discard()
+                raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            self.keep()
+        self.discard()
+
+    def keep(self) -> None:
+        """Give the folder its name; `RunError` if it cannot take it."""
+        try:
+            self._check()
+            if self._final.exists():
+                _exchange(self.path, self._final)
+                _remove(self.path)
+            else:
+                self.path.rename(self._final)
+        except (OSError, OutputError) as error:
+            found = error.strerror if isinstance(error, OSError) else error.found
+            raise RunError(f"{self._where}: {found}; it is left as {self.path}") from error
+        finally:
+            self._close()
+
+    def leave(self) -> None:
+        """Let an incomplete folder stay, without its final name, at `path`."""
+        self._close()
+
+    def discard(self) -> None:
+        """Remove a folder that is neither kept nor left."""
+        if self._close.alive:
+            shutil.rmtree(self.path, ignore_errors=True)
+            self._close()
+
+    def _check(self) -> None:
+        if self._final.exists() and (found := self._stranger(self._final)) is not None:
+            raise OutputError(self._where, f"holds {found}", self._expected)
+
+
+def write_json(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a file of one JSON object, in place of an earlier one; errors as for `OutputFile`."""
+    with OutputFile(path) as output, output.writing() as file:
+        file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
+
+
+def final_name(path: Path) -> Path:
+    """Return the name that an output takes, behind all links; `OSError` for links in a circle."""
+    final = Path(os.path.realpath(path))
+    if final.is_symlink():
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+    return final
+
+
+def spare(inputs: Iterable[Path], output: Path) -> None:
+    """Refuse to write over a file that is read.
+
+    Raises
+    ------
+    OutputError
+        If `output` is one of `inputs` by device and inode, whatever its name.
+    """
+    for file in inputs:
+        with suppress(OSError):  # one of them does not exist
+            if file.samefile(output):
+                raise OutputError(str(output), "is read by this run, and would be written over", "another place")
+
+
+def lock(opened: int, where: str) -> None:
+    """Keep other runs off a file or folder until it is closed; warn if its file system has no locks.
+
+    Parameters
+    ----------
+    opened : its descriptor
+    where : its name in error lines
+
+    Raises
+    ------
+    OutputError
+        If another run has locked it.
     """
     try:
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -124,7 +267,7 @@ def lock(opened: int, where: str) -> None:
 
 
 def _holder(opened: int) -> str:
-    """Name the process that has locked a file, where the system says so."""
+    """Name the process that has locked a file, if the system says so."""
     state = os.fstat(opened)
     file = f"{os.major(state.st_dev):02x}:{os.minor(state.st_dev):02x}:{state.st_ino}"
     with suppress(OSError):
@@ -135,59 +278,79 @@ def _holder(opened: int) -> str:
     return "another run"
 
 
-def _opened(path: Path, where: str, buffering: int) -> tuple[BinaryIO, Path | None]:
-    """Open a file, and give the name that it is to take; None where it is written straight."""
-    if path == STDOUT:
-        return os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering), None
-    if path.exists() and not path.is_file():  # a folder cannot be opened
-        return path.open("wb", buffering), None
-    final = path.resolve()
+@contextmanager
+def _opening(where: str, expected: str) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError) as error:  # a name with a NUL or half a character is a ValueError
+        found = error.strerror if isinstance(error, OSError) else "no name of a file"
+        raise OutputError(where, str(found), expected) from error
+
+
+def _stem(final: Path) -> str:
+    name = os.fsencode(final.name)
+    return final.name if len(name) <= _LONGEST_NAME_BYTES else hashlib.sha256(name).hexdigest()
+
+
+def _part(final: Path) -> Path:
+    return final.with_name(f"{_stem(final)}.{secrets.token_hex(4)}.part")
+
+
+def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
+    """Open a new file beside `final`, with the rights of the one that is there."""
     before = final.stat() if final.exists() else None
     if before and not os.access(final, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    part = _part(final)
+    file = part.open("xb", buffering)  # which neither empties a file nor follows a link
     try:
-        file = _locked(final.with_name(f"{final.name}.part"), where, buffering)
-    except OSError as error:
-        if before is None or error.errno not in _NO_NEW_FILE:
-            raise
-        return _locked(final, where, buffering), None
+        _claim(file.fileno(), part, final, where)
+    except OutputError:
+        part.unlink()
+        file.close()
+        raise
     if before:
         for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
             with suppress(OSError):  # only root may give files away
                 os.fchown(file.fileno(), owner, group)
         with suppress(OSError):
             os.fchmod(file.fileno(), before.st_mode & _RIGHTS)
-    return file, final
+    return file
 
 
-def _locked(path: Path, where: str, buffering: int) -> BinaryIO:
-    """Open a file that no other run has open, and empty it; one that a killed run has left is nobody's."""
-    while True:
-        file = open(path, "wb", buffering, opener=_as_it_is)  # noqa: SIM115  # its holder closes it
-        try:
-            lock(file.fileno(), where)
-            if path.exists() and os.path.samestat(
-                path.stat(), os.fstat(file.fileno())
-            ):  # else the run before has just renamed it
-                file.truncate(0)
-                return file
-        except BaseException:
-            file.close()
-            raise
-        file.close()
+def _claim(opened: int, part: Path, final: Path, where: str) -> None:
+    """Lock a new file or folder, and refuse it if another run is writing one of the same final name."""
+    lock(opened, where)
+    ours = re.compile(rf"{re.escape(_stem(final))}\.[0-9a-f]{{8}}\.part")
+    for path in final.parent.iterdir():
+        if path == part or not ours.fullmatch(path.name):
+            continue
+        with suppress(OSError):  # it is gone, or a link
+            other = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                lock(other, where)
+            finally:
+                os.close(other)
 
 
-def _as_it_is(path: str, flags: int) -> int:
-    return os.open(path, flags & ~os.O_TRUNC | os.O_NOFOLLOW, 0o666)
+def _exchange(one: Path, other: Path) -> None:
+    """Swap two names in one step, or in three on a file system that cannot."""
+    swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if swap and swap(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0:
+        return
+    aside = _part(other)
+    other.rename(aside)
+    try:
+        one.rename(other)
+    except OSError:
+        aside.rename(other)
+        raise
+    aside.rename(one)
 
 
-def write_json(path: Path, tree: Mapping[str, Any]) -> None:
-    """Write a file of one JSON object, in place of the one that is there.
-
-    Raises
-    ------
-    OutputError, RunError
-        as `OutputFile`
-    """
-    with OutputFile(path) as output, output.writing() as file:
-        file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
+def _remove(folder: Path) -> None:
+    """Remove the flat folder of an earlier run; a file that cannot be removed stays, beside the new folder."""
+    with suppress(OSError):
+        for file in folder.iterdir():
+            file.unlink()
+        folder.rmdir()

@@ -1,4 +1,4 @@
-"""Whole revolutions of a sensor as arrays, of a scene and of a capture alike."""
+"""Whole revolutions of a sensor as arrays, from a scene or from a capture."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,12 +26,12 @@ from vlp16emu.packets import (
 from vlp16emu.types import F4, F8, I8, U1, U2, U4, ReturnMode
 
 LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
-"""Gives the arrays of `Labels` of the n points of packets, or none."""
+"""Returns the arrays of `Labels` for the n points of packets; empty if there are none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """Ground truth of n points: the surface that each lies on."""
+    """Ground truth of n points: the surface that each was reflected by."""
 
     semantic: U1
     """(n,) `Semantic`."""
@@ -42,12 +42,12 @@ class Labels:
     species: U2
     """(n,) number in the species table; 0 none."""
     range_m: F4
-    """(n,) distance before errors of range."""
+    """(n,) distance without range errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """One whole revolution: n points in the order of their pulses; pulses without return have none.
+    """One revolution: n points in the order of their pulses; pulses without return make no point.
 
     A revolution begins with the first azimuth reading (the sensor takes one in two firing sequences) that has passed
     0. In dual return each echo is there once, the last one first.
@@ -81,7 +81,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """m azimuth readings in order of time, and the n points of their pulses."""
+    """The n points of m azimuth readings, in order of time."""
 
     t_ns: I8
     """(m,) UTC of the first pulse after each reading."""
@@ -93,7 +93,7 @@ class Chunk:
     """Arrays of n points by the names that they have in a scan."""
 
     def then(self, later: "Chunk") -> "Chunk":
-        """Join with what comes next."""
+        """Return this chunk with a later one appended."""
         return Chunk(
             np.concatenate([self.t_ns, later.t_ns]),
             np.concatenate([self.azimuth_deg, later.azimuth_deg]),
@@ -102,7 +102,7 @@ class Chunk:
         )
 
     def part(self, begin: int, end: int) -> Self:
-        """Take readings from `begin` until before `end`."""
+        """Return the readings from `begin` until before `end`, with their points."""
         first, last = np.searchsorted(self.reading, (begin, end))
         points = {name: array[first:last] for name, array in self.arrays.items()}
         readings = slice(begin, end)
@@ -115,7 +115,7 @@ def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = Non
     Parameters
     ----------
     chunks : in order of time, without gaps
-    pose_at : `world_T_sensor` (4, 4) at an instant UTC, where it is known
+    pose_at : returns `world_T_sensor` (4, 4) at a UTC time in ns; None for a capture
     """
     held, begun = None, False
     for chunk in chunks:
@@ -134,12 +134,12 @@ def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = Non
 
 
 def _begins_at_zero(azimuth_deg: F8) -> bool:
-    """Whether the reading before the first one would be of another revolution."""
+    """Return True if the reading before the first one would belong to another revolution."""
     return len(azimuth_deg) > 1 and bool(azimuth_deg[0] < (azimuth_deg[1] - azimuth_deg[0]) % 360.0)
 
 
 def _ends_at_zero(azimuth_deg: F8) -> bool:
-    """Whether the reading after the last one would be of another revolution."""
+    """Return True if the reading after the last one would belong to another revolution."""
     return len(azimuth_deg) > 1 and bool(2 * azimuth_deg[-1] - azimuth_deg[-2] >= 360.0)
 
 
@@ -159,12 +159,12 @@ def decode(
     frame: str | PointFrame = PointFrame.SENSOR,
     clock: str | None = None,
 ) -> Iterator[Scan]:
-    """Read the scans of a capture, by the formulas of the sensor's manual; recordings of real sensors are fine.
+    """Read the scans of a capture, ours or a real sensor's, by the formulas of the sensor's manual.
 
     Parameters
     ----------
     capture : a classic pcap file with the packets of a VLP-16, Puck LITE or Puck Hi-Res
-    unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+    unit : one sensor of several: its number from 1, or `address:port` with its data port
     frame : of `xyz_m`: "sensor" (x forward, y left, z up) or "manual" (x right, y forward, z up)
     clock : of `t_ns`: "sensor", "gps" or "host"; by default as `unit_clocks` chooses
 
@@ -185,7 +185,7 @@ def decode(
 
 
 def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
-    """Read the scans of a capture that is open, and close it; errors come as of `decode`."""
+    """Read the scans of an open capture, and close it; errors as `decode`."""
     return cut_scans(_chunks(reader, labels_of))
 
 
@@ -224,7 +224,7 @@ def _chunk(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
 
 
 def twins(points: Points) -> NDArray[np.bool_]:
-    """(n,) records of dual return that repeat the one before, as a lone return is sent (63-9243 Rev D, section 9.3.2)."""
+    """Return a mask (n,) of records in dual return that repeat the one before, as a lone return is sent (63-9243 Rev D, section 9.3.2)."""
     same = points.is_last[:-1] & ~points.is_last[1:]
     same &= np.diff(points.packet) == 0
     same &= np.diff(points.time_ns) == 0

@@ -38,9 +38,9 @@ def toml(text: str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        where it is none, or a key has more than `DEEPEST` names
+        If it is none, or a key has more than `DEEPEST` names
     RecursionError
-        where lists or tables are nested much deeper still
+        If lists or tables are nested much deeper still
     """
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -66,17 +66,17 @@ class Section(BaseModel):
 
 
 class Preset(Section):
-    """A table whose key `preset` gives those of the other keys that are not given beside it."""
+    """A table with a key that gives the values of the keys that are not given beside it."""
 
     presets: ClassVar[Mapping[str, Mapping[str, object]]]
+    preset_key: ClassVar[str] = "preset"
 
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, table: Any) -> Any:
-        """Fill in what the preset gives; one that is unknown is named by the check of its key."""
         if not isinstance(table, dict):
             return table
-        preset = table.get("preset", cls.model_fields["preset"].default)
+        preset = table.get(cls.preset_key, cls.model_fields[cls.preset_key].default)
         return {**cls.presets.get(preset, {}), **table} if isinstance(preset, str) else table
 
 
@@ -104,7 +104,7 @@ class OneOf:
         return handler(tagged_union_schema(choices, discriminator=self.tag))
 
     def sections(self) -> dict[Any, type[Section]]:
-        """All sections by the words that select them."""
+        """Return all sections by the words that select them."""
         own = {word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)}
         return {**dict(added(self.group)), **dict(self._defined(self.base)), **own}
 
@@ -159,7 +159,7 @@ Table = Mapping[str, Any]
 
 
 def merged(base: Table, own: Table) -> dict[str, Any]:
-    """Everything of both tables, the own where both have it; tables in them are merged likewise."""
+    """Return the keys of both tables, with the values of `own` for common ones; tables of one kind are merged likewise."""
     both = {**base, **own}
     for key in base.keys() & own.keys():
         if isinstance(base[key], dict) and isinstance(own[key], dict) and _same_kind(base[key], own[key]):
@@ -168,5 +168,5 @@ def merged(base: Table, own: Table) -> dict[str, Any]:
 
 
 def _same_kind(base: Table, own: Table) -> bool:
-    """Whether the own table says nothing else of its `kind`, and names no preset of its own (`relief`)."""
+    # a relief brings numbers of its own
     return "relief" not in own and bool(own.get("kind", base.get("kind")) == base.get("kind"))

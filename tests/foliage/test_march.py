@@ -8,7 +8,7 @@ from raycast import lab
 
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
-from vlp16emu.foliage.lanes import lanes
+from vlp16emu.foliage.lanes import Pulse, lanes
 from vlp16emu.foliage.march import march
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
@@ -154,7 +154,7 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     aside_m = np.linalg.norm(origin_m - line[:3], axis=1).max()
     spread = np.linalg.norm(direction - line[3:], axis=1).max()
     grids = medium.brick.reshape(-1), medium.first.reshape(-1)
-    march(medium, *grids, L, n, line, np.float32(aside_m), np.float32(spread))
+    march(medium, *grids, Pulse(L, n, np.float32(medium.near_m), line, np.float32(aside_m), np.float32(spread)))
     range_m = np.where(L.surface == NO_SURFACE, np.inf, L.range_m)
     return range_m[:n].copy(), L.surface[:n].copy(), L.cosine[:n].copy()
 

@@ -1,14 +1,17 @@
-"""A path with its timing."""
+"""A path with its timing: how fast a person goes along it."""
 
+import itertools
+import math
 import time
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Stop, Walk
-from vlp16emu.motion.path import Path
-from vlp16emu.motion.route import Route
+from vlp16emu.motion.path import Path, limit_slope
+from vlp16emu.motion.route import Profile, Route, _pieces
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [36.0, 2.0], [20.0, 14.0]])
 LOOP_M = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 9.0], [0.0, 9.0], [0.0, 0.0]])
@@ -101,3 +104,160 @@ def test_a_person_stands_before_the_first_step():
         assert (walked == later).all()
         assert not speed_m_s.any()
         assert (before[:, :3, 0] == walked[0, :3, 0]).all()
+
+
+LENGTH_M = 60.0
+
+
+def straight(s_m):
+    return np.zeros_like(s_m)
+
+
+def one_bend(s_m):
+    """A turn of up to 2 rad per metre in the middle."""
+    return -2.0 * np.exp(-(((s_m - 30.0) / 2.0) ** 2))
+
+
+def profile(turn=straight, stops=(), yaw_rate_rad_s=1.0, length_m=LENGTH_M, **own):
+    limits = {"acceleration_m_s2": 1.0, "yaw_rate_deg_s": np.degrees(yaw_rate_rad_s)}
+    walk = Walk(kind="walk", way_points_m=[(0.0, 0.0), (1.0, 0.0)], **limits, **own)
+    return Profile(length_m, turn, walk, stops)
+
+
+def sampled(made, step_s=1e-3):
+    t = np.arange(0.0, made.run_time_s, step_s)
+    return t, *made.at(t)
+
+
+def test_a_person_cruises_between_start_and_end():
+    """The walk begins and ends at rest, covers the length, and holds exactly the cruise speed in between."""
+    made = profile()
+    along_m, speed_m_s, acceleration_m_s2 = made.at(np.array([0.0, 20.0, 30.0, made.run_time_s, 1e6, -1.0]))
+    np.testing.assert_allclose(along_m[[0, 3, 4, 5]], [0.0, LENGTH_M, LENGTH_M, 0.0], atol=1e-12)
+    np.testing.assert_allclose(speed_m_s, [0.0, 1.2, 1.2, 0.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(acceleration_m_s2, 0.0, atol=1e-9)
+    assert along_m[2] - along_m[1] == pytest.approx(12.0, abs=1e-9)
+    assert made.run_time_s == pytest.approx(LENGTH_M / 1.2 + 1.2 / 1.0 + 0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("turn", [straight, one_bend])
+def test_limits_are_kept(turn):
+    """Nowhere does the person go backwards, faster than cruise speed, accelerate or turn more than allowed."""
+    made = profile(turn, [(20.0, 3.0)])
+    _, along_m, speed_m_s, acceleration_m_s2 = sampled(made)
+    assert (np.diff(along_m) >= -1e-12).all()
+    assert speed_m_s.max() <= 1.2 * (1 + 1e-12)
+    assert np.abs(acceleration_m_s2).max() <= 1.0 + 1e-9
+    assert np.abs(turn(along_m) * speed_m_s).max() <= 1.0 + 1e-3
+
+
+def test_a_bend_slows_down_no_more_than_it_must():
+    """In the sharpest part of a bend the person turns at the limit, to 5 %."""
+    _, along_m, speed_m_s, _ = sampled(profile(one_bend))
+    assert np.abs(one_bend(along_m) * speed_m_s).max() > 0.95
+
+
+def test_derivatives_are_those_of_the_arc_length():
+    """Speed and acceleration are the differences of arc length and speed over a millisecond."""
+    _, along_m, speed_m_s, acceleration_m_s2 = sampled(profile(one_bend, [(10.0, 1.0)]))
+    np.testing.assert_allclose((along_m[2:] - along_m[:-2]) / 2e-3, speed_m_s[1:-1], atol=1e-5)
+    np.testing.assert_allclose((speed_m_s[2:] - speed_m_s[:-2]) / 2e-3, acceleration_m_s2[1:-1], atol=1e-4)
+
+
+def test_the_profile_is_smooth_to_the_fourth_derivative():
+    """Halving the step divides third differences of the acceleration by more than five; a kink would halve them."""
+    _, _, _, acceleration_m_s2 = sampled(profile())
+    coarse = np.abs(np.diff(sampled(profile(), 2e-3)[3], 3)).max()
+    fine = np.abs(np.diff(acceleration_m_s2, 3)).max()
+    assert fine < 0.2 * coarse
+
+
+@pytest.mark.parametrize("at_m", [0.0, 20.0, LENGTH_M])
+def test_a_stop_is_at_its_place_and_lasts_its_time(at_m):
+    """At a stop the person stands still for at least the pause, and less than half a second longer."""
+    t, along_m, speed_m_s, _ = sampled(profile(stops=[(at_m, 4.0)]))
+    rest = speed_m_s < 1e-12
+    there = rest & (np.abs(along_m - at_m) < 1e-9)
+    assert 4.0 - 2e-3 <= there.sum() * 1e-3 < 4.5
+    assert (np.diff(t[there]) < 2e-3).all()
+
+
+def test_stops_at_one_place_add_up():
+    """Two stops at one place are one of both pauses."""
+    twice = profile(stops=[(20.0, 1.0), (20.0, 2.0)])
+    assert twice.run_time_s == profile(stops=[(20.0, 3.0)]).run_time_s
+
+
+def test_speed_is_adapted_to_a_given_run_time():
+    """A given run time is kept to the last bit, with all limits."""
+    made = profile(one_bend, [(20.0, 3.0)], run_time_s=100.0)
+    assert made.run_time_s == 100.0
+    _, along_m, speed_m_s, acceleration_m_s2 = sampled(made)
+    assert along_m[-1] == pytest.approx(LENGTH_M, abs=1e-6)
+    assert 0.6 < made.speed_m_s < 0.75
+    assert speed_m_s.max() <= made.speed_m_s
+    assert np.abs(acceleration_m_s2).max() <= 1.0 + 1e-9
+
+
+def test_impossible_wishes_are_refused():
+    """A run time that no limit admits and a stop off the path are named with what would do."""
+    with pytest.raises(TrajectoryError) as caught:
+        profile(run_time_s=5.0)
+    assert str(caught.value).startswith("run time: found 5 s for 60.0 m; expected at least 16.0 s")
+    with pytest.raises(TrajectoryError) as caught:
+        profile(stops=[(60.1, 1.0)])
+    assert str(caught.value) == "stop: found 60.1 m along the path; expected from 0 to its length, 60.00 m"
+
+
+@pytest.mark.parametrize(
+    ("wish", "found"),
+    [
+        ({"stops": [(20.0, 1e300)]}, "1e+300"),
+        ({"stops": [(20.0, 2e6)]}, "2.00005e+06"),
+        ({"speed_m_s": 1e-5}, "6.004e+06"),
+        ({"speed_m_s": 1e-300}, "inf"),
+        ({"turn": one_bend, "yaw_rate_rad_s": 1e-300}, "inf"),
+    ],
+)
+def test_a_walk_of_more_than_two_weeks_is_refused(wish, found):
+    """A stop or a speed with which the person would walk for ever is named, and no memory is taken for it."""
+    with pytest.raises(TrajectoryError) as caught:
+        profile(**wish)
+    assert str(caught.value) == f"run time: found {found} s; expected at most 1209600 s, with its stops"
+
+
+@pytest.mark.parametrize("length_m", [1e-6, 0.01, 0.5, 20_000.0])
+def test_short_and_long_paths_are_finite(length_m):
+    """From a micrometre to 20 km the person arrives."""
+    made = profile(length_m=length_m)
+    values = np.array(made.at(np.linspace(0.0, made.run_time_s, 1000)))
+    assert np.isfinite(values).all()
+    assert values[0, -1] == pytest.approx(length_m)
+
+
+def test_a_moment_does_not_depend_on_its_company():
+    """A moment computed alone has the same bits as among others."""
+    made, t = profile(one_bend), np.linspace(0.0, 50.0, 1003)
+    for many, one in zip(made.at(t), made.at(t[777:778]), strict=True):
+        assert many[777] == one[0]
+
+
+def test_limited_slope_is_the_largest_curve_below():
+    """The lowered curve is the least, over all points, of their value and what may be climbed from there."""
+    rng = np.random.default_rng(3)
+    values, step = rng.random(50) * 5, rng.random(49)
+    place = np.concatenate([[0.0], np.cumsum(step)])
+    expected = [min(values[j] + abs(place[i] - place[j]) for j in range(50)) for i in range(50)]
+    limit_slope(values, step)
+    np.testing.assert_allclose(values, expected, atol=1e-12)
+    assert all(abs(b - a) <= s + 1e-12 for (a, b), s in zip(itertools.pairwise(values), step, strict=True))
+
+
+@pytest.mark.parametrize("count", [6, 7, 400])
+def test_pieces_are_those_of_a_general_spline(count):
+    """Pieces of a spline with equal steps are those of scipy's BSpline with the same control points, to rounding."""
+    control = np.cumsum(np.random.default_rng(count).random(count))
+    general = BSpline(np.arange(count + 6) - 5.0, control, 5)
+    at = np.arange(count - 5.0)
+    wanted = np.stack([general.derivative(power)(at) / math.factorial(power) for power in range(6)])
+    np.testing.assert_allclose(_pieces(control), wanted, rtol=1e-14, atol=1e-14)

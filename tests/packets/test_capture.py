@@ -1,34 +1,74 @@
-"""Reading classic pcap files."""
+"""Reading captures."""
 
+import bz2
+import gzip
+import lzma
+import shutil
 import struct
+import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets.capture import Capture
+from vlp16emu.packets import units_in
+from vlp16emu.packets.capture import Capture, is_capture_name
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 
 CAPTURE = Path(__file__).parents[2] / ".." / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
+CASES = CAPTURE.parents[1] / "cases"
 MICROSECONDS, NANOSECONDS = 0xA1B2C3D4, 0xA1B23C4D
-DATA = data_header(FACTORY_LINK) + bytes(range(201)) * 6
+PAYLOAD = b"\xff\xee" + bytes(range(200)) * 6 + bytes(4)
+DATA = data_header(FACTORY_LINK) + PAYLOAD
 POSITION = position_frame(FACTORY_LINK, bytes(512), 77)
+IP = DATA[14:]
+UDP = DATA[34:]
+IP6 = bytes.fromhex("60000000") + struct.pack(">HBB", len(UDP), 17, 64) + bytes(15) + b"\1" + bytes(15) + b"\2"
+TSHARK = pytest.mark.skipif(shutil.which("tshark") is None, reason="no tshark, which is the authority here")
 
 
-def pcap(*frames, order="<", magic=MICROSECONDS, link_type=1, fraction=123_456, cut=0):
+def pcap(*frames, order="<", magic=MICROSECONDS, link_type=1, fraction=123_456, cut=0, seconds=1_700_000_000):
     """Write a capture by hand; stamps are 1 700 000 000 s and a fraction, `cut` drops bytes at the end."""
     out = struct.pack(f"{order}IHHIIII", magic, 2, 4, 0, 0, 65_535, link_type)
     for frame in frames:
-        out += struct.pack(f"{order}IIII", 1_700_000_000, fraction, len(frame), len(frame)) + frame
+        out += struct.pack(f"{order}IIII", seconds, fraction, len(frame), len(frame)) + frame
     return out[: len(out) - cut]
 
 
-def read(tmp_path, content):
+def block(order, kind, body):
+    """Write a block of pcapng."""
+    body += bytes(-len(body) % 4)
+    length = struct.pack(f"{order}I", len(body) + 12)
+    return struct.pack(f"{order}I", kind) + length + body + length
+
+
+def pcapng(*frames, order="<", options=b"", link_types=(1,), stamp=1_700_000_000_123_456, kind=6):
+    """Write a capture of pcapng by hand, with an interface for each link type and each frame as (interface, bytes)."""
+    out = block(order, 0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1))
+    for link_type in link_types:
+        out += block(order, 1, struct.pack(f"{order}HHI", link_type, 0, 0) + options)
+    for interface, frame in frames:
+        stamps = struct.pack(f"{order}IIII", stamp >> 32, stamp & 0xFFFFFFFF, len(frame), len(frame))
+        before = {6: struct.pack(f"{order}I", interface) + stamps, 2: struct.pack(f"{order}HH", interface, 0) + stamps}
+        out += block(order, kind, before.get(kind, struct.pack(f"{order}I", len(frame))) + frame)
+    return out
+
+
+def read(tmp_path, content, name="some.pcap", **options):
     """Read a capture from its bytes."""
-    path = tmp_path / "some.pcap"
+    path = tmp_path / name
     path.write_bytes(content)
-    with Capture(path) as capture:
+    with Capture(path, **options) as capture:
         return list(capture), capture
+
+
+def fragments(ip, size=776):
+    """Cut an IPv4 packet without options up, with a sum of the header that nobody looks at."""
+    for begin in range(0, len(ip) - 20, size):
+        part, more = ip[20 + begin : 20 + begin + size], begin + size < len(ip) - 20
+        words = begin // 8 | 0x2000 * more
+        yield ip[:2] + struct.pack(">HHH", 20 + len(part), 9, words) + ip[8:20] + part
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -37,8 +77,104 @@ def test_all_four_kinds_of_pcap_give_exact_stamps(tmp_path, order, magic, unit_n
     """Either byte order and either unit of the stamps give the same datagrams with stamps exact to the unit."""
     datagrams, capture = read(tmp_path, pcap(DATA, POSITION, order=order, magic=magic))
     assert [d.stamp_ns for d in datagrams] == [1_700_000_000_000_000_000 + 123_456 * unit_ns] * 2
-    assert [d.payload for d in datagrams] == [DATA[42:], bytes(512)]
+    assert [d.payload for d in datagrams] == [PAYLOAD, bytes(512)]
     assert not capture.cut
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(
+    ("options", "stamp"),
+    [
+        (b"", 1_700_000_000_123_456),
+        (struct.pack("<HHBxxx", 9, 1, 9), 1_700_000_000_123_456_000),
+        (struct.pack("<HHBxxx", 9, 1, 0x80 | 20), (1_700_000_000_123_456 << 20) // 10**6 + 1),
+        (struct.pack("<HHq", 14, 8, 1_700_000_000), 123_456),
+    ],
+)
+def test_pcapng_gives_exact_stamps(tmp_path, order, options, stamp):
+    """Resolution in powers of ten and of two, and an offset in seconds, are honoured (options 9 and 14 of pcapng)."""
+    if order == ">" and options:
+        code, size = struct.unpack_from("<HH", options)
+        options = struct.pack(">HH", code, size) + (options[4:][::-1] if size == 8 else options[4:])
+    datagrams, _ = read(tmp_path, pcapng((0, DATA), (0, POSITION), order=order, options=options, stamp=stamp))
+    assert {abs(d.stamp_ns - 1_700_000_000_123_456_000) < 1000 for d in datagrams} == {True}
+    assert [d.payload for d in datagrams] == [PAYLOAD, bytes(512)]
+
+
+@TSHARK
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(pcap(bytes(2) + b"\0\1\0\6`v\x888\0\1\0\0\x08\0" + IP, link_type=113), id="cooked"),
+        pytest.param(pcap(b"\x08\0\0\0\0\0\0\1\0\1\0\6`v\x888\0\1\0\0" + IP, link_type=276), id="cooked 2"),
+        pytest.param(pcap(IP, IP6 + UDP[:20] + bytes(1194), link_type=101), id="raw"),
+        pytest.param(pcap(IP, link_type=228), id="raw IPv4"),
+        pytest.param(pcap(b"\2\0\0\0" + IP, link_type=0), id="null"),
+        pytest.param(pcap(b"\0\0\0\2" + IP, link_type=108), id="loop"),
+        pytest.param(pcap(b"\x00\x21" + IP, b"\xff\x03\x00\x21" + IP6 + UDP, link_type=9), id="PPP"),
+        pytest.param(
+            pcap(b"\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP, link_type=51), id="PPPoE link"
+        ),
+        pytest.param(pcap(b"\x0f\0\x08\0" + IP, link_type=104), id="HDLC"),
+        pytest.param(pcap(DATA[:12] + b"\x81\0\0\5" + DATA[12:]), id="VLAN"),
+        pytest.param(pcap(DATA[:12] + b"\x88\xa8\0\5\x81\0\0\6" + DATA[12:]), id="QinQ"),
+        pytest.param(pcap(DATA[:12] + b"\x88\x47\0\0\x50\x40\0\0\x61\x40" + IP), id="MPLS"),
+        pytest.param(
+            pcap(DATA[:12] + b"\x88\x64\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP), id="PPPoE"
+        ),
+        pytest.param(pcap(DATA[:12] + struct.pack(">H", len(IP) + 8) + b"\xaa\xaa\3\0\0\0\x08\0" + IP), id="LLC"),
+        pytest.param(pcap(DATA[:12] + b"\x86\xdd" + IP6 + UDP), id="IPv6"),
+        pytest.param(pcap(*fragments(IP), link_type=101), id="fragments"),
+        pytest.param(pcap(*[*fragments(IP, 400)][::-1], link_type=101), id="fragments the last first"),
+        pytest.param(pcapng((0, DATA), (1, IP), (0, POSITION), link_types=(1, 101)), id="two interfaces"),
+        pytest.param(pcapng((0, DATA), kind=3), id="simple packet block"),
+        pytest.param(pcapng((0, DATA), kind=2), id="packet block"),
+        pytest.param(pcapng((0, DATA)) + pcapng((0, POSITION), order=">"), id="two sections"),
+    ],
+)
+def test_what_tshark_reads_is_read(tmp_path, content):
+    """Frame number and payload of each datagram are those that tshark shows, whatever the container and the link."""
+    datagrams, _ = read(tmp_path, content, repeats=True)
+    fields = ("-T", "fields", "-e", "frame.number", "-e", "udp.payload")
+    command = ["tshark", "-n", "-r", tmp_path / "some.pcap", "-d", "udp.port==2368,data", "-Y", "udp", *fields]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert [f"{d.number}\t{d.payload.hex()}" for d in datagrams] == shown
+    assert datagrams
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        pytest.param(DATA[:23] + b"\x04" + DATA[24:34] + IP, id="IP in IP"),
+        pytest.param(DATA[:23] + b"\x2f" + DATA[24:34] + b"\0\0\x08\0" + IP, id="GRE"),
+        pytest.param(
+            DATA[:23] + b"\x2f" + DATA[24:34] + b"\x20\0\x65\x58\0\0\0\7" + DATA, id="Ethernet in GRE with a key"
+        ),
+        pytest.param(DATA[:36] + b"\x12\xb5" + DATA[38:42] + b"\x08" + bytes(7) + DATA, id="VXLAN"),
+        pytest.param(DATA[:14] + b"\x46" + DATA[15:34] + bytes(4) + DATA[34:], id="IP options"),
+        pytest.param(DATA + b"\xde\xad\xbe\xef", id="padding"),
+    ],
+)
+def test_tunnels_options_and_padding(tmp_path, frame):
+    """The payload is found in tunnels (RFC 2003, 2890, 7348) and behind IP options, and ends where UDP says."""
+    ((datagram,), _) = read(tmp_path, pcap(frame))
+    assert datagram.payload == PAYLOAD
+    assert datagram.source == bytes([192, 168, 1, 201])
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress, "zstd"])
+def test_archives_are_read_also_when_cut(tmp_path, pack):
+    """A compressed capture gives the same datagrams; one that ends early those before, and says so."""
+    if pack == "zstd":
+        pack = pytest.importorskip("zstandard").ZstdCompressor().compress
+    random = np.random.default_rng(1)
+    frames = [DATA[:60] + random.bytes(1188) for _ in range(1500)]
+    whole, packed = pcap(*frames), pack(pcap(*frames))
+    datagrams, capture = read(tmp_path, packed, "x.pcap.packed")
+    assert (datagrams, capture.cut) == (read(tmp_path, whole)[0], False)
+    datagrams, capture = read(tmp_path, packed[: len(packed) * 3 // 4], "cut")
+    assert 0 < len(datagrams) < 1500
+    assert capture.cut
 
 
 def test_datagram_tells_its_header_fields(tmp_path):
@@ -47,24 +183,7 @@ def test_datagram_tells_its_header_fields(tmp_path):
     assert (position.number, position.captured_bytes, position.wire_bytes) == (2, 554, 554)
     assert (position.source_port, position.destination_port, position.identification) == (8308, 8308, 77)
     assert position.udp_checksum == int.from_bytes(POSITION[40:42])
-    assert position.header == POSITION[:42]
-    assert position.ip == POSITION[14:34]
-
-
-def test_vlan_tag_and_ip_options_are_honoured(tmp_path):
-    """The payload is found behind a VLAN tag and behind IP options."""
-    tagged = DATA[:12] + bytes.fromhex("81000005") + DATA[12:]
-    with_options = DATA[:14] + b"\x46" + DATA[15:34] + bytes(4) + DATA[34:]
-    datagrams, _ = read(tmp_path, pcap(tagged, with_options))
-    assert [d.payload for d in datagrams] == [DATA[42:]] * 2
-    assert [(d.ip_offset, len(d.header)) for d in datagrams] == [(18, 46), (14, 46)]
-
-
-def test_padding_behind_the_datagram_is_no_payload(tmp_path):
-    """What follows the UDP length, such as Ethernet padding or a check sequence, is left out."""
-    datagrams, _ = read(tmp_path, pcap(DATA + b"\xde\xad\xbe\xef"))
-    assert datagrams[0].payload == DATA[42:]
-    assert datagrams[0].captured_bytes == 1252
+    assert (position.header, position.ip, position.mac) == (POSITION[:42], POSITION[14:34], POSITION[6:12])
 
 
 @pytest.mark.parametrize(
@@ -73,52 +192,72 @@ def test_padding_behind_the_datagram_is_no_payload(tmp_path):
         pytest.param(b"", id="nothing"),
         pytest.param(DATA[:13], id="less than an Ethernet header"),
         pytest.param(DATA[:12] + b"\x08\x06" + bytes(28), id="ARP"),
-        pytest.param(DATA[:12] + b"\x86\xdd\x60" + bytes(60), id="IPv6"),
+        pytest.param(DATA[:12] + b"\x86\xdd\x60" + bytes(60), id="IPv6 without UDP"),
         pytest.param(DATA[:30], id="half an IP header"),
         pytest.param(DATA[:40], id="half a UDP header"),
         pytest.param(DATA[:14] + b"\x44" + DATA[15:], id="IP header shorter than allowed"),
         pytest.param(DATA[:23] + b"\x06" + DATA[24:], id="TCP"),
         pytest.param(DATA[:20] + b"\x00\x10" + DATA[22:], id="later fragment"),
         pytest.param(DATA[:12] + bytes.fromhex("81000005"), id="VLAN tag at the end"),
+        pytest.param(DATA[:12] + b"\x88\x47", id="MPLS at the end"),
+        pytest.param(DATA[:12] + b"\x86\xdd" + IP6[:6] + b"\0" + IP6[7:], id="IPv6 extension at the end"),
     ],
 )
 def test_other_frames_are_counted_and_passed_over(tmp_path, other):
-    """A frame that is no UDP over IPv4 keeps its number, so the next one is number 2."""
+    """A frame that is no UDP over IP keeps its number, so the next one is number 2."""
     datagrams, capture = read(tmp_path, pcap(other, DATA))
     assert [d.number for d in datagrams] == [2]
     assert capture.frames == 2
 
 
 @pytest.mark.parametrize("cut", [1, 1247, 1248, 1250, 1263])
-def test_cut_last_packet_is_reported_and_left_out(tmp_path, cut):
+@pytest.mark.parametrize("whole", [pcap(DATA, POSITION, DATA), pcapng((0, DATA), (0, POSITION), (0, DATA))])
+def test_cut_last_packet_is_reported_and_left_out(tmp_path, cut, whole):
     """A file that ends within a record's data or header gives all whole packets before it, and says so."""
-    datagrams, capture = read(tmp_path, pcap(DATA, POSITION, DATA, cut=cut))
+    datagrams, capture = read(tmp_path, whole[:-cut])
     assert [d.number for d in datagrams] == [1, 2]
     assert capture.cut
 
 
-def test_empty_capture_is_a_capture(tmp_path):
+@pytest.mark.parametrize("empty", [pcap(), pcapng(), gzip.compress(pcap())])
+def test_empty_capture_is_a_capture(tmp_path, empty):
     """A file with a header alone holds no packets and is not cut."""
-    datagrams, capture = read(tmp_path, pcap())
+    datagrams, capture = read(tmp_path, empty)
     assert (datagrams, capture.cut, capture.frames) == ([], False, 0)
 
 
 @pytest.mark.parametrize(
     ("content", "line"),
     [
-        (b"", "some.pcap: no pcap file, it begins with nothing; expected a classic pcap file of Ethernet frames"),
-        (b"\xd4\xc3\xb2\xa1\x02", "some.pcap: no pcap file, it begins with d4 c3 b2 a1; expected a classic pcap"),
-        (b"PK\x03\x04" + bytes(40), "some.pcap: no pcap file, it begins with 50 4b 03 04; expected a classic"),
-        (bytes.fromhex("0a0d0d0a") + bytes(40), "some.pcap: a pcapng file; expected a classic pcap file"),
-        (pcap(link_type=113), "some.pcap: a pcap file of link type 113; expected .*, link type 1$"),
+        (b"", "some.pcap: no capture, it begins with nothing; expected a pcap or pcapng file"),
+        (b"\xd4\xc3\xb2\xa1\x02", "some.pcap: no capture, it begins with d4 c3 b2 a1; expected a pcap or"),
+        (b"PK\x03\x04" + bytes(40), "some.pcap: a zip archive; expected .* `unzip -p some.pcap > some.pcap`"),
         (pcap() + struct.pack("<IIII", 0, 0, 2**31, 9), "packet 1: a length of 2147483648 bytes; expected at most"),
+        (pcapng() + struct.pack("<II", 6, 13), "block 3: a length of 13 bytes; expected 12 to 16777216, in steps of 4"),
+        (b"\x1f\x8b\x08\0" + bytes(40), r"some\.pcap: "),
+        (lzma.compress(pcap(DATA))[:40] + bytes(400), r"some\.pcap: "),
     ],
 )
 def test_other_files_are_refused_in_one_line(tmp_path, content, line):
-    """Whatever is no sound classic pcap of Ethernet is an error that names file, finding and expectation."""
+    """Whatever is no sound capture is an error that names file, finding and expectation."""
     with pytest.raises(CaptureError, match=line) as caught:
         read(tmp_path, content)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "cause"),
+    [
+        (pcap(DATA, DATA, link_type=147), "2 frames of link type 147, which is not read"),
+        (pcap(next(fragments(IP)), link_type=101), r"1 datagrams whose other IP fragments .* 0x1fff != 0"),
+        (pcap(DATA[:68]).replace(struct.pack("<II", 68, 68), struct.pack("<II", 68, 1248)), r"1 frames .*tcpdump -s 0"),
+    ],
+)
+def test_what_cannot_be_had_is_said_with_the_remedy(tmp_path, content, cause):
+    """Without a data packet the error names the link type, the missing fragments, or the snapshot length."""
+    read(tmp_path, content)
+    with pytest.raises(CaptureError, match=f"no data packet, but {cause}"):
+        units_in(tmp_path / "some.pcap", required=True)
 
 
 def test_missing_file_and_folder_are_refused(tmp_path):
@@ -127,6 +266,72 @@ def test_missing_file_and_folder_are_refused(tmp_path):
         Capture(tmp_path / "none.pcap")
     with pytest.raises(CaptureError, match="Is a directory"):
         Capture(tmp_path)
+
+
+def test_what_comes_twice_is_read_once(tmp_path):
+    """Each packet that a bridge or `-i any` shows again is left out and counted; other datagrams are not looked at."""
+    other = DATA[:42] + bytes(1206)
+    datagrams, capture = read(tmp_path, pcap(DATA, DATA, POSITION, DATA, POSITION, other, other))
+    assert [d.number for d in datagrams] == [1, 3, 6, 7]
+    assert capture.repeated == 3
+    assert len(read(tmp_path, pcap(DATA, DATA), repeats=True)[0]) == 2
+
+
+def test_files_of_one_walk_are_one_capture(tmp_path):
+    """Files that a pattern names are read in order of time, and their frames are counted through."""
+    for name, seconds in (("walk.pcap", 5), ("walk.pcap10", 15), ("walk.pcap2", 7)):
+        (tmp_path / name).write_bytes(pcap(DATA[:50] + bytes([seconds]) * 1198, seconds=seconds))
+    with Capture(tmp_path / "walk.pcap*") as capture:
+        assert [(d.number, d.stamp_ns // 10**9) for d in capture] == [(1, 5), (2, 7), (3, 15)]
+
+
+def test_units_of_one_address_differ_by_mac(tmp_path):
+    """Two sensors as delivered on two network cards are two units; one whose way changes is one, and foreign traffic none."""
+    other = DATA[:10] + b"\x99\x11" + DATA[12:]
+    (unit,) = [datagram.mac for datagram in read(tmp_path, pcap(other))[0]]
+
+    def payload(i):
+        return (b"\xff\xee" + bytes([i]) * 98) * 12 + bytes(6)
+
+    streams = [DATA[:42] + payload(i) for i in range(5)], [other[:42] + payload(9 + i) for i in range(5)]
+    read(tmp_path, pcap(*(frame for pair in zip(*streams, strict=True) for frame in pair)), repeats=True)
+    assert [str(one) for one in units_in(tmp_path / "some.pcap")] == [
+        "192.168.1.201:2368@60:76:88:38:00:01",
+        f"192.168.1.201:2368@{unit.hex(':')}",
+    ]
+    read(tmp_path, pcap(*streams[0], *streams[1], DATA[:26] + b"\1\2\3\4" + DATA[30:42] + bytes(1206)))
+    assert [str(one) for one in units_in(tmp_path / "some.pcap")] == ["192.168.1.201:2368"]
+
+
+@pytest.mark.parametrize(
+    ("name", "units", "packets"),
+    [
+        *[
+            (name, 1, 20)
+            for name in ("01-sll.pcap", "03-rawip.pcap", "03b-null.pcap", "04-wireshark.pcapng", "07-fragments.pcap")
+        ],
+        *[("05-rotated.pcap.gz", 1, 37), ("05b.pcap.zst", 1, 37), ("15-dup.pcap", 1, 17)],
+        *[("18-same-ip.pcap", 2, 30), ("19-foreign.pcap", 1, 26)],
+    ],
+)
+def test_captures_as_people_have_them(name, units, packets):
+    """Containers, links and networks of public reports give the packets that tshark counts, of as many sensors as there were."""
+    if not (CASES / name).exists():
+        pytest.skip("no captures of others beside the repository")
+    if name.endswith(".zst"):
+        pytest.importorskip("zstandard")
+    known = units_in(CASES / name)
+    with Capture(CASES / name) as capture:
+        own = [d for d in capture if len(d.payload) == 1206 and any(unit.owns(d) for unit in known)]
+    assert (len(known), len(own)) == (units, packets)
+
+
+def test_names_of_captures():
+    """Rotated and compressed captures are known by their names; scenes are no captures."""
+    assert all(
+        map(is_capture_name, ("a.pcap", "a.PCAPNG", "a.pcap12", "a.cap.gz", "a.pcap.zst", "walk*.pcap*".rstrip("*")))
+    )
+    assert not any(map(is_capture_name, ("a.toml", "birch_walk", "a.pcap.toml", "pcap")))
 
 
 @pytest.mark.skipif(not CAPTURE.exists(), reason="no real captures beside the repository")

@@ -1,6 +1,7 @@
 """What tests of casters share: a small window with every difficulty, and a wood that is seen from afar."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,13 +78,10 @@ def beam(model, **changed):
     return Footprint(Beam(model=model, rays=32), seed, resolution_m=1.0).changed(**changed)
 
 
-def level_pulses(y_m, lasers=1):
-    """Firings (k, lasers) along x from points beside each other, k positions y."""
-    k = len(y_m)
-    origin_m, direction, across = np.zeros((k, lasers, 3)), np.zeros((k, lasers, 3)), np.zeros((k, lasers, 3))
-    origin_m[..., 1], direction[..., 0], across[..., 1] = np.asarray(y_m)[:, None], 1.0, -1.0
-    zero = np.zeros((k, lasers))
-    return Firings(0, zero.astype("i8"), zero[:, 0].astype("i8"), zero, zero[:, 0], origin_m, direction, across)
+def level_pulses(y_m):
+    """Firings (k, 1) along x from points beside each other, k positions y."""
+    origin_m = np.column_stack([0.0 * np.asarray(y_m), y_m, 0.0 * np.asarray(y_m)])
+    return rays(origin_m, np.tile([1.0, 0.0, 0.0], (len(origin_m), 1)))
 
 
 def upright(*rectangles, reflectance=0.5):
@@ -321,18 +319,8 @@ def no_medium():
 
 
 def rays(origin_m, direction, first=0):
-    """Firings (k, 1) of rays (k, 3), k a multiple of 8."""
-    k = len(origin_m)
-    zero = np.zeros((k, 1))
+    """Firings (k, 1) of rays (k, 3), k a multiple of 8; their horizontal axis is across z."""
     across = np.cross(direction, [0.0, 0.0, 1.0]) + 1e-9
     across /= np.linalg.norm(across, axis=1)[:, None]
-    return Firings(
-        first,
-        zero.astype("i8"),
-        np.zeros(k, "i8"),
-        zero,
-        np.zeros(k),
-        np.ascontiguousarray(origin_m[:, None], float),
-        np.ascontiguousarray(direction[:, None], float),
-        across[:, None],
-    )
+    lines = Firings.rays(0, np.array(origin_m)[:, None], np.array(direction, float)[:, None])
+    return replace(lines, index=first, beam_axis=across[:, None])

@@ -13,18 +13,8 @@ def pulses(at_m, origin_m=(0.0, 0.0, 0.0)):
     """One sub-ray each (k, 1) from a place to points (k, 3), all on surface 0."""
     away = at_m - np.array(origin_m)
     range_m = np.linalg.norm(away, axis=1)
-    k = len(at_m)
-    firings = Firings(
-        0,
-        np.zeros((k, 1), np.int64),
-        np.zeros(k, np.int64),
-        np.zeros((k, 1)),
-        np.zeros(k),
-        np.broadcast_to(np.array(origin_m), (k, 1, 3)).copy(),
-        (away / range_m[:, None])[:, None],
-        None,
-    )
-    met = np.zeros((k, 1), np.uint32), np.full((k, 1), 0.5, np.float32)
+    firings = Firings.rays(0, np.array(origin_m), (away / range_m[:, None])[:, None])
+    met = np.zeros((len(at_m), 1), np.uint32), np.full((len(at_m), 1), 0.5, np.float32)
     return firings, Hits.one_ray_each(range_m.astype(np.float32)[:, None], *met)
 
 

@@ -48,14 +48,6 @@ def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
     assert load(scene(), [f"world.meshes=[{mesh}]"]).world.meshes[0].file == "/a.obj"
 
 
-def test_a_mesh_stands_upright_on_the_ground_unless_it_says_so(scene):
-    """Place and size of a mesh have plain defaults, and parts keep the file's values that they do not give."""
-    mesh = load(scene()).world.meshes[0]
-    place, part = mesh.places[0], mesh.parts[0]
-    assert (place.z_m, place.above_ground_m, place.yaw_deg, place.scale) == (None, 0.0, 0.0, 1.0)
-    assert (part.reflectance, part.semantic, part.part) == (0.2, None, None)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -43,17 +43,14 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_a_byte_order_mark_is_no_fault(tmp_path):
-    """A scene that an editor has begun with a UTF-8 mark is the scene that it is without."""
-    path = tmp_path / "scene.toml"
-    path.write_text(SCENE, encoding="utf-8-sig")
-    assert load(str(path)) == load(str(written(tmp_path, SCENE)))
-
-
-def test_a_whole_number_is_taken_where_a_fraction_may_stand(tmp_path):
-    """`length_m = 30` is 30.0: nobody has to write the point."""
-    scenario = load(str(written(tmp_path, SCENE)), ["duration_s=5"])
-    assert (scenario.world.length_m, scenario.duration_s) == (30.0, 5.0)
+def test_a_file_is_read_as_it_is_meant(tmp_path):
+    """A mark of UTF-8 is no fault, `length_m = 30` is 30.0, and a scenario cannot be changed once it is read."""
+    marked = tmp_path / "scene.toml"
+    marked.write_text(SCENE, encoding="utf-8-sig")
+    scenario = load(str(marked), ["duration_s=5"])
+    assert (scenario.title, scenario.world.length_m, scenario.duration_s) == ("A bench", 30.0, 5.0)
+    with pytest.raises(ValueError, match="frozen"):
+        scenario.sensor.rpm = 300
 
 
 @pytest.mark.parametrize(
@@ -132,7 +129,7 @@ def test_a_scene_without_a_title_has_that_of_its_file(tmp_path):
 
 
 def test_settings_apply_in_order_and_create_tables(tmp_path):
-    """The last setting of a key wins, bare words are strings, absent tables appear."""
+    """The last setting of a key wins and is the one blamed, bare words are strings, absent tables appear."""
     settings = [
         "sensor.rpm=300",
         "sensor.rpm=1200",
@@ -143,32 +140,11 @@ def test_settings_apply_in_order_and_create_tables(tmp_path):
     scenario = load(str(written(tmp_path, SCENE)), settings)
     assert (scenario.sensor.rpm, scenario.sensor.return_mode) == (1200, "dual")
     assert (scenario.gps.connected, scenario.title) == (False, "two words")
-
-
-def test_the_last_setting_of_a_key_is_the_one_blamed(tmp_path):
-    """Of two settings of one key, the error names the one in force."""
     with pytest.raises(ScenarioError, match=r"^--set sensor\.rpm=2: "):
         load(str(written(tmp_path, SCENE)), ["sensor.rpm=1", "sensor.rpm=2"])
 
 
-def test_a_scenario_cannot_be_changed(tmp_path):
-    """A scenario is frozen once read."""
-    scenario = load(str(written(tmp_path, SCENE)))
-    with pytest.raises(ValueError, match="frozen"):
-        scenario.sensor.rpm = 300
-
-
-@pytest.mark.parametrize(
-    "start",
-    [
-        "0001-01-01T00:00:00+14:00",
-        "1969-12-31T23:59:58+00:00",
-        "1970-01-01T00:00:00+00:01",
-        "2106-01-01T00:00:00+00:00",
-        "2105-12-31T23:59:59-01:00",
-        "9999-12-31T23:59:59-14:00",
-    ],
-)
+@pytest.mark.parametrize("start", ["1970-01-01T00:00:00+00:01", "2105-12-31T23:59:59-01:00"])
 def test_a_start_that_no_capture_can_be_stamped_with_is_reported(tmp_path, start):
     """A start before 1970 or after 2105 in UTC is refused, whatever its offset."""
     with pytest.raises(ScenarioError) as caught:
@@ -190,10 +166,14 @@ def test_the_longest_run_from_the_first_and_the_last_start_fits_a_capture(tmp_pa
         assert [int(stamp_s) for stamp_s, _ in dpkt.pcap.Reader(file)] == [start_ns // 10**9, due_ns // 10**9]
 
 
-def test_start_is_exact_in_nanoseconds(tmp_path):
-    """A start time with an offset and microseconds becomes exact UTC nanoseconds."""
-    scenario = load(str(written(tmp_path, SCENE)), ["start_utc=2026-05-20T11:00:00.000001+02:00"])
+@pytest.mark.parametrize("quote", ["", "'", '"'])
+def test_start_is_exact_in_nanoseconds(tmp_path, quote):
+    """A start time with an offset and microseconds becomes exact UTC nanoseconds, in quotes too."""
+    start = f"start_utc={quote}2026-05-20T11:00:00.000001+02:00{quote}"
+    scenario = load(str(written(tmp_path, SCENE)), [start])
     assert scenario.start_ns == 1_779_267_600_000_001_000  # `date -d 2026-05-20T09:00:00Z +%s`
+    in_file = SCENE.replace("[sensor]", f"{start}\n[sensor]", 1)
+    assert load(str(written(tmp_path, in_file))).start_ns == scenario.start_ns
 
 
 def test_an_ideal_scene_has_no_errors_but_those_that_are_set(tmp_path):
@@ -246,15 +226,11 @@ def test_saplings_of_dead_trees_are_refused(tmp_path):
 
 BAD_FILES = [
     # text to replace, replacement, the line after "<file>: "
-    ("rpm = 600", "rpm = 250", "sensor.rpm: found 250; expected a whole number from 300 to 1200 in steps of 60"),
     ("rpm = 600", "rpm = 620", "sensor.rpm: found 620; expected a whole number from 300 to 1200 in steps of 60"),
     ("rpm = 600", 'rpm = "fast"', 'sensor.rpm: found "fast"; expected a whole number from 300 to 1200 in steps of 60'),
-    ("rpm = 600", "rpm = true", "sensor.rpm: found true; expected a whole number from 300 to 1200 in steps of 60"),
-    ("rpm = 600", "data_port = 8308", "sensor: found a table; expected a data_port and a position_port that differ"),
     ("rpm = 600", "rmp = 600", "sensor.rmp: unknown key; expected rpm, the nearest known one"),
     ("title", "titel", "titel: unknown key; expected title, the nearest known one"),
     ("schema = 1", "", "schema: missing; expected 1"),
-    ("schema = 1", "schema = 2", "schema: found 2; expected 1"),
     (
         "schema = 1",
         "schema = 1\nseed = -1",
@@ -269,12 +245,6 @@ BAD_FILES = [
     ),
     ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number from 0.001 to 10000"),
     ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number from 0.001 to 10000"),
-    ("length_m = 30", "", "world.length_m: missing; expected a number from 0.001 to 10000"),
-    (
-        "height_m = 6.0",
-        "height_m = 6.0\nwall_reflectance = 1.5",
-        "world.wall_reflectance: found 1.5; expected a number from 0 to 1",
-    ),
     (
         "height_m = 6.0",
         'height_m = 6.0\npoles = [{ name = "p", foot_m = [0, 0], diameter_m = 1, height_m = 1 }]',
@@ -291,7 +261,6 @@ BAD_FILES = [
         "min_range_m = 20.0\nmax_range_m = 10.0",
         "sensor.max_range_m: found 10.0; expected more than min_range_m = 20.0",
     ),
-    ("rpm = 600", "min_range_m = 120.0", "sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0"),
     (
         'title = "A bench"',
         'title = "A bench"\nstart_utc = 2026-05-20T09:00:00',
@@ -300,7 +269,6 @@ BAD_FILES = [
             "such as 2026-05-20T09:00:00Z"
         ),
     ),
-    ("rpm = 600", 'return_mode = "both"', 'sensor.return_mode: found "both"; expected "strongest", "last" or "dual"'),
 ]
 
 BAD_SETTINGS = [
@@ -310,21 +278,7 @@ BAD_SETTINGS = [
     ("=3", "--set =3: no assignment; expected key.path=value"),
     ("title.short=x", "--set title.short=x: title is no table; expected table names before the last dot"),
     ("duration_s=-1", "--set duration_s=-1: found -1; expected a number above 0 and at most 604800"),
-    (
-        "sensor.powered_for_s=1e300",
-        "--set sensor.powered_for_s=1e300: found 1e+300; expected a number from 0 to 1000000000",
-    ),
-    *(
-        (f"gps.{key}={found}", f"--set gps.{key}={found}: found {found}; expected a number from {bounds}")
-        for key, found, bounds in (
-            ("position_noise_m", 1000.1, "0 to 1000"),
-            ("wander_m", 1000.1, "0 to 1000"),
-            ("wander_s", 0.9, "1 to 1000000"),
-            ("velocity_noise_m_s", 100.1, "0 to 100"),
-            ("canopy_error_factor", 100.1, "1 to 100"),
-            ("antenna_above_m", 100.1, "0 to 100"),
-        )
-    ),
+    ("gps.wander_s=0.9", "--set gps.wander_s=0.9: found 0.9; expected a number from 1 to 1000000"),
     (
         "motion.way_points_m=[[0, 0], [nan, 1]]",
         "--set motion.way_points_m=[[0, 0], [nan, 1]]: motion.way_points_m[1][0]: found nan; expected a finite number",
@@ -338,7 +292,7 @@ BAD_SETTINGS = [
     ),
     *(
         (f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5")
-        for found in ("4.9", "nan", '"far"')
+        for found in ("4.9", '"far"')
     ),
     ("motion=3", '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"'),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
@@ -364,10 +318,6 @@ BAD_SETTINGS = [
         '--set world=old_growth: found "old_growth"; expected a table, as by world.preset = "old_growth"',
     ),
     ("beam=fixed", '--set beam=fixed: found "fixed"; expected a table, as by beam.model = "fixed"'),
-    (
-        "sensor.rpm=600.5",
-        "--set sensor.rpm=600.5: found 600.5; expected a whole number from 300 to 1200 in steps of 60",
-    ),
     (
         "sensor.data_port=8308",
         "--set sensor.data_port=8308: sensor: found a table; expected a data_port and a position_port that differ",

@@ -117,13 +117,14 @@ def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
         process.send_signal(signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
     assert not path.exists()
-    datagrams, _ = read(tmp_path / "out.pcap.part")
+    (part,) = tmp_path.glob("out.pcap.*.part")
+    datagrams, _ = read(part)
     assert len(datagrams) >= 1000
     assert all(d.payload == (i % 65_536).to_bytes(2) * 603 for i, d in enumerate(datagrams))
 
 
 def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets):
-    """While packets are written the file before can be read, and it stays where an error comes before the first packet."""
+    """The earlier file stays after an error; packets before it are in a file that ends with a whole one."""
     path = tmp_path / "out.pcap"
     path.write_bytes(b"earlier")
 
@@ -134,19 +135,25 @@ def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets
                 assert path.read_bytes() == b"earlier"
             raise ValueError
 
-    for packets, left in (([], None), (make_packets(5), 5)):
+    for packets in ([], make_packets(5)):
         with pytest.raises(ValueError):  # noqa: PT011
             failing(packets)
-        if left is None:
-            assert path.read_bytes() == b"earlier"
-        else:
-            assert len(read(path)[0]) == left
-        assert [file.name for file in tmp_path.iterdir()] == ["out.pcap"]
+        assert path.read_bytes() == b"earlier"
+        assert [len(read(part)[0]) for part in tmp_path.glob("out.pcap.*.part")] == [5] * bool(packets)
+
+
+def test_an_interrupt_ends_a_valid_capture(tmp_path, make_packets):
+    """Ctrl-C that arrives as an exception keeps the packets before it under the final name."""
+    with pytest.raises(KeyboardInterrupt), PcapSink(tmp_path / "out.pcap") as sink:  # noqa: PT012
+        sink.send(make_packets(1)[0])
+        raise KeyboardInterrupt
+    assert len(read(tmp_path / "out.pcap")[0]) == 1
 
 
 def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
-    """Where only part of a record finds room the run ends with an error, and the file with the packet before."""
+    """If only part of a record has room, the error names the file that ends with the packet before it; the earlier stays."""
     path = tmp_path / "out.pcap"
+    path.write_bytes(b"earlier")
     room = 24 + 10 * RECORD_BYTES + 700
     program = PROGRAM + (
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
@@ -161,9 +168,11 @@ def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=True)
     message, result = done.stdout.splitlines()
-    assert message == f"{path}: File too large at packet 11; the 10 packets before it are kept"
-    assert result == f"10 {hashlib.sha256(path.read_bytes()).hexdigest()}"
-    datagrams, cut = read(path)
+    (part,) = tmp_path.glob("out.pcap.*.part")
+    assert message == f"{path}: File too large at packet 11; the 10 packets before it are in {part}"
+    assert result == f"10 {hashlib.sha256(part.read_bytes()).hexdigest()}"
+    assert path.read_bytes() == b"earlier"
+    datagrams, cut = read(part)
     assert (len(datagrams), cut) == (10, False)
 
 
@@ -171,7 +180,7 @@ def test_device_without_room_is_a_failed_run(tmp_path):
     """A disk that is full from the beginning is reported in the system's own words, with exit code 1."""
     full = tmp_path / "full"
     full.symlink_to("/dev/full")
-    with pytest.raises(RunError, match="No space left on device at packet 1; the 0 packets") as caught:
+    with pytest.raises(RunError, match="No space left on device at packet 1; no file") as caught:
         PcapSink(full)
     assert caught.value.exit_code == 1
 

@@ -34,11 +34,13 @@ def test_any_rotation_is_written():
 
 
 def test_what_is_appended_can_be_read_at_once(tmp_path):
-    """Lines stand in the file before it is closed."""
+    """Lines stand in the file before it is closed, in the folder that takes its name at the end."""
     with TruthFolder(tmp_path / "a" / "b") as folder:
         folder.append("gnss.csv", "one\n")
         folder.append("gnss.csv", "two\n")
-        assert (tmp_path / "a" / "b" / "gnss.csv").read_text() == "one\ntwo\n"
+        assert (folder.path / "gnss.csv").read_text() == "one\ntwo\n"
+        assert not (tmp_path / "a" / "b").exists()
+    assert (tmp_path / "a" / "b" / "gnss.csv").read_text() == "one\ntwo\n"
 
 
 @pytest.mark.parametrize("scenario", [None, "[]", "no JSON", '{"seed": 1}'])
@@ -52,14 +54,6 @@ def test_files_of_somebody_else_stay(tmp_path, scenario):
     assert (tmp_path / "imu.csv").read_text() == "mine"
 
 
-def test_a_full_disk_is_reported(tmp_path):
-    """A file that takes no more ends the run with its name and the reason."""
-    with TruthFolder(tmp_path) as folder:
-        (tmp_path / "imu.csv").symlink_to("/dev/full")
-        with pytest.raises(RunError, match=r"imu\.csv: No space left on device"):
-            folder.append("imu.csv", "x\n")
-
-
 def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
     """Where half a line finds room it is cut off, and nothing is written behind it; a JSON file is whole or not there."""
     program = (
@@ -68,7 +62,7 @@ def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
         "from vlp16emu.errors import RunError\n"
         "from vlp16emu.extras.truth.folder import TruthFolder\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (25, 25))\n"
-        "with TruthFolder(Path(sys.argv[1])) as folder:\n"
+        "with TruthFolder(Path(sys.argv[1]) / 'one') as folder:\n"
         "    folder.append('imu.csv', 'one two\\n')\n"
         "    for _ in range(2):\n"
         "        try:\n"
@@ -82,24 +76,59 @@ def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
         "        print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
-    line = f"{tmp_path}/imu.csv: File too large; it ends with a whole line\n"
-    assert done.stdout == 2 * line + f"{tmp_path}/more/rig.json: File too large; no file is written\n"
-    assert (tmp_path / "imu.csv").read_text() == "one two\nthree four\n"
+    (left,) = tmp_path.glob("one.*.part")
+    line = f"{left}/imu.csv: File too large; it ends with a whole line\n"
+    first, second, third = done.stdout.splitlines(keepends=True)
+    assert first + second == 2 * line
+    assert third.endswith("/rig.json: File too large; no file is written\n")
+    assert (left / "imu.csv").read_text() == "one two\nthree four\n"
     assert list((tmp_path / "more").iterdir()) == []
+    assert not (tmp_path / "one").exists()
 
 
 def test_two_runs_into_one_folder_are_refused(tmp_path):
     """While a run writes, another one neither removes nor replaces its files."""
-    with TruthFolder(tmp_path) as folder:
+    with TruthFolder(tmp_path / "t") as folder:
         folder.append("imu.csv", "one\n")
         with pytest.raises(OutputError, match=r": is being written by process \d+; expected another place"):
-            TruthFolder(tmp_path)
-        assert (tmp_path / "imu.csv").read_text() == "one\n"
+            TruthFolder(tmp_path / "t")
+    assert (tmp_path / "t" / "imu.csv").read_text() == "one\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["t"]
+
+
+@pytest.mark.parametrize("entry", ["trajectory.tum", "returns.parquet.part", "notes.txt"])
+def test_a_folder_with_something_else_is_kept_as_a_whole(tmp_path, entry):
+    """A folder, or a file of another name, beside the truth of an earlier run is refused, and nothing of that run is lost."""
+    place = tmp_path / "t"
+    with TruthFolder(place) as folder:
+        folder.write_json("scenario.json", {"written_by": "vlp16emu"})
+        folder.write_json("rig.json", {})
+    (place / entry).mkdir()
+    with pytest.raises(OutputError, match=rf"holds {entry}"):
+        TruthFolder(place)
+    assert sorted(path.name for path in place.iterdir()) == sorted(["rig.json", "scenario.json", entry])
+
+
+def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(tmp_path):
+    """A run that fails leaves the folder of the one before as it was; one that ends replaces all its files."""
+    place = tmp_path / "t"
+    with TruthFolder(place) as folder:
+        folder.write_json("scenario.json", {"written_by": "vlp16emu"})
+        folder.append("imu.csv", "earlier\n")
+    with pytest.raises(RunError), TruthFolder(place) as folder:  # noqa: PT012
+        folder.append("imu.csv", "half\n")
+        raise RunError("the device is gone")
+    (left,) = tmp_path.glob("t.*.part")
+    assert (left / "imu.csv").read_text() == "half\n"
+    assert (place / "imu.csv").read_text() == "earlier\n"
+    with TruthFolder(place) as folder:
+        folder.append("gnss.csv", "new\n")
+    assert [path.name for path in place.iterdir()] == ["gnss.csv"]
 
 
 def test_a_file_is_no_folder(tmp_path):
     """A path that is taken by a file is refused, and the file kept."""
     (tmp_path / "taken").write_text("mine")
-    with pytest.raises(OutputError, match=r"taken: File exists; expected a folder that can be written"):
+    with pytest.raises(OutputError, match=r"taken: Not a directory; expected a folder that can be written"):
         TruthFolder(tmp_path / "taken")
     assert (tmp_path / "taken").read_text() == "mine"

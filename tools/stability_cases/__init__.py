@@ -1,6 +1,6 @@
 """Stiff and extreme cases, each a function that gives rows of case, quantity, error and bound."""
 
-from stability_cases import clock, coordinates, crowds, echoes, entries, faces, paths, ranges, turning
+from stability_cases import clock, coordinates, crowds, entries, faces, paths, turning
 from stability_cases.row import Case, Row, check
 
 __all__ = ["QUICK", "SLOW", "Case", "Row", "check"]
@@ -9,8 +9,7 @@ QUICK: tuple[Case, ...] = (
     coordinates.far_files,
     coordinates.far_worlds,
     coordinates.far_walks,
-    ranges.every_range,
-    ranges.grazing,
+    faces.grazing,
     crowds.thin_twig,
     faces.slivers,
     faces.doubled,
@@ -18,16 +17,12 @@ QUICK: tuple[Case, ...] = (
     faces.inside,
     faces.edge_on,
     crowds.crowd,
-    echoes.merge_limits,
-    echoes.dark,
-    echoes.few_rays,
     turning.stiff_straps,
     turning.fast_turns,
     clock.day,
     paths.impossible_paths,
     paths.hairpins,
     paths.recordings,
-    paths.midnight,
     entries.every_key,
     entries.options,
     entries.python,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from stability_cases.lab import PULSES, beam, cast, opened, pulses, quads, wall
+from stability_cases.lab import PULSES, beam, cast, faces, opened, pulses, wall
 from stability_cases.row import Row, refused
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings, Mesh
@@ -36,7 +36,7 @@ def _before_a_twig(y_m: Array) -> Firings:
 def thin_twig() -> Iterator[Row]:
     """Look at an upright twig of a millimetre, 100 m away, before a wall."""
     half_m = _TWIG_M / 2
-    twig = quads(np.array([[(_AWAY_M, y, z) for y, z in ((-half_m, -5), (half_m, -5), (half_m, 5), (-half_m, 5))]]))
+    twig = faces(np.array([[(_AWAY_M, y, z) for y, z in ((-half_m, -5), (half_m, -5), (half_m, 5), (-half_m, 5))]]))
     scene = opened([twig, wall(110.0)])
     beside_m = np.repeat(np.linspace(-1.5, 1.5, 16) * _SIGMA_M, 2 * PULSES)
     expected = norm.cdf((half_m - beside_m) / _SIGMA_M) - norm.cdf((-half_m - beside_m) / _SIGMA_M)
@@ -57,7 +57,7 @@ def _pane() -> Mesh:
     edges = np.linspace(-1.0, 1.0, _PANE_QUADS + 1)
     low, high, x = edges[:-1], edges[1:], np.full(_PANE_QUADS, 10.0)
     corners = [(x, low, x - 11), (x, high, x - 11), (x, high, x - 9), (x, low, x - 9)]
-    return quads(np.stack([np.column_stack(corner) for corner in corners], axis=1))
+    return faces(np.stack([np.column_stack(corner) for corner in corners], axis=1))
 
 
 def _resident_kb() -> float:

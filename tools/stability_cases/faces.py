@@ -1,17 +1,20 @@
-"""Faces that are thin, doubled, crossed, edge-on, or where the sensor itself is."""
+"""Faces that are thin, doubled, crossed, grazed, edge-on, or where the sensor itself is."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stability_cases.lab import PULSES, beam, box, cast, detected, opened, pulses, quads, triangles, unit_of, wall
+from stability_cases.lab import PULSES, beam, box, cast, detected, faces, opened, pulses, unit_of, wall
 from stability_cases.row import Row
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import Firings
 
 Array = NDArray[np.float64]
+
+_FLOOR_M = 150.0
+_FLOAT32 = 2.0**-23
 
 
 def _cone(count: int, half_deg: float, seed: int = 1) -> Firings:
@@ -36,7 +39,7 @@ def slivers() -> Iterator[Row]:
             [np.full(count, 10.0), edge_m[-1] * rng.uniform(-0.99, 0.99, count), rng.uniform(-9, 9, count)]
         )
         range_m = np.linalg.norm(target, axis=1)
-        hits = cast(opened([triangles(corners)]), pulses(np.zeros((count, 3)), target / range_m[:, None]))
+        hits = cast(opened([faces(corners)]), pulses(np.zeros((count, 3)), target / range_m[:, None]))
         met = np.isfinite(hits.range_m)
         name = f"slivers {width_m:g} m wide, 20 m long"
         yield Row(name, f"pulses through, of {count}", int((~met).sum()), 0)
@@ -94,7 +97,7 @@ def inside() -> Iterator[Row]:
     got_m = np.concatenate([r.distance_m[..., 0] for r in returns])
     yield Row("sensor inside a closed box", "largest error, m", float(np.abs(got_m - true_m).max()), 1e-5)
 
-    plate, far = quads(np.array([[(0, -9, -9), (0, 9, -9), (0, 9, 9), (0, -9, 9)]])), wall(5.0, 500.0)
+    plate, far = faces(np.array([[(0, -9, -9), (0, 9, -9), (0, 9, 9), (0, -9, 9)]])), wall(5.0, 500.0)
     head = unit_of("static_bench").head
     aimed = head.aim(0, 1920, unit_of("static_bench", "motion.height_m=1.5").motion.poses_at)
     direction = aimed.direction.reshape(-1, 3)
@@ -115,7 +118,7 @@ def edge_on() -> Iterator[Row]:
     corners = np.array([(9.97, 0, -0.02), (10.03, 0, -0.02), (10.03, 0, 0.02), (9.97, 0, 0.02)])
     leaves = np.tile(corners, (count, 1, 1))
     leaves[:, :, 1] = y_m[:, None] + (leaves[:, :, 0] - 10.0) * tilt_rad[:, None]
-    scene = opened([quads(leaves), wall(15.0, 2 * y_m[-1])])
+    scene = opened([faces(leaves), wall(15.0, 2 * y_m[-1])])
     firings = pulses(np.column_stack([0 * y_m, y_m, 0 * y_m]), np.tile([1.0, 0.0, 0.0], (count, 1)))
     for name, light in (("one ray", None), ("64 rays", beam("fixed"))):
         hits = cast(scene, firings) if light is None else cast(scene, firings, light)
@@ -124,3 +127,23 @@ def edge_on() -> Iterator[Row]:
         if light is not None:
             error_m = np.abs(detected(scene, firings, light).distance_m[..., 0] - 15.0)
             yield Row(f"leaf edge-on, {name}", "error of the wall behind, m", float(error_m.max()), 1e-4)
+
+
+def grazing() -> Iterator[Row]:
+    """Meet a floor at up to 89.99 degrees from its normal, 10 to 100 m away."""
+    floor = [(-_FLOOR_M, -_FLOOR_M, 0), (_FLOOR_M, -_FLOOR_M, 0), (_FLOOR_M, _FLOOR_M, 0), (-_FLOOR_M, _FLOOR_M, 0)]
+    scene = opened([faces(np.array([floor]))])
+    for incidence_deg in (80.0, 89.0, 89.9, 89.99):
+        cosine = np.cos(np.radians(incidence_deg))
+        level = np.sqrt(1 - cosine**2)
+        range_m = np.linspace(10.0, 100.0, PULSES)
+        turned = np.linspace(0.0, 2 * np.pi, PULSES)
+        origin_m = np.column_stack([0 * turned, 0 * turned, range_m * cosine])
+        direction = np.column_stack([level * np.cos(turned), level * np.sin(turned), np.full(PULSES, -cosine)])
+        firings = pulses(origin_m, direction)
+        hits = cast(scene, firings)
+        error_m = float(np.abs(hits.range_m - range_m).max())
+        yield Row(f"floor at {incidence_deg:g} deg", "largest error, m", error_m, 4 * 100 * _FLOAT32)
+        wide = detected(scene, firings, beam("adaptive"))
+        fit = np.isfinite(wide.distance_m) & (wide.distance_m >= 0) & (wide.distance_m <= 131.07)
+        yield Row(f"floor at {incidence_deg:g} deg, wide beam", "returns out of limits", float((~fit).sum()), 0)

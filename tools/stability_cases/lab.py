@@ -2,20 +2,21 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.forest.stand.nearby import AllNear
-from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
+from vlp16emu.packets import LASERS
 from vlp16emu.raycast import Beam
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LENS_RADIUS_M
-from vlp16emu.types import SURFACE, Firings, Hits, Mesh, ReturnMode, Returns, SensorModel, Window
+from vlp16emu.types import SURFACE, Firings, Hits, Mesh, Returns, Window
 
 Array = NDArray[np.float64]
 
@@ -29,11 +30,6 @@ def unit_of(scene: str, *settings: str) -> Unit:
     return assemble(load(scene, settings)).units[0]
 
 
-def ideal_unit(*settings: str) -> Unit:
-    """Make a sensor without errors that sees as far as the largest code."""
-    return unit_of("static_bench", "sensor.max_range_m=131.07", *settings)
-
-
 def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
     """Light of a VLP-16, or light without width."""
     light = Footprint(Beam(model=model), seed=7, resolution_m=1.0).changed(
@@ -42,30 +38,24 @@ def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
     return light if has_width else light.changed(spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0))
 
 
-def quads(corners_m: Array) -> Mesh:
-    """Mesh of quads (n, 4, 3)."""
-    faces = np.arange(4 * len(corners_m), dtype=np.uint32).reshape(-1, 4)
-    return Mesh(corners_m.reshape(-1, 3).astype(np.float32), faces)
-
-
-def triangles(corners_m: Array) -> Mesh:
-    """Mesh of triangles (n, 3, 3)."""
-    faces = np.arange(3 * len(corners_m), dtype=np.uint32).reshape(-1, 3)
-    return Mesh(corners_m.reshape(-1, 3).astype(np.float32), faces)
+def faces(corners_m: Array) -> Mesh:
+    """Return a mesh of quads (n, 4, 3) or triangles (n, 3, 3)."""
+    numbers = np.arange(corners_m.shape[0] * corners_m.shape[1], dtype=np.uint32).reshape(corners_m.shape[:2])
+    return Mesh(corners_m.reshape(-1, 3).astype(np.float32), numbers)
 
 
 def wall(x_m: float, half_m: float = 50.0) -> Mesh:
     """Upright square across the x axis."""
     corners = [(x_m, -half_m, -half_m), (x_m, half_m, -half_m), (x_m, half_m, half_m), (x_m, -half_m, half_m)]
-    return quads(np.array([corners]))
+    return faces(np.array([corners]))
 
 
 def box(low_m: Sequence[float], high_m: Sequence[float]) -> Mesh:
-    """Upright box."""
+    """Return an upright box."""
     spans = np.stack([low_m, high_m])
     corners = np.array([[spans[i, 0], spans[j, 1], spans[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    faces = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
-    return Mesh(corners.astype(np.float32), np.array(faces, np.uint32))
+    sides = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
+    return Mesh(corners.astype(np.float32), np.array(sides, np.uint32))
 
 
 def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) -> Geometry:
@@ -93,20 +83,10 @@ def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firing
 
     The level axis of their light is across z.
     """
-    shape = len(origin_m) // lasers, lasers
     across = np.cross(direction, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across, axis=1)[:, None]
-    zero = np.zeros(shape)
-    return Firings(
-        index=0,
-        t_ns=zero.astype(np.int64),
-        clock_ns=np.zeros(shape[0], np.int64),
-        azimuth_deg=zero,
-        reading_deg=zero[:, 0],
-        origin_m=np.ascontiguousarray(origin_m, np.float64).reshape(*shape, 3),
-        direction=np.ascontiguousarray(direction, np.float64).reshape(*shape, 3),
-        beam_axis=across.reshape(*shape, 3),
-    )
+    of = [np.reshape(array, (-1, lasers, 3)).astype(np.float64) for array in (origin_m, direction, across)]
+    return replace(Firings.rays(0, of[0], of[1]), beam_axis=of[2])
 
 
 def cast(scene: Geometry, firings: Firings, light: Footprint = LINE) -> Hits:
@@ -114,14 +94,7 @@ def cast(scene: Geometry, firings: Firings, light: Footprint = LINE) -> Hits:
     return scene.cast(firings, np.full(firings.t_ns.shape[1], LENS_RADIUS_M), 140.0, light)
 
 
-def detected(scene: Geometry, firings: Firings, light: Footprint = LINE, unit: Unit | None = None) -> Returns:
-    """Detect pulses, by a perfect unit unless one is given."""
-    detector = (unit or ideal_unit()).detector
+def detected(scene: Geometry, firings: Firings, light: Footprint = LINE) -> Returns:
+    """Detect pulses by a sensor without errors that sees as far as the largest code."""
+    detector = unit_of("static_bench", "sensor.max_range_m=131.07").detector
     return detect(firings, cast(scene, firings, light), scene.surfaces, detector, truth=False)
-
-
-def decoded_m(returns: Returns) -> Array:
-    """Distances (n,) of strongest returns after packing and decoding, 0 where there is none."""
-    payloads = data_payloads(returns, ReturnMode.STRONGEST, SensorModel.VLP_16)
-    points = decode_data(payloads.reshape(-1, DATA_BYTES), keep_no_returns=True)
-    return points.distance_m.astype(np.float64)

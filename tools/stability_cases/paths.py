@@ -105,21 +105,3 @@ def recordings() -> Iterator[Row]:
         follow = partial(_recorded, np.arange(4) / 20, _about_z(steps))
         yield refused(f"steps of {step_deg:g} degrees", follow, says)
     yield refused("gap of 2 s", partial(_recorded, np.array([0, 2.0]), _about_z(np.zeros(2))), "a gap of 2 s")
-
-
-def midnight() -> Iterator[Row]:
-    """Walk the same in the middle of an hour and across the ends of an hour, a year and a day before a leap day."""
-    way = [(-3.0, 0.0), (0.0, 1.0), (3.0, 0.0)]
-    since_ns = np.arange(0, 4 * S_NS, 1_000_003, dtype=np.int64)
-    noon, noon_ns = _walk(way, "start_utc=2026-05-20T12:00:00Z")
-    usual = noon.poses_at(noon_ns + since_ns)
-    for name, start in (
-        ("an hour", "2026-05-20T12:59:58Z"),
-        ("a year", "2026-12-31T23:59:58Z"),
-        ("28 February 2028", "2028-02-28T23:59:58.500001Z"),
-    ):
-        motion, start_ns = _walk(way, f"start_utc={start}")
-        poses = motion.poses_at(start_ns + since_ns)
-        moved = np.abs(poses.world_p_body_m - usual.world_p_body_m).max()
-        turned = np.abs(poses.world_R_body - usual.world_R_body).max()
-        yield Row(f"walk across the end of {name}", "pose moved, m and rad", float(moved + turned), 0)

@@ -7,22 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings
-from vlp16emu.cli.printer import count, print_files, print_json, tree_of
+from vlp16emu.cli.printer import count, print_files, print_json, print_table, tree_of
 from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import Progress, make_folder
 from vlp16emu.options import Option
 from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from rich.table import Table
+    from collections.abc import Callable, Sequence
 
     from vlp16emu.extras.accuracy.curve import Accuracy, LevelOfDetail, Row
     from vlp16emu.scenario import Scenario
 
 
-_WIDTH = 120
 _TIMES = 8
 """So many times as many pulses for means of worlds, by which single pulses are not compared."""
 
@@ -127,11 +124,11 @@ def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
         "has a range of sensor.max_range_m. +- is half of the 95 % interval of the difference from the explicit\n"
         "world, ! marks a difference beyond it; chance alone marks one in 20."
     )
-    table = _table("world", ("us per pulse", *levels[-1].means))
+    lines = [["world", "us per pulse", *levels[-1].means]]
     for level in levels:
         cells = (f"{mean.value:.2f} +-{mean.half:.2f}{'!' if mean.departs else ' '}" for mean in level.means.values())
-        table.add_row(_starred(level.name, in_use=level.in_use), f"{level.us_per_pulse:.2f}", *cells)
-    _show(table)
+        lines.append([_starred(level.name, in_use=level.in_use), f"{level.us_per_pulse:.2f}", *cells])
+    print_table(lines)
 
 
 def _starred(name: str, *, in_use: bool) -> str:
@@ -139,38 +136,15 @@ def _starred(name: str, *, in_use: bool) -> str:
     return f"{short} *" if in_use else short
 
 
-def _table(first: str, heads: "Iterable[str]") -> "Table":
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column(first, no_wrap=True)
-    for head in heads:
-        table.add_column(head, justify="right", no_wrap=True)
-    return table
-
-
-def _show(table: "Table") -> None:
-    from rich.console import Console
-
-    Console(width=_WIDTH).print(table)
-
-
 def _print_rows(rows: "Sequence[Row]", what: str) -> None:
     """Print settings as a table; the one in use has a star."""
-    lengths = "mean\nmm", "RMSE\nmm", "bias\nmm", "p95\nmm"
-    shares = "lost\n%", "invented\n%", "wrong\n%", "wrong\nlast, %"
-    table = _table(what, ("us per\npulse", "\n+-", "\nrays", *lengths, *shares, "reflect.\nRMSE"))
+    heads = "us/pulse", "+-", "rays", "mean mm", "RMSE", "bias", "p95", "lost %", "invented", "wrong", "last", "refl."
+    lines = [[what, *heads]]
     for row in rows:
         e = row.errors
         lengths_m = e.mean_error_m, e.range_rmse_m, e.range_bias_m, e.range_p95_m
-        table.add_row(
-            _starred(row.name, in_use=row.in_use),
-            f"{row.us_per_pulse:.2f}",
-            f"{row.us_spread / 2:.2f}",
-            f"{row.rays_per_pulse:.1f}",
-            *(f"{1e3 * length_m:.{1 if length_m >= 1e-3 else 2}f}" for length_m in lengths_m),
-            *(f"{100 * of:.2f}" for of in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)),
-            f"{e.reflectivity_rmse:.2f}",
-        )
-    _show(table)
+        cells = [f"{row.us_per_pulse:.2f}", f"{row.us_spread / 2:.2f}", f"{row.rays_per_pulse:.1f}"]
+        cells += [f"{1e3 * length_m:.{1 if length_m >= 1e-3 else 2}f}" for length_m in lengths_m]
+        cells += [f"{100 * share:.2f}" for share in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)]
+        lines.append([_starred(row.name, in_use=row.in_use), *cells, f"{e.reflectivity_rmse:.2f}"])
+    print_table(lines)

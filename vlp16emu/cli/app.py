@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from typing import Annotated
 
@@ -18,7 +18,7 @@ from vlp16emu.cli.printer import INTERRUPTED
 from vlp16emu.cli.terminal import ENDINGS, was_stopped
 from vlp16emu.cli.verb import command
 from vlp16emu.doors import DOORS, door, has_door
-from vlp16emu.errors import Vlp16emuError
+from vlp16emu.errors import InputError, Vlp16emuError
 
 _LEFT_S = 0.8
 """How long a command that is interrupted may take to remove what it has not finished."""
@@ -73,7 +73,7 @@ _EXAMPLES = {
 """What follows the verb in the examples of its help."""
 
 
-def program(names: Iterable[str]) -> typer.Typer:
+def program(names: Collection[str]) -> typer.Typer:
     """Return the program with some verbs."""
     made = typer.Typer(
         add_completion=False,
@@ -83,9 +83,15 @@ def program(names: Iterable[str]) -> typer.Typer:
     )
     made.callback(invoke_without_command=True)(_root)
     for name in names:
+        try:
+            verb = door(name, "verbs")
+        except InputError:  # of a part that is not installed; the help does without it
+            if len(names) == 1:
+                raise
+            continue
         lines = "\n".join(f"  vlp16emu {name} {words}".rstrip() for words in _EXAMPLES.get(name, ()))
         epilog = f"Examples:\n\n\b\n{lines}" if lines else None
-        made.command(name, epilog=epilog)(command(door(name, "verbs")))
+        made.command(name, epilog=epilog)(command(verb))
     return made
 
 

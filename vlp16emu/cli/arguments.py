@@ -1,17 +1,17 @@
 """Options that several verbs share, beside those of runs in `vlp16emu.run.options`."""
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 from vlp16emu.options import Option
 
 _SCENE = "Name of a scene (see `vlp16emu scenes`) or path of a .toml file"
-MOST_THREADS = 1024
 
 SceneName = Annotated[str, Option(f"{_SCENE}.", name="SCENE")]
 SceneOrCapture = Annotated[str, Option(f"{_SCENE}; or a capture, ours or a real sensor's.", name="SCENE|FILE.pcap")]
-CaptureFile = Annotated[Path, Option("Capture with VLP-16 packets.", name="FILE.pcap")]
+CaptureFile = Annotated[
+    Path, Option("Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.", name="FILE.pcap")
+]
 Settings = Annotated[
     list[str] | None,
     Option(
@@ -22,8 +22,7 @@ Settings = Annotated[
 ]
 Ideal = Annotated[bool, Option("A sensor without errors: beams without width, no noise, clear air.")]
 Threads = Annotated[
-    int,
-    Option("Workers, 0 for one per core. Changes the speed, never a byte.", "N", ge=0, le=MOST_THREADS, shown=False),
+    int, Option("Workers, 0 for one per core. Changes the speed, never a byte.", "N", ge=0, le=1024, shown=False)
 ]
 Audit = Annotated[
     bool, Option("Do not cast 0.05 % of the pulses again to estimate the error of the run.", name="--no-audit")
@@ -35,19 +34,17 @@ TrajectoryFile = Annotated[
         "DIR|FILE.tum",
     ),
 ]
+UnitName = Annotated[
+    str | None,
+    Option("Which sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
+]
+WhichClock = Annotated[
+    str | None,
+    Option(
+        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps or in the one that the GPS sentences name, "
+        "or the host's that captured. By default the sensor's if it is locked to GPS, else the host's.",
+        words=("sensor", "gps", "host"),
+        shown=False,
+    ),
+]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]
-
-
-def pixels(text: str) -> tuple[int, int]:
-    """Read width and height of a picture; ValueError if there are none."""
-    words = text.lower().split("x")
-    if len(words) != 2 or not all(word.isascii() and word.isdecimal() for word in words):
-        raise ValueError(text)
-    return int(words[0]), int(words[1])
-
-
-def finite(text: str) -> float:
-    """Read a finite number; ValueError if it is none."""
-    if not math.isfinite(number := float(text)):
-        raise ValueError(text)
-    return number

@@ -27,10 +27,9 @@ def compare(
     minute of each capture is read at most. Scatter of ranges and of reflectivity also depends on what a capture shows:
     walls compare with walls, foliage with foliage.
     """
-    from vlp16emu.errors import spare
     from vlp16emu.extras.compare import compared, draw, read_sequences
     from vlp16emu.extras.plots import check_matplotlib
-    from vlp16emu.output import OutputFile
+    from vlp16emu.output import OutputFile, spare
 
     if picture is not None:
         check_matplotlib()
@@ -64,9 +63,8 @@ def fit(
 
     The beat of its ranges has the phase of the capture's first pulse. A minute is read at most.
     """
-    from vlp16emu.errors import spare
     from vlp16emu.extras.compare import fitted, read_sequences
-    from vlp16emu.output import OutputFile
+    from vlp16emu.output import OutputFile, spare
 
     if out is not None:
         spare((file,), out)

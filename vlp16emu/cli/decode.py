@@ -6,7 +6,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import stop_on_ctrl_c
 from vlp16emu.options import Option
@@ -21,12 +21,8 @@ def decode(
     out: Annotated[
         Path | None, Option("Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.", "FILE")
     ] = None,
-    unit: Annotated[
-        str | None,
-        Option(
-            "Which sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"
-        ),
-    ] = None,
+    unit: UnitName = None,
+    clock: WhichClock = None,
     frame: Annotated[
         str,
         Option(
@@ -50,19 +46,21 @@ def decode(
     z up, unless --frame chooses other axes. Pulses without return become no points. Ctrl-C and a broken packet leave a
     valid file with the points before.
     """
-    from vlp16emu.packets import CaptureReader, chosen_unit, frame_named
+    from vlp16emu.packets import CaptureReader, chosen_unit, frame_named, packet_clock
     from vlp16emu.types import SensorModel
 
     axes, chosen = frame_named(frame, where="--frame"), chosen_unit(file, unit, where="--unit")
-    with CaptureReader(file, chosen, axes, SensorModel(model) if model else None) as reader, stop_on_ctrl_c() as stop:
-        _read(reader, out, axes, stop)
+    product = SensorModel(model) if model else None
+    stamps = packet_clock(file, chosen, clock, where="--clock")
+    with CaptureReader(file, chosen, axes, product, stamps) as reader, stop_on_ctrl_c() as stop:
+        _read(reader, file, out, axes, stop)
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
     tree = {"file": file, "out": out} if as_json else {"wrote": out}
     finish(tree | _tree(reader.summary) | {"interrupted": interrupted}, title, as_json=as_json)
 
 
-def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:
+def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFrame", stop: Event) -> None:
     """Read a capture to its end or until `stop`, and write its points if `out` is given."""
     with ExitStack() as stack:
         writer = None
@@ -70,7 +68,7 @@ def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: E
             from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
 
             about = CloudAbout(capture_comments(axes, f"{reader.clock.clock}'s"))
-            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}")
+            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
             writer = stack.enter_context(opened)
         for chunk in reader.points():
             if writer:
@@ -96,8 +94,11 @@ def _tree(summary: "Summary") -> dict[str, Any]:
         "range_m": ranges_m and dict(zip(("min", "median", "max"), (round(r, 3) for r in ranges_m), strict=True)),
         "start_utc": _utc(summary.first_stamp_ns),
         "duration_s": summary.duration_s,
+        "clock": summary.clock,
+        "host_ahead_s": round(summary.host_ahead_s, 6),
         "gps": gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
         "cut": summary.cut,
+        "repeats": summary.repeats,
     }
 
 

@@ -6,16 +6,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings
-from vlp16emu.cli.printer import count, print_files, print_json, print_rows, tree_of
+from vlp16emu.cli.printer import (
+    members,
+    print_files,
+    print_json,
+    print_rows,
+    print_table,
+    rows_of,
+    table_of,
+    text_of,
+    tree_of,
+)
 from vlp16emu.cli.start import compile_first
 from vlp16emu.errors import InputError
 from vlp16emu.options import Option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
-    from vlp16emu.extras.sheets.figures import StandRow
-    from vlp16emu.extras.sheets.summary import ForestSummary, NamedThing, Things, WorldSummary
+    from vlp16emu.extras.sheets.summary import WorldSummary
     from vlp16emu.extras.sheets.survey import Survey
     from vlp16emu.scenario import Scenario
 
@@ -59,7 +68,7 @@ def forest(
     Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
     path; of a hall, its things.
     """
-    from vlp16emu.errors import spare
+    from vlp16emu.output import spare
     from vlp16emu.scenario import find, load
     from vlp16emu.scenario.find import named_files
 
@@ -128,64 +137,12 @@ def _subtitle(summary: "WorldSummary") -> str:
 
 
 def _print(summary: "WorldSummary") -> None:
-    from vlp16emu.extras.sheets.summary import ForestSummary
-
-    about = {"seed": str(summary.seed)}
-    if summary.path.length_m:
-        about["path"] = f"{summary.path.length_m:.0f} m"
-    if isinstance(summary, ForestSummary):
-        about |= _about(summary)
-    print_rows(f"{summary.scene}: {summary.title}", about)
-    if isinstance(summary, ForestSummary):
-        _print_trees(summary.trees)
-        if summary.things:
-            print_rows("on the ground", {kind: _kind(things) for kind, things in summary.things.items()})
-    if summary.named:
-        print_rows("things", {one.name: _placed(one) for one in summary.named})
-
-
-def _about(summary: "ForestSummary") -> dict[str, str]:
-    """Write rows of area, ground and pattern."""
-    ground = summary.relief
-    rows = {
-        "looked at": f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m of the path",
-        "ground": f"from {ground.low_m:.1f} m to {ground.high_m:.1f} m, slope"
-        f" {ground.slope_mean_deg:.0f} deg on average, {ground.slope_max_deg:.0f} deg at most",
-    }
-    if summary.clark_evans is not None:
-        rows["Clark-Evans index"] = f"{summary.clark_evans:.2f} (1 random, less in clumps, more if regular)"
-    return rows | {"trees in reach": count(summary.trees_in_reach)}
-
-
-def _print_trees(rows: "Sequence[StandRow]") -> None:
-    columns = ("trees", "stems", "per ha", "DBH, cm", "height, m", "m2/ha", "m3/ha", "LAI")
-    cells = [
-        (
-            row.species.replace("_", " "),
-            count(row.stems),
-            f"{row.stems_per_ha:.0f}",
-            f"{row.dbh_mean_cm:.1f} ({row.dbh_min_cm:.1f} to {row.dbh_max_cm:.1f})",
-            f"{row.height_mean_m:.1f} (to {row.height_max_m:.1f})",
-            f"{row.basal_area_m2_per_ha:.1f}",
-            f"{row.stem_m3_per_ha:.0f}",
-            f"{row.leaf_area_index:.2f}",
-        )
-        for row in rows
-    ]
-    widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
-    for line in (columns, *cells):
-        first, *others = (text.rjust(width) for text, width in zip(line, widths, strict=True))
-        print("  ".join([line[0].ljust(len(first)), *others]))
-
-
-def _kind(things: "Things") -> str:
-    text = f"{count(things.count)}, {things.per_ha:.0f} per ha, {things.measure}"
-    text += f" {things.least_m:.2f} m to {things.greatest_m:.2f} m"
-    names = ", ".join(f"{name.replace('_', ' ')} {number}" for name, number in things.species.items())
-    return f"{text}: {names}" if names else text
-
-
-def _placed(thing: "NamedThing") -> str:
-    place = ", ".join(f"{value:.2f}" for value in thing.place_m)
-    extent = " x ".join(f"{value:.2f}" for value in thing.size_m)
-    return f"at ({place}) m, {extent} m"
+    figures = dict(members(summary))
+    tables = {name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named")}
+    print_rows(f"{summary.scene}: {summary.title}", rows_of(figures))
+    if tables["trees"]:
+        print_table(table_of(tables["trees"]))
+    if tables["things"]:
+        print_rows("on the ground", {kind: text_of(things) for kind, things in tables["things"].items()})
+    if tables["named"]:
+        print_rows("things", {one.name: text_of(one) for one in summary.named})

@@ -2,32 +2,21 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli import arguments as args
-from vlp16emu.cli.arguments import pixels
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import stop_on_ctrl_c
 from vlp16emu.errors import InputError
+from vlp16emu.extras.options import PictureLook
 from vlp16emu.options import Option
 from vlp16emu.run.options import Span
 
 if TYPE_CHECKING:
     from threading import Event
 
-    from vlp16emu.extras.viewer.picture import PictureLook, PictureRun
-
-
-_LARGEST_PX, _FROM_DEG = 8_192, 205.0
-
-
-def _even_pixels(text: str) -> tuple[int, int]:
-    """Read the size of a picture; ValueError if films cannot have it."""
-    size = pixels(text)
-    if not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in size):
-        raise ValueError(text)
-    return size
+    from vlp16emu.extras.viewer.picture import PictureRun
 
 
 def picture(
@@ -36,38 +25,9 @@ def picture(
         Path,
         Option("File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.", name="OUT"),
     ],
+    look: PictureLook,
     span: Span,
     *,
-    colour: Annotated[
-        str | None,
-        Option(
-            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
-            "LAYER",
-            shown="natural, of a capture reflectivity",
-        ),
-    ] = None,
-    view: Annotated[
-        str,
-        Option(
-            "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
-            " revolution as rows of lasers over azimuth.",
-            words=("slant", "sweep", "image"),
-        ),
-    ] = "slant",
-    look_from: Annotated[
-        float | None,
-        Option("Where the eye is, clockwise from north, of --view slant.", "DEG", "--from", ge=0, lt=360, shown="205"),
-    ] = None,
-    size: Annotated[
-        Any,
-        Option(
-            "Of the picture, in pixels.",
-            "WxH",
-            parse=_even_pixels,
-            expected=f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}",
-            shown="1280x720",
-        ),
-    ] = (1280, 720),
     settings: args.Settings = None,
     ideal: args.Ideal = False,
     trajectory: args.TrajectoryFile = None,
@@ -81,17 +41,15 @@ def picture(
     from vlp16emu.extras.plots import check_matplotlib
 
     check_matplotlib()
-    from vlp16emu.extras.viewer.picture import PictureLook, check_suffix
+    from vlp16emu.extras.viewer.picture import check_suffix
+    from vlp16emu.packets.capture import is_capture_name
 
     check_suffix(out)
-    if look_from is not None and view != "slant":
-        raise InputError("--from", f"found beside --view {view}", "--view slant")
-
-    is_capture = Path(scene).suffix == ".pcap"
+    if look.from_deg is not None and look.view != "slant":
+        raise InputError("--from", f"found beside --view {look.view}", "--view slant")
+    is_capture = is_capture_name(scene)
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
-    colour = colour or ("reflectivity" if is_capture else "natural")
-    look = PictureLook(colour, _FROM_DEG if look_from is None else look_from, size, view)
     with stop_on_ctrl_c() as stop:
         if is_capture:
             made = _of_capture(Path(scene), trajectory, (span.start_s, span.duration_s), out, look, stop)
@@ -105,7 +63,7 @@ def _of_capture(
     trajectory: Path | None,
     span: tuple[float, float | None],
     out: Path,
-    look: "PictureLook",
+    look: PictureLook,
     stop: "Event",
 ) -> "PictureRun":
     """Draw a capture; without poses its first revolution, or as a film all of them."""
@@ -116,7 +74,8 @@ def _of_capture(
     sweeps = sweeps_of_capture(capture, trajectory, *span)
     if trajectory is None and not is_film:
         sweeps = islice(sweeps, 1)
-    return draw_picture(sweeps, out, look, way_m=way_of(trajectory), rings=LASERS, species={}, stop=stop)
+    way_m, inputs = way_of(trajectory), [capture, *([trajectory] if trajectory else [])]
+    return draw_picture(sweeps, out, look, way_m=way_m, rings=LASERS, species={}, stop=stop, inputs=inputs)
 
 
 def _of_scene(
@@ -124,7 +83,7 @@ def _of_scene(
     settings: list[str] | None,
     span: tuple[float, float | None],
     out: Path,
-    look: "PictureLook",
+    look: PictureLook,
     stop: "Event",
     *,
     ideal: bool,
@@ -140,6 +99,5 @@ def _of_scene(
     t_ns = emulator.scenario.start_ns + (np.linspace(start_s, stop_s, 200) * 1e9).astype(np.int64)
     way_m = emulator.parts.motion.poses_at(t_ns).world_p_body_m
     species, rings = species_of(emulator.parts.world), len(emulator.parts.units[0].head.beams.elevation_deg)
-    return draw_picture(
-        sweeps_of_scene(emulator, *span), out, look, way_m=way_m, rings=rings, species=species, stop=stop
-    )
+    sweeps, inputs = sweeps_of_scene(emulator, *span), emulator.run.files
+    return draw_picture(sweeps, out, look, way_m=way_m, rings=rings, species=species, stop=stop, inputs=inputs)

@@ -1,7 +1,7 @@
 """Results on standard output: as JSON, or as rows for people."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -11,7 +11,7 @@ import typer
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
-_UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz"}
+_UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz", "_ha": "ha"}
 """Units by the end of the name that has them."""
 _LABELS = {
     "audit": "range error",
@@ -19,6 +19,7 @@ _LABELS = {
     "bytes": "size",
     "cut": "end",
     "first": "packet 0 left",
+    "gaps_s": "gaps shortened",
     "gps_in": "receiver",
     "gps_out": "sentences",
     "imu_out": "samples",
@@ -41,13 +42,12 @@ def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
     result : dataclass or mapping; `interrupted` is true if a signal has ended it
     title : first line of the rows; if left out it says that the first member was written
     """
-    (_, place), *_ = members = list(_members(result))
-    interrupted = bool(dict(members).get("interrupted"))
+    (_, place), *others = members(result)
+    interrupted = bool(dict(others).get("interrupted"))
     if as_json:
         print_json(result)
     elif title is None:
-        rows = rows_of(dict(members[1:]))
-        print_rows(f"{'interrupted, kept' if interrupted else 'wrote'} {place}", rows)
+        print_rows(f"{'interrupted, kept' if interrupted else 'wrote'} {place}", rows_of(dict(others)))
     else:
         print_rows(title, rows_of(result))
     if interrupted:
@@ -67,6 +67,22 @@ def print_rows(title: str, rows: Mapping[str, str]) -> None:
         print(f"  {name:<{width}}  {value}")
 
 
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Print lines of cells in columns, the first one to the left and the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        first, *others = (text.rjust(width) for text, width in zip(row, widths, strict=True))
+        print("  ".join([row[0].ljust(len(first)), *others]))
+
+
+def table_of(rows: Sequence[Any]) -> list[list[str]]:
+    """Return dataclasses as lines of cells, under the names of their fields with units."""
+    return [
+        [name.replace("_", " ") for name, _ in members(rows[0])],
+        *([value if isinstance(value, str) else f"{value:.4g}" for _, value in members(row)] for row in rows),
+    ]
+
+
 def print_files(files: Iterable[Path]) -> None:
     """Print the names and sizes of files that were written."""
     for path in files:
@@ -76,7 +92,7 @@ def print_files(files: Iterable[Path]) -> None:
 def tree_of(value: Any) -> Any:
     """Return a result in the types of JSON, the properties of dataclasses among their fields; NaN becomes null."""
     if is_dataclass(value) or isinstance(value, Mapping):
-        return {name: tree_of(one) for name, one in _members(value)}
+        return {name: tree_of(one) for name, one in members(value)}
     if isinstance(value, list | tuple | frozenset):
         return [tree_of(one) for one in value]
     if isinstance(value, Enum) and not isinstance(value, str):
@@ -89,8 +105,8 @@ def tree_of(value: Any) -> Any:
 def rows_of(result: Any) -> dict[str, str]:
     """Return the members of a result as names and texts, those of dataclasses in it among them; without empty ones."""
     rows = dict[str, str]()
-    for name, value in _members(result):
-        label, text = _label(name), (_WORDS.get(name) or _text)(value)
+    for name, value in members(result):
+        label, text = _label(name), (_WORDS.get(name) or text_of)(value)
         if name == "units":
             rows |= {f"unit {unit.unit}": _unit(unit) for unit in value}
         elif name == "messages":
@@ -98,8 +114,7 @@ def rows_of(result: Any) -> dict[str, str]:
         elif is_dataclass(value) and name not in _WORDS:
             rows |= rows_of(value)
         elif text:
-            unit = next((f" {unit}" for end, unit in _UNITS.items() if name.endswith(end)), "")
-            rows[label] = text if name in _WORDS else f"{text}{unit}"
+            rows[label] = text if name in _WORDS else f"{text}{_unit_of(name)}"
     return rows
 
 
@@ -144,7 +159,7 @@ def audit_text(found: Any) -> str:
     return f"RMSE {1e3 * found.range_rmse_m:.1f} mm before noise ({sure}), {texts}"
 
 
-def _members(result: Any) -> Iterator[tuple[str, Any]]:
+def members(result: Any) -> Iterator[tuple[str, Any]]:
     """Yield name and value of the items of a mapping, or of the fields and properties of a dataclass."""
     if isinstance(result, Mapping):
         yield from ((str(name), value) for name, value in result.items())
@@ -154,12 +169,16 @@ def _members(result: Any) -> Iterator[tuple[str, Any]]:
         yield from ((name, getattr(result, name)) for name, one in vars(owner).items() if isinstance(one, property))
 
 
+def _unit_of(name: str) -> str:
+    return next((f" {unit}" for end, unit in _UNITS.items() if name.endswith(end)), "")
+
+
 def _label(name: str) -> str:
     bare = next((name.removesuffix(end) for end in _UNITS if name.endswith(end)), name)
     return _LABELS.get(name) or bare.replace("_", " ")
 
 
-def _text(value: Any) -> str:
+def text_of(value: Any) -> str:
     """Write a value; nothing for what there is not."""
     if value is None or value is False or isinstance(value, str):
         return value or ""
@@ -170,9 +189,10 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{round(value, 3):.12g}"
     if is_dataclass(value) or isinstance(value, Mapping):
-        return ", ".join(f"{_label(name)} {text}" for name, one in _members(value) if (text := _text(one)))
+        pairs = ((name, text_of(one)) for name, one in members(value))
+        return ", ".join(f"{_label(name)} {text}{_unit_of(name)}" for name, text in pairs if text)
     if isinstance(value, list | tuple):
-        return "; ".join(map(_text, value)) if value and is_dataclass(value[0]) else ", ".join(map(_text, value))
+        return "; ".join(map(text_of, value)) if value and is_dataclass(value[0]) else ", ".join(map(text_of, value))
     return str(value)
 
 

@@ -17,8 +17,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     A parameter of `function` is `Annotated[type, Option(...)]`, or a dataclass of such fields. A dataclass inside it
     is None if none of its options is given. A function without such parameters is returned as it is.
     """
-    parameters = inspect.signature(function).parameters.values()
-    leaves = [leaf for one in parameters for leaf in _leaves(one.name, one.annotation, one.default)]
+    parameters, leaves = inspect.signature(function).parameters.values(), list(leaves_of(function))
     if parameters and not leaves:
         return function
 
@@ -31,6 +30,12 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     run.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
     run.__signature__ = signature  # type: ignore[attr-defined]
     return run
+
+
+def leaves_of(function: Callable[..., None]) -> Iterator[Declared]:
+    """Yield the options of a function."""
+    for one in inspect.signature(function).parameters.values():
+        yield from _leaves(one.name, one.annotation, one.default)
 
 
 def _dataclass_in(annotation: Any) -> type[Options] | None:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName
 from vlp16emu.cli.printer import print_json, print_rows, rows_of
 from vlp16emu.errors import CaptureError
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from vlp16emu.extras.verify import Verification
 
 
-def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
+def verify(file: CaptureFile, *, unit: UnitName = None, as_json: AsJson = False) -> None:
     """Check a capture against the rules of VLP-16 traffic.
 
     Names each broken rule with the number of the packet, as Wireshark counts. Each of several units is checked
-    by itself. Notes are what units before firmware 3 and their recorders did. Exits with 0 if no rule is
+    by itself, unless --unit names one. Notes are what settings, receivers, old firmware or recorders account for. Exits with 0 if no rule is
     broken, whatever the notes, else with 1.
     """
-    from vlp16emu.extras.verify import verify_capture, verify_units
-    from vlp16emu.packets import units_in
+    from vlp16emu.extras.verify import verify_units
+    from vlp16emu.packets import chosen_unit, units_in
 
     if file.is_fifo():  # its units are looked for first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
-    units = units_in(file)
+    units = units_in(file) if unit is None else [chosen_unit(file, unit, where="--unit")]
     if len(units) < 2:
-        results = {str(file): verify_capture(file)}
+        results = {str(file): verify_units(file, units or [None])[0]}
         tree = {"file": file} | _tree(results[str(file)])
     else:
         results = dict(zip(map(str, units), verify_units(file, units), strict=True))

@@ -41,7 +41,9 @@ def view(
 
     Of a capture its sweeps, with what is wrong with its packets marked. Needs the extra 'viewer'. Ctrl-C ends it.
     """
-    capture = Path(scene) if Path(scene).suffix == ".pcap" else None
+    from vlp16emu.packets.capture import is_capture_name
+
+    capture = Path(scene) if is_capture_name(scene) else None
     if save is not None and (settings or capture):
         raise InputError("--save", "found beside --set or a capture", "a scene as its file has it")
     if truth is not None and capture is None:

@@ -254,7 +254,7 @@ def _gps(scenario: Scenario) -> GpsInput:
 
 def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
     start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s)
-    phase_deg: float | None = getattr(section, "phase_lock_deg", None)
+    phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
     angle_deg, error_rpm = section.start_azimuth_deg, section.speed_error_rpm
     if phase_deg is not None:
         angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0

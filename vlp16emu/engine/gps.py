@@ -23,7 +23,7 @@ class GpsInput:
         return PpsState.LOCKED if self.connected else PpsState.ABSENT
 
     def second_ns(self, t_ns: int) -> int | None:
-        """Whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None where there is no sentence.
+        """Return the whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None if there is no sentence.
 
         The sentence names the edge before it, so it is up to a second and the delay old
         (63-9243 Rev D, figure 7-4).

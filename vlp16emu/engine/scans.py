@@ -19,12 +19,12 @@ _LABELS = ("semantic", "part", "instance", "species")
 
 
 def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool) -> Iterator[Scan]:
-    """Whole revolutions of a unit, numbered from 0, within a span; with labels if the truth is wanted.
+    """Return whole revolutions of a unit, numbered from 0, within a span; with labels if `truth`.
 
     Raises
     ------
     TrajectoryError
-        where the walk is over before the span
+        If the walk is over before the span
     """
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
@@ -34,7 +34,7 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 
 
 def world_T_sensor(unit: Unit, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(n, 4, 4) from the sensor's frame to the world, at instants (n,) UTC."""
+    """Return the poses (n, 4, 4) of the sensor in the world, at instants (n,) UTC."""
     poses = unit.motion.poses_at(t_ns)
     T = np.zeros((len(t_ns), 4, 4))
     T[:, :3, :3] = poses.world_R_body
@@ -43,13 +43,16 @@ def world_T_sensor(unit: Unit, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
-    """Points of the azimuth readings of a block that are taken in a span, each echo once, the last one first."""
+    """Points of a block whose azimuth is read within a span, each echo once, the last one first."""
     firings, step = returns.firings, SEQUENCES_PER_BLOCK
     reading_ns = firings.t_ns[::step, 0]
     taken = (reading_ns >= begin_ns) & (reading_ns < end_ns)
     inside = np.broadcast_to(np.repeat(taken, step)[:, None], firings.t_ns.shape)
     points, sequence = points_of(unit, returns, inside, truth=truth)
-    is_last = _is_last(points["return_number"], sequence, points["laser"], returns.distance_m, unit)
+    # Of dual return, the strongest one is the last one where both are the same.
+    distance_m, is_dual = returns.distance_m[sequence, points["laser"]], unit.section.return_mode == ReturnMode.DUAL
+    is_last = points["return_number"] == 1
+    is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
     order = np.lexsort((~is_last, points["laser"], sequence))
     arrays = {
         "t_ns": points["t_ns"],
@@ -68,24 +71,10 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
     )
 
 
-def _is_last(
-    number: NDArray[np.int64],
-    sequence: NDArray[np.int64],
-    laser: NDArray[np.int64],
-    distance_m: NDArray[np.float32],
-    unit: Unit,
-) -> NDArray[np.bool_]:
-    """(n,) whether points are last returns; of the strongest, in dual return, those that are both."""
-    mode = ReturnMode(unit.section.return_mode)
-    strongest, last = distance_m[sequence, laser, 0], distance_m[sequence, laser, 1]
-    is_both = (number == 0) & (strongest == last) & (mode is ReturnMode.DUAL)
-    return np.asarray((number == 1) | is_both)
-
-
 def points_of(
     unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
-    """Make points of the returns of pulses (k, L) that are `inside`; beside them the row (n,) of their sequence."""
+    """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
     firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
     sent = _sent(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
     sequence, laser, number = np.nonzero(sent)

@@ -132,7 +132,7 @@ class Packer:
 
     Parameters
     ----------
-    truth_of : where packets carry the ground truth of their records
+    truth_of : ground truth of the records that packets carry; None for none
     """
 
     def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:
@@ -160,8 +160,15 @@ class Packer:
         rows = _joined(self._left, rows) if self._left else rows
         whole = _count(rows) // per_packet * per_packet
         self._left = _rows(rows, slice(whole, None)) if whole < _count(rows) else None
-        if whole:
-            yield from self._packed(_rows(rows, slice(whole)))
+        if not whole:
+            return
+        rows, unit = _rows(rows, slice(whole)), self._unit
+        packets = pack_data(rows, stretch.mode, SensorModel(unit.section.model), unit.number)
+        if self._truth_of is None:
+            yield from packets
+        else:
+            truth = self._truth_of(unit, rows, stretch.mode)
+            yield from (replace(packet, slots=slots) for packet, slots in zip(packets, truth, strict=True))
 
     def _rows(self, returns: Returns, first: int, stop: int) -> Returns:
         """Take what is sent of the firing sequences `first` to `stop` - 1."""
@@ -169,14 +176,6 @@ class Packer:
         if self._stretch.fov_deg is None:
             return _rows(returns, slice(first - begin, stop - begin))
         return _rows(returns, self._unit.timeline.chosen(self._stretch, first, stop & ~1) - begin)
-
-    def _packed(self, returns: Returns) -> list[Packet]:
-        unit, mode = self._unit, self._stretch.mode
-        packets = pack_data(returns, mode, SensorModel(unit.section.model), unit.number)
-        if self._truth_of is None:
-            return packets
-        truth = self._truth_of(unit, returns, mode)
-        return [replace(packet, slots=rows) for packet, rows in zip(packets, truth, strict=True)]
 
 
 _BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")

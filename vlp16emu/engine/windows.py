@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vlp16emu.engine.build import Parts
 from vlp16emu.raycast.caster import Caster, Geometry, caster
 from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
-from vlp16emu.types import Window
+from vlp16emu.types import F8, Window
 
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
@@ -96,8 +96,8 @@ class Windows(Generic[S]):
     ----------
     open_segment : opens the window of a segment, or of what else `name_of` gives; called on a thread of its own
     batching : of the run
-    moves : whether each segment needs a window; where nothing moves that of segment 0 serves all
-    threads : workers, which may be that many blocks ahead of whoever else asks
+    moves : whether each segment needs a window; if nothing moves, the window of segment 0 serves all
+    threads : workers, which may be that many blocks ahead of the receiver
     """
 
     kept = 2
@@ -213,11 +213,11 @@ def in_order(
             yield windows.wait(pending.popleft())
 
 
-def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> Window:
-    """Return what is within reach of a segment of the walk; parameters as of `windows_of`."""
+def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int, track_m: F8 | None = None) -> Window:
+    """Return what is within reach of a segment of the walk, or of other positions (n, 3); parameters as of `windows_of`."""
     edges_ns = start_ns + batching.edges_ns(segment)
-    tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
-    track_m = np.concatenate(tracks_m)
+    if track_m is None:
+        track_m = np.concatenate([unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units])
     window = parts.world.window(track_m)
     return parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
 

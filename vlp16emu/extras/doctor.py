@@ -1,4 +1,4 @@
-"""Whether this machine is fit for each verb, and what mends what is not."""
+"""Checks of this machine for all verbs, with a remedy for each failure."""
 
 import os
 import platform
@@ -33,7 +33,7 @@ _CASTER = "raycast."
 
 
 def all_checks() -> Iterator[Check]:
-    """Look at all that any verb needs, one thing after the other."""
+    """Yield the results of all checks, one after the other."""
     yield _cores()
     yield _kernels()
     yield _embree()
@@ -74,7 +74,7 @@ def _embree() -> Check:
 
 
 def _instructions() -> str:
-    """Name the widest instructions of this processor that Embree has kernels for."""
+    """Return the widest instruction set of this processor that Embree has kernels for."""
     try:
         flags = set(Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split())
     except OSError:

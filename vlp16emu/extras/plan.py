@@ -1,4 +1,4 @@
-"""What a scene asks for and what it leaves out, what is in reach of the sensor, and whether a stream keeps up."""
+"""What a scene needs and leaves out, what is in reach of the sensor, and whether a stream keeps up."""
 
 import os
 import sys
@@ -40,20 +40,20 @@ _SENT_S = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """Something that a run may have."""
+    """A feature of a run."""
 
     name: str
     on: bool
     costs: str
-    """What it costs, or what is not done without it."""
+    """Cost if it is on, else what is saved."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is in reach of the sensor when it begins."""
+    """Things in reach of the sensor at the start."""
 
     kind: str
-    """Of the world."""
+    """Kind of the world."""
     species: tuple[str, ...]
     placed: Mapping[str, int]
     """Placements by kind."""
@@ -67,9 +67,9 @@ class StreamOutlook:
 
     keeps_up: bool
     real_time_factor: float
-    """The engine's, beside the thread that sends."""
+    """Speed of the engine beside the thread that sends."""
     sender_share: float
-    """Of a core, that sending takes."""
+    """Share of a core that sending takes."""
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` that are enough, each by itself; none if it keeps up."""
 
@@ -82,7 +82,7 @@ class StreamOutlook:
 
 
 def needs(engine: Engine, *, audited: bool) -> list[Need]:
-    """List what a recording of the scene has and has not; `audited` if pulses of it are cast again."""
+    """Return the features of a recording, on or off; `audited` if pulses of it are cast again."""
     scenario, parts = engine.scenario, engine.parts
     motion = scenario.motion
     gait = isinstance(motion, Walk) and motion.gait.preset != "none"
@@ -125,7 +125,7 @@ def _of_sensor(unit: Unit) -> dict[str, tuple[bool, str, str]]:
 
 
 def surroundings(engine: Engine) -> Surroundings:
-    """Count what is in the first window."""
+    """Count the things in the first window."""
     window = window_of(engine.parts, engine.scenario.start_ns, engine.batching, 0)
     named = (getattr(key, "species", None) for key in window.shapes)
     return Surroundings(
@@ -146,12 +146,12 @@ def _counts(window: Window) -> Counter[str]:
 
 
 def libraries() -> dict[str, bool]:
-    """Report which libraries this process has loaded."""
+    """Return which libraries this process has loaded."""
     return {name: name in sys.modules for name in _LIBRARIES}
 
 
 def stream_outlook(engine: Engine, engine_speed: float, threads: int) -> StreamOutlook:
-    """Measure what sending takes, and say whether a stream keeps up, by the engine's speed with nothing else at work."""
+    """Measure the cost of sending, and return whether a stream keeps up; `engine_speed` is that of a machine without other work."""
     share = sending_share(list(engine.packets(*engine.scenario.span_s(0.0, _SENT_S))))
     speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)
     keeps_up = speed >= 1.0

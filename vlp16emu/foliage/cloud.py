@@ -29,7 +29,6 @@ _FEW_FACES = 2000
 
 
 def _projection() -> F8:
-    """Mean over all azimuths of the projected share of a face, (knots, tilts), by the sine of the normal's elevation."""
     level, up = np.sqrt(1.0 - np.square(KNOTS))[:, None], KNOTS[:, None]
     sine = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(256) + 0.5) * (np.pi / 256)
@@ -99,7 +98,7 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
 
 
 def _measured(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
-    """Areas (f,) of faces (f, 4, 3), and area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation."""
+    """Return areas (f,) of faces (f, 4, 3), and the area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation."""
     ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
     bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
     nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
@@ -124,7 +123,7 @@ def _met() -> list[tuple[NDArray[np.intp], F8]]:
 
 
 def _law(weight: F8) -> tuple[F8, F8]:
-    """Mean projected share of faces (knots,), and quantiles (knots, QUANTILES) of the cosine of incidence.
+    """Return the mean projected share of faces (knots,), and quantiles (knots, QUANTILES) of the cosine of incidence.
 
     Parameters
     ----------
@@ -199,7 +198,7 @@ def _count(drawn: U4, total: I8, factor: F8) -> None:
 def _share(
     corners_m: F8, begin: int, stop: int, low: F8, size: I8, factor: F8, total: I8, share: float, out: F8
 ) -> None:
-    """Give each face the share of the voxel of its middle."""
+    """Fill the share of each face with that of the voxel of its middle."""
     for f in range(begin, stop):
         at = 0
         for axis in range(3):
@@ -240,7 +239,7 @@ def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, d
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
-    """Find where the edges of a face begin, and how they go on, the face on their left; in pixels, (4, 4)."""
+    """Fill starts and directions of the edges of a face, with the face on their left, in pixels (4, 4)."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
     for c in range(4):
         u[c] = (corners_m[c, other] / VOXEL_M - low[other]) * _PIXELS
@@ -257,7 +256,7 @@ def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _row(edges: F8, y: float, first: int, last: int) -> tuple[int, int]:
-    """First and last of the pixels of a row whose middles are on the left of all edges."""
+    """Return first and last of the pixels of a row whose middles are on the left of all edges."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
     for c in range(4):
         across, slope, from_u = du[c] * (y - v[c]), dv[c], u[c]

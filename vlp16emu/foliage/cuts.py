@@ -5,7 +5,7 @@ import math
 import numba
 import numpy as np
 
-from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Ground, Lanes, Stems
+from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Ground, Pulse, Stems
 from vlp16emu.foliage.voxel import BRICK, FINER, VOXEL_M
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4
@@ -17,10 +17,9 @@ _Slope = tuple[np.float32, np.float32, np.float32]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def meet_stem(
-    stems: Stems, L: Lanes, n: int, near_m: np.float32, axis: F4, stem: int, spread: np.float32, aside_m: np.float32
-) -> bool:
-    """Cut the lanes with a stem: a circle about its axis, where that is and as wide as it is at the height where it is met."""
+def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
+    """Cut the lanes with a stem: a circle about its axis, bent and as wide as at the height where it is met."""
+    axis = pulse.axis
     s, profile = stems.line[stem], stems.profile[stem]
     sx, sy, sz = s[3], s[4], s[5]
     up = axis[3] * sx + axis[4] * sy + axis[5] * sz
@@ -31,7 +30,7 @@ def meet_stem(
     # Range and height at which the middle of the pulse is nearest to the axis, and how far it is from it there.
     q = axis[0] - s[0], axis[1] - s[1], axis[2] - s[2]
     nearest_m, height_m, off2 = _nearest(q, (sx, sy, sz), (wx, wy, wz), up, square)
-    margin_m = spread * abs(nearest_m) + aside_m
+    margin_m = pulse.spread * abs(nearest_m) + pulse.aside_m
     within_m = s[6] + s[7] + margin_m
     if off2 > within_m * within_m:
         return False
@@ -51,7 +50,7 @@ def meet_stem(
     knot = _knot(profile, height_m - up * math.sqrt(max(widest_m * widest_m - off2, 0.0) / square))
     taper = (profile[1, knot + 1] - profile[1, knot]) / (profile[0, knot + 1] - profile[0, knot])
     _cut_cone(
-        L.row,
+        pulse.lanes.row,
         (f4(s[0] + bent_x + height_m * sx), f4(s[1] + bent_y + height_m * sy), f4(s[2] + height_m * sz)),
         (f4(sx), f4(sy), f4(sz)),
         f4(nearest_m),
@@ -59,7 +58,7 @@ def meet_stem(
         f4(profile[1, knot] + taper * (height_m - profile[0, knot])),
         taper,
     )
-    return _keep_nearest(stems, L, n, near_m, stem)
+    return _keep_nearest(stems, pulse, stem)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
@@ -85,10 +84,11 @@ def _nearest(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _keep_nearest(stems: Stems, L: Lanes, n: int, near_m: np.float32, stem: int) -> bool:
-    """Keep of what the lanes meet of a stem's cone what is nearest, and of the stem at all; whether there is any."""
+def _keep_nearest(stems: Stems, pulse: Pulse, stem: int) -> bool:
+    """Keep hits of a stem's cone that are nearest, and within the stem; return True if there is any."""
+    L, near_m = pulse.lanes, pulse.near_m
     met, row, flare_m, along_m = False, L.row, stems.flare_m[stem], stems.profile[stem, 0]
-    for lane in range(n):
+    for lane in range(pulse.n):
         at_m, height_m = row[AT + lane], row[HEIGHT + lane]
         if near_m <= at_m < row[RANGE + lane] and along_m[0] <= height_m <= along_m[-1]:
             row[RANGE + lane], row[COSINE + lane] = at_m, row[FACING + lane]
@@ -140,26 +140,17 @@ def _knot(profile: F4, height_m: float) -> int:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def meet_ground(
-    ground: Ground,
-    L: Lanes,
-    n: int,
-    near_m: float,
-    axis: F4,
-    middle_m: float,
-    length: float,
-    spread: float,
-    aside_m: float,
-) -> bool:
-    """Cut the lanes with the ground within a slab; whether any meets it."""
+def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) -> bool:
+    """Cut the lanes with the ground within a slab; return True if any meets it."""
+    L, axis = pulse.lanes, pulse.axis
     last_m = middle_m + f4(0.5) * length
     clear_m = _over_ground(ground, (axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]), last_m)[0]
     steepest = f4(1.0 + ground.steepest)
-    if clear_m > steepest * (spread * last_m + aside_m):
+    if clear_m > steepest * (pulse.spread * last_m + pulse.aside_m):
         return False
     met, range_m = False, L.range_m
-    first_m = max(middle_m - f4(0.5) * length, near_m)
-    for lane in range(n):
+    first_m = max(middle_m - f4(0.5) * length, pulse.near_m)
+    for lane in range(pulse.n):
         if range_m[lane] <= first_m:
             continue
         x, y, z = L.origin_m[0, lane], L.origin_m[1, lane], L.origin_m[2, lane]
@@ -182,7 +173,7 @@ def meet_ground(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float32, below: _Slope) -> _Slope:
-    """Find the range at which a ray meets the ground, at the end of a slab being `below` it; with the slope there."""
+    """Return range and slope where a ray meets the ground in a slab, at whose end it is `below` it."""
     (_, _, _, dx, dy, dz), at_m, slope = ray, last_m, below
     low_m, c_low = first_m, f4(0.0)
     for _ in range(4):  # flat but for the edges of its triangles: along the slope, and then by secants
@@ -204,7 +195,7 @@ def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float3
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _over_ground(ground: Ground, ray: _Ray, at_m: float) -> _Slope:
-    """Height of a ray over the ground at a range, and the slope of the triangle there; no ground is infinitely deep."""
+    """Return the height of a ray over the ground at a range, and the slope there; no ground is infinitely deep."""
     (x, y, z, dx, dy, dz), ground_m = ray, ground.height_m
     u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)
     v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(FINER / VOXEL_M)

@@ -30,7 +30,7 @@ _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uin
 
 
 def _recalled_cloud(world: World, key: ShapeKey, parts: U1) -> Cloud:
-    """Measure a shape, of `PlantPart`s (meshes,), where no store has it."""
+    """Return the cloud of a shape, of `PlantPart`s (meshes,), from the store if it has it."""
     name = world.shape_name(key)
     return recalled(
         name and f"cloud {name} {parts.tolist()}",

@@ -53,7 +53,7 @@ class FarGeometry(EmbreeGeometry):
         return Stages(near, reach_m)
 
     def _reached(self, rise: float) -> Target:
-        """Give what is near; the pieces that only steep rays meet are built when the first such ray is cast."""
+        """Return the near faces; pieces that only steep rays meet are built for the first such ray."""
         if rise > _LEVEL:
             with self._building:
                 if not self._near.steep:

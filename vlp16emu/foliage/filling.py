@@ -21,7 +21,7 @@ _Whose = tuple[int, int, int]
 
 
 class _Voxels(NamedTuple):
-    """The voxels of a tile while they are filled."""
+    """Voxels of a tile while they are filled."""
 
     head: I4
     """(x, y, z) first owner of each; -1 for none."""
@@ -32,25 +32,23 @@ class _Voxels(NamedTuple):
     low_m: float
 
 
+_Placed = tuple[I8, F8, I8, I8]
 _Packed = tuple[U8, U8, U4, U4, U4, U8]
 """Arrays of a block, in the order of `Block`."""
 
 
 @numba.njit(cache=True, nogil=True)
 def filled(
-    library: Library,
-    which: I8,
-    relative: F8,
-    row: I8,
-    tile_of: I8,
-    lines: F8,
-    radii: F4,
-    ground_m: F4,
-    low_m: float,
-    levels: int,
-    projection: F8,
+    library: Library, placed: _Placed, lines: F8, radii: F4, ground_m: F4, low_m: float, levels: int, projection: F8
 ) -> _Packed:
-    """Fill the arrays of a block, in the order of `Block`."""
+    """Fill the arrays of a block, in the order of `Block`.
+
+    Parameters
+    ----------
+    placed : (n,) shapes, their transforms (n, 3, 4), first surfaces and numbers of tiles
+    lines, radii : of stems, by `stem_lines` and `stem_radii`
+    """
+    which, relative, row, tile_of = placed
     head = np.full((COLUMNS, COLUMNS, levels * BRICK), -1, np.int32)
     node, area = np.empty((4096, 4), np.int64), np.empty((4096, 3))
     used = ZERO
@@ -131,7 +129,7 @@ def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8
 
 @numba.njit(cache=True, nogil=True)
 def _pieces(T: F8, corners_m: F4) -> int:
-    """Into how many pieces the sides of a face are cut."""
+    """Return the number of pieces into which the sides of a face are cut."""
     longest = 0.0
     for side in range(4):
         square = 0.0
@@ -220,7 +218,7 @@ def _areas(node: I8, area: F8, at: int) -> tuple[float, float, float]:
 
 @numba.njit(cache=True, nogil=True)
 def _code(area_m2: float) -> np.uint32:
-    """Code of the projected area of a voxel; what is there at all has at least 1."""
+    """Return the code of the projected area of a voxel, at least 1 for any area."""
     if area_m2 <= 0.0:
         return np.uint32(0)
     code = round(CODES * math.sqrt(area_m2 / (VOXEL_M * VOXEL_M * VOXEL_M * MOST_PER_M)))

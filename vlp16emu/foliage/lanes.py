@@ -106,6 +106,22 @@ class Lanes(NamedTuple):
     """(AHEAD,) scratch: these records."""
 
 
+class Pulse(NamedTuple):
+    """A pulse on its way through a medium."""
+
+    lanes: Lanes
+    n: int
+    """Number of its lanes."""
+    near_m: np.float32
+    """Range at which the medium begins."""
+    axis: F4
+    """(6 or more,) origin and direction of its middle."""
+    aside_m: np.float32
+    """Greatest distance from the middle at which lanes begin."""
+    spread: np.float32
+    """Greatest growth of that distance per metre of range."""
+
+
 def lanes() -> Lanes:
     """Return empty lanes."""
     row = np.zeros(_END, np.float32)

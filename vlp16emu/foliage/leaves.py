@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from vlp16emu.elementary import exp
-from vlp16emu.foliage.lanes import Lanes, Medium, lowest
+from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest
 from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
 from vlp16emu.raycast.batch import LANES
 from vlp16emu.types import F4, U1, U8
@@ -20,10 +20,14 @@ from vlp16emu.types import F4, U1, U8
 _VARIANTS = 32
 _COVER_STEPS, _COVER_MOST = 64, 16
 f4, u4 = np.float32, np.uint32
+_Three = tuple[int, int, int]
+_Record = tuple[np.uint32, np.uint32]
+_Whose = tuple[np.uint32, tuple[int, int], int]
+"""Number of the record of a voxel, its tile, and the knot of the light's elevation."""
 
 
 def _leaves() -> tuple[U8, U1, U1]:
-    """Leaves of the voxels' variants.
+    """Make the leaves of the voxels' variants.
 
     Returns
     -------
@@ -96,21 +100,25 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_foliage(
     M: Medium,
-    L: Lanes,
-    near_m: np.float32,
-    main: int,
-    one: int,
-    two: int,
-    corner: tuple[int, int, int],
-    k: int,
-    i1: int,
-    i2: int,
-    number: np.uint32,
-    code: np.uint32,
+    pulse: Pulse,
+    axes: _Three,
+    corner: _Three,
+    cell: _Three,
+    record: _Record,
     weights: Weights,
     alive: np.uint64,
 ) -> bool:
-    """Cut the lanes with the foliage of a voxel at k, i1, i2 of the grid, of some record; whether any meets a leaf."""
+    """Cut the lanes with the foliage of a voxel; return True if any meets a leaf.
+
+    Parameters
+    ----------
+    axes : the main one, across the slabs, and the two others
+    corner, cell : of the grid in voxels of the world, and the voxel in the grid, along these axes
+    record : number and code of the voxel
+    alive : bits of the lanes that go on
+    """
+    main, _, _ = axes
+    (k, i1, i2), (number, code) = cell, record
     low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
     if not low | high:
         return False
@@ -131,26 +139,15 @@ def meet_foliage(
         return False
     x = k if main == 0 else i1
     y = k if main == 1 else (i1 if main == 0 else i2)
-    tile = x // COLUMNS, y // COLUMNS
-    return _meet_leaves(M, L, near_m, main, one, two, k, h, bits, number, tile, weights.knot, alive)
+    whose = number, (x // COLUMNS, y // COLUMNS), weights.knot
+    return _meet_leaves(M, pulse, axes, k, h, bits, whose, alive)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _meet_leaves(
-    M: Medium,
-    L: Lanes,
-    near_m: np.float32,
-    main: int,
-    one: int,
-    two: int,
-    k: int,
-    h: np.uint32,
-    bits: np.uint64,
-    number: np.uint32,
-    tile: tuple[int, int],
-    knot: int,
-    alive: np.uint64,
+    M: Medium, pulse: Pulse, axes: _Three, k: int, h: np.uint32, bits: np.uint64, whose: _Whose, alive: np.uint64
 ) -> bool:
+    L, near_m, (main, one, two) = pulse.lanes, pulse.near_m, axes
     variant = int(h & u4(_VARIANTS - 1))
     mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
     line, range_m = L.line, L.range_m
@@ -171,33 +168,32 @@ def _meet_leaves(
         at_m = (along_m - line[4 * LANES + lane]) * line[5 * LANES + lane]
         if near_m <= at_m < range_m[lane]:
             range_m[lane] = at_m
-            _take_leaf(M, L, lane, h, leaf, M.first_owner[number], tile, knot)
+            _take_leaf(M, L, lane, h, leaf, whose)
             met = True
     return met
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32) -> np.uint32:
-    """Column of 8 x 8 that a lane is in in the middle of a slab, mirrored."""
+    """Return the mirrored column of 8 x 8 of a lane in the middle of a slab."""
     a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
     b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(7)) ^ r2
     return u4(8 * a + b)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _take_leaf(
-    M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, first_owner: np.uint32, tile: tuple[int, int], knot: int
-) -> None:
-    """Draw whose a leaf is that a lane meets, and at what angle."""
+def _take_leaf(M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, whose: _Whose) -> None:
+    """Draw the owner of a leaf that a lane meets, and the angle of incidence."""
+    number, tile, knot = whose
     own = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
     own = u4(own ^ u4(own >> u4(15)))
     own = u4(own * u4(0xC2B2AE3D))
     own = u4(own ^ u4(own >> u4(16)))
-    owner, drawn = first_owner, u4(own & u4(0xFF))
-    whose = M.owner[owner]
-    while whose >> SHARE_BIT < drawn:
-        owner += u4(1)
-        whose = M.owner[owner]
-    L.surface[lane] = M.surface[tile[0], tile[1], (whose >> TILE_BIT) & np.uint64(15)] + u4(whose)
-    law = (whose >> LAW_BIT) & LAW_MASK
+    at, drawn = M.first_owner[number], u4(own & u4(0xFF))
+    owner = M.owner[at]
+    while owner >> SHARE_BIT < drawn:
+        at += u4(1)
+        owner = M.owner[at]
+    L.surface[lane] = M.surface[tile[0], tile[1], (owner >> TILE_BIT) & np.uint64(15)] + u4(owner)
+    law = (owner >> LAW_BIT) & LAW_MASK
     L.cosine[lane] = M.cosine[law, knot, int(own >> u4(8)) % QUANTILES]

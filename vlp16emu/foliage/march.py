@@ -11,11 +11,11 @@ import numba
 import numpy as np
 
 from vlp16emu.foliage.cuts import meet_ground, meet_stem
-from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, lowest, ones
+from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
 from vlp16emu.foliage.leaves import meet_foliage, weights_of
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE, Batch, PulseBatch
-from vlp16emu.raycast.kernel import go_on
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE
+from vlp16emu.raycast.kernel import Cast, go_on
 from vlp16emu.types import F4, U4, U8
 
 f4, u4 = np.float32, np.uint32
@@ -66,24 +66,15 @@ class _Grid(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def march(
-    M: Medium, bricks: U8, firsts: U4, L: Lanes, n: int, axis: F4, aside_m: np.float32, spread: np.float32
-) -> None:
-    """Follow n sub-rays of a pulse through the medium, from `near_m` on.
-
-    Parameters
-    ----------
-    bricks, firsts : `M.brick` and `M.first` in one row
-    axis : (6 or more,) origin and direction of the pulse's middle
-    aside_m, spread : how far the lanes begin beside it at most, and how far they spread per metre
-    """
-    near_m = f4(M.near_m)
+def march(M: Medium, bricks: U8, firsts: U4, pulse: Pulse) -> None:
+    """Follow the lanes of a pulse through the medium; `bricks` and `firsts` are `M.brick` and `M.first` in one row."""
+    L, n, near_m, axis = pulse.lanes, pulse.n, pulse.near_m, pulse.axis
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
     way = _way(corner_m, axis, near_m)
-    main, one, two, length = way.main, way.one, way.two, way.length
-    alive, last_m = _lines(corner_m, L, n, near_m, main, one, two)
+    axes, length = (way.main, way.one, way.two), way.length
+    alive, last_m = _lines(corner_m, L, n, near_m, axes)
     weights = weights_of(abs(axis[5]), length)
-    grid = _grid(M, main, one, two)
+    grid = _grid(M, axes)
     first, stop = _crossing(way, grid.size)
     slab = -_floor(-first)
     slabs = _floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
@@ -91,7 +82,7 @@ def march(
     while slab <= slabs:
         voxels, stems = _look(L, way, grid, bricks, slab, slabs)
         if stems:
-            tested, met = _meet_stems(M, L, n, near_m, axis, way, slab, stems, tested, aside_m, spread)
+            tested, met = _meet_stems(M, pulse, way, slab, stems, tested)
             if met:
                 alive, slabs = _shorter(L, way, n, alive, slab, slabs)
         _read(M, L, bricks, firsts, voxels)
@@ -101,12 +92,10 @@ def march(
             here = slab + ahead
             if here > slabs:
                 break
-            k, i1, i2 = _voxel(way, here)
-            number, code = L.place[ahead], L.code[ahead]
-            met = meet_foliage(M, L, near_m, main, one, two, grid.corner, k, i1, i2, number, code, weights, alive)
-            if code & GROUND:
-                middle_m = way.to_middle + f4(here) * length
-                met |= meet_ground(M.ground, L, n, near_m, axis, middle_m, length, spread, aside_m)
+            record = L.place[ahead], L.code[ahead]
+            met = meet_foliage(M, pulse, axes, grid.corner, _voxel(way, here), record, weights, alive)
+            if record[1] & GROUND:
+                met |= meet_ground(M.ground, pulse, way.to_middle + f4(here) * length, length)
             if met:
                 alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
         slab += AHEAD
@@ -121,19 +110,9 @@ def _floor(x: np.float32) -> int:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _meet_stems(
-    M: Medium,
-    L: Lanes,
-    n: int,
-    near_m: np.float32,
-    axis: F4,
-    way: _Way,
-    slab: int,
-    stems: np.uint64,
-    tested: tuple[np.int32, np.int32],
-    aside_m: np.float32,
-    spread: np.float32,
+    M: Medium, pulse: Pulse, way: _Way, slab: int, stems: np.uint64, tested: tuple[np.int32, np.int32]
 ) -> tuple[tuple[np.int32, np.int32], bool]:
-    """Cut the lanes with the stems of slabs but the last two that were; return the last two, and whether any is met."""
+    """Cut the lanes with the stems of slabs, but the last two tested; return the last two, and True if any is met."""
     met = False
     while stems:
         ahead = int(lowest(stems))
@@ -144,7 +123,7 @@ def _meet_stems(
             stem = M.stems.of[entry]
             if stem not in tested:
                 tested = (stem, tested[0])
-                met |= meet_stem(M.stems, L, n, near_m, axis, stem, spread, aside_m)
+                met |= meet_stem(M.stems, pulse, stem)
     return tested, met
 
 
@@ -168,7 +147,8 @@ def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: 
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
+def _grid(M: Medium, axes: tuple[int, int, int]) -> _Grid:
+    main, one, two = axes
     nx, ny, nz, _ = M.brick.shape
     size = (nx * BRICK, ny * BRICK, nz * BRICK)
     strides = (u4(ny * nz), u4(nz), u4(1))
@@ -183,7 +163,7 @@ def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
-    """Slabs until the pulse is in the grid, and until it leaves it."""
+    """Return the slabs at which the pulse enters and leaves the grid."""
     first, stop = f4(0.0), f4(1e6)
     n_main, n_one, n_two = size
     k, step = f4(way.k) + f4(0.5), f4(way.step)
@@ -242,7 +222,7 @@ def _read(M: Medium, L: Lanes, bricks: U8, firsts: U4, voxels: np.uint64) -> Non
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
-    """Take away the lanes that end before a slab; with the others, the slab in which the last of all ends."""
+    """Return the lanes that do not end before a slab, and the slab in which the last of all ends."""
     passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
     last_m = range_m[0]
     for lane in range(n):
@@ -254,10 +234,11 @@ def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: in
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _lines(
-    corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, main: int, one: int, two: int
+    corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, axes: tuple[int, int, int]
 ) -> tuple[np.uint64, np.float32]:
     """Lay the lanes' lines; return which of them go on from `near_m`, and the farthest range asked for."""
     row, line, scale = L.row, L.line, f4(LANES / VOXEL_M)
+    main, one, two = axes
     along, across, up = LANES * main, LANES * one, LANES * two
     c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
     for lane in range(LANES):
@@ -275,14 +256,9 @@ def _lines(
     return alive, last_m
 
 
-def _pass_through(passage: Passage, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32) -> None:
-    """Let the rays of pulses that have met nothing near go on through the medium.
-
-    Parameters
-    ----------
-    reach : how far from the middle they are at most, in standard deviations of the beam
-    """
-    medium, L, row, surface = passage.medium, passage.lanes, batch.row, batch.surface
+def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
+    (medium, L), light, batch = passage, cast.light, cast.batch
+    row, surface, near_m = batch.row, batch.surface, f4(medium.near_m)
     own_row, own_surface, bricks, firsts = (L.row, L.surface, medium.brick.reshape(-1), medium.first.reshape(-1))
     aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
     spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
@@ -294,7 +270,7 @@ def _pass_through(passage: Passage, light: PulseBatch, batch: Batch, todo: int, 
             own_row[a] = row[q, a]
         for lane in range(LANES):
             own_surface[lane] = surface[q, lane]
-        march(medium, bricks, firsts, L, count, batch.axes_row[q], aside_m, spread)
+        march(medium, bricks, firsts, Pulse(L, count, near_m, batch.axes_row[q], aside_m, spread))
         for a in range(RANGE, COSINE + LANES):
             row[q, a] = own_row[a]
         for lane in range(LANES):
@@ -304,8 +280,7 @@ def _pass_through(passage: Passage, light: PulseBatch, batch: Batch, todo: int, 
 @numba.extending.overload(go_on, jit_options={"cache": True, "nogil": True, "_nrt": False})
 def _go_on(  # the same words as there, or numba does not take it
     passage: Passage,  # noqa: ARG001 - likewise all
-    light: PulseBatch,  # noqa: ARG001
-    batch: Batch,  # noqa: ARG001
+    cast: Cast,  # noqa: ARG001
     todo: int,  # noqa: ARG001
     count: int,  # noqa: ARG001
     reach: np.float32,  # noqa: ARG001

@@ -62,35 +62,20 @@ def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, Far
     """
     here, corner_m = near[ix, iy], near[ix, iy].corner_m
     around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
-    placed = [_placed(library, shape_of, tile, number, corner_m) for number, tile in around]
-    stems = np.concatenate([tile.stems for _, tile in around])
-    which, relative, row, tile_of = (np.concatenate([part[i] for part in placed]) for i in range(4))
-    lines = stem_lines(stems, corner_m)
-    low_m, high_m = _span(library, which, relative, lines, here.ground_m - corner_m[2])
-    brick_m = BRICK * VOXEL_M
-    bottom, top = math.floor(low_m / brick_m), math.ceil(high_m / brick_m)
-    return Block(
-        bottom + round(corner_m[2] / brick_m),
-        *filled(
-            library,
-            np.ascontiguousarray(which),
-            np.ascontiguousarray(relative),
-            row,
-            tile_of,
-            lines,
-            stem_radii(stems),
-            (here.ground_m - corner_m[2]).astype(np.float32),
-            bottom * brick_m,
-            max(top - bottom, 1),
-            PROJECTION,
-        ),
-    )
+    parts = zip(*(_placed(library, shape_of, tile, number, corner_m) for number, tile in around), strict=True)
+    placed = tuple(np.concatenate(part) for part in parts)
+    stems, ground_m = np.concatenate([tile.stems for _, tile in around]), here.ground_m - corner_m[2]
+    lines, brick_m = stem_lines(stems, corner_m), BRICK * VOXEL_M
+    low_m, high_m = _span(library, placed[0], placed[1], lines, ground_m)
+    bottom, levels = math.floor(low_m / brick_m), math.ceil(high_m / brick_m) - math.floor(low_m / brick_m)
+    own = lines, stem_radii(stems), ground_m.astype(np.float32), bottom * brick_m, max(levels, 1), PROJECTION
+    return Block(bottom + round(corner_m[2] / brick_m), *filled(library, placed, *own))
 
 
 def _placed(
     library: Library, shape_of: dict[object, int], tile: FarTile, number: int, corner_m: F8
 ) -> tuple[I8, F8, I8, I8]:
-    """Find what of a tile may reach into the one at a corner: shapes, transforms, first surfaces, the tile's number."""
+    """Return placements of a tile that may reach into the one at a corner: shapes, transforms, first surfaces, the tile's number."""
     places = np.array([shape_of[key] for key in tile.keys], np.int64)
     which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
     world_T = tile.world_T_shape
@@ -199,7 +184,7 @@ class Shelf:
 
 
 def _gap(taken: Iterable[slice], size: int) -> slice:
-    """First place between those that are taken that is large enough."""
+    """Return the first free place of a size."""
     begin = 0
     for each in sorted(taken, key=lambda each: each.start):
         if each.start - begin >= size:
@@ -209,7 +194,7 @@ def _gap(taken: Iterable[slice], size: int) -> slice:
 
 
 def _with_room(array: NDArray[T], size: int, share: float) -> NDArray[T]:
-    """Give an array of a size at least: the same, or one with half as much again as all blocks may need."""
+    """Return an array of at least `size`: the same, or one with half as much again as all blocks may need."""
     if len(array) >= size:
         return array
     larger = np.empty(int(1.5 * share * size), array.dtype)

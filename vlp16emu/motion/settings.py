@@ -24,7 +24,7 @@ _Swing = Annotated[float, Field(ge=0, le=45)]
 
 
 class Mount(Section):
-    """How a device sits on its carrier."""
+    """Extrinsics of a device on its carrier."""
 
     lever_arm_m: Annotated[tuple[_Offset, _Offset, _Offset], Field(strict=False)] = (0.0, 0.0, 0.0)
     """Its origin in the carrier's frame: forward, left, up."""
@@ -58,11 +58,6 @@ class MotionSection(Section):
     """Mount of the sensor on its carrier."""
     if TYPE_CHECKING:
         kind: str
-
-    @property
-    def own_seed(self) -> int | None:
-        """Seed that the section names; None for that of the scene."""
-        return None
 
     def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":
         """Return the motion of the carrier and points (n, 2) of its path.
@@ -259,11 +254,6 @@ class Walk(MotionSection):
     """How the trunk of the person moves."""
     harness: Harness | None = None
     """How the pack hangs on the person; strapped tight without it."""
-
-    @property
-    def own_seed(self) -> int | None:
-        """Seed that the section names."""
-        return self.seed
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:

@@ -28,13 +28,11 @@ from vlp16emu.packets.layout import (
     RETURN_MODE_BYTE,
     SEQUENCES_PER_BLOCK,
     SEQUENCES_PER_PACKET,
-    CapturedUnit,
-    chosen_unit,
-    units_in,
 )
 from vlp16emu.packets.nmea import parse_rmc, rmc
 from vlp16emu.packets.position import STAMP_LEAD_NS, PositionRate, first_position_packet, pack_position, position_due_ns
 from vlp16emu.packets.reading import CaptureReader, PacketChunk, Summary, returns_in
+from vlp16emu.packets.units import CapturedUnit, chosen_unit, units_in
 
 __all__ = [
     "BLOCKS_PER_PACKET",

@@ -51,7 +51,7 @@ class PacketClock:
 
     Parameters
     ----------
-    clock : where the time comes from
+    clock : source of the time
     host_behind_ns : by how much capture stamps are behind UTC, as far as the choice of the hour is concerned
     """
 
@@ -86,7 +86,7 @@ class PacketClock:
 
 
 class UnitClock(NamedTuple):
-    """What the first packets of a unit say of its clock."""
+    """Clock of a unit, as its first packets tell."""
 
     clock: Clock
     """The chosen one, or the default: the sensor's if it is locked, else the host's."""
@@ -132,9 +132,9 @@ def unit_clocks(
 
 
 def packet_clock(path: Path, unit: Sender | None, name: str | None = None, *, where: str = "clock") -> PacketClock:
-    """Return the clock for the packets of one unit, as `unit_clocks`; of a pipe, which can be read only once, the sensor's."""
-    if name is None and not path.is_file():
-        return PacketClock()
+    """Return the clock for the packets of one unit, as `unit_clocks`; by default the sensor's for a pipe, which is read only once."""
+    if path.is_fifo() and name != Clock.GPS and (name is None or name in tuple(Clock)):
+        return PacketClock(Clock(name or Clock.SENSOR))
     return unit_clocks(path, [unit], name, where=where)[0].make()
 
 

@@ -9,100 +9,14 @@
 
 Source: 63-9243 Rev D, section 9.3.2 (data, p. 56, table 9-2) and section 9.3.3 (position, p. 60).
 The manual counts from the start of the Ethernet frame; offsets here count from the payload, 42 less.
-
-Also whose datagrams are whose in a capture of several sensors.
 """
 
-from collections import Counter, defaultdict
-from ipaddress import IPv4Address
-from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
-from vlp16emu.errors import InputError
-from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode, SensorModel
-
-_STRAY = 0.02
-"""Less than this share of the data packets of the busiest unit is no unit but an accident."""
-_NAMED = 16
-"""Units listed in an error line; as many as a rig may have."""
-
-
-class CapturedUnit(NamedTuple):
-    """A sensor, known by its address and by the port to which it sends its data packets."""
-
-    source: bytes
-    """IPv4 address, 4 bytes."""
-    data_port: int
-    position_ports: tuple[int, ...]
-    """To which it sends position packets; none where none were captured."""
-
-    def __str__(self) -> str:
-        return f"{IPv4Address(self.source)}:{self.data_port}"
-
-    def owns(self, datagram: Datagram) -> bool:
-        """Whether this unit has sent a datagram."""
-        port = datagram.destination_port
-        return datagram.source == self.source and (port == self.data_port or port in self.position_ports)
-
-
-def units_in(path: Path) -> list[CapturedUnit]:
-    """Find the sensors in a capture by reading all of it, in order of address, then of port.
-
-    Of two that share an address, as behind a router, the one with the lower data port has the lower
-    position port.
-
-    Raises
-    ------
-    CaptureError : where the file is no capture, or is damaged
-    """
-    data, position = Counter[tuple[bytes, int]](), defaultdict[bytes, set[int]](set)
-    with Capture(path) as capture:
-        for datagram in capture:
-            size = len(datagram.payload)
-            if size == DATA_BYTES:
-                data[datagram.source, datagram.destination_port] += 1
-            elif size == POSITION_BYTES:
-                position[datagram.source].add(datagram.destination_port)
-    least = _STRAY * max(data.values(), default=0)
-    data_ports = defaultdict[bytes, list[int]](list)
-    for source, port in sorted(key for key, count in data.items() if count >= least):
-        data_ports[source].append(port)
-    return [
-        CapturedUnit(source, port, tuple(sorted(position[source])[place :: len(ports)]))
-        for source, ports in data_ports.items()
-        for place, port in enumerate(ports)
-    ]
-
-
-def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> CapturedUnit | None:
-    """Find one sensor of a capture; None in a capture of a single one, unless it is named.
-
-    Parameters
-    ----------
-    unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
-    where : what error lines call the choice
-
-    Raises
-    ------
-    CaptureError : where the file is no capture, or is damaged
-    InputError : where there is no such unit, or there are several and none is named
-    """
-    units = units_in(path) if path.is_file() else []  # a pipe can be read only once
-    if not units or (unit is None and len(units) == 1):
-        return None
-    for number, known in enumerate(units, start=1):
-        if unit in (str(number), str(known)):
-            return known
-    found = f"{len(units)} units in {path}" if unit is None else f"found {unit}"
-    names = [f"{number} ({known})" for number, known in enumerate(units[:_NAMED], start=1)]
-    names += [f"... {len(units)}"] if len(units) > _NAMED else []
-    raise InputError(where, found, f"one of {', '.join(names)}")
-
 
 LASERS = 16
 """Records of one firing sequence, in firing order. Source: 63-9243 Rev D, table 9-1, p. 53."""

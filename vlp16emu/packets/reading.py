@@ -34,8 +34,8 @@ from vlp16emu.packets.layout import (
     POSITION_BYTES,
     RECORDS_PER_PACKET,
     RETURN_MODE_BYTE,
-    CapturedUnit,
 )
+from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.types import I8, U1, U2, Packet, PacketKind, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS
 
@@ -111,6 +111,8 @@ class Summary:
     """The last position packet."""
     cut: bool
     """The file ends in the middle of a packet."""
+    repeats: int
+    """Packets left out as the capture has them before."""
 
 
 class CaptureReader:
@@ -118,8 +120,8 @@ class CaptureReader:
 
     Parameters
     ----------
-    path : a classic pcap file
-    unit : whose packets are read where there are several; None for those of all
+    path : as for `Capture`
+    unit : the sensor whose packets are read; None for all
     frame : of the points
     model : of units from before release, whose product byte is that of another sensor
     clock : of the unit's packets, for their UTC
@@ -185,7 +187,7 @@ class CaptureReader:
                 where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])
         if not self._azimuth_cdeg:
-            raise CaptureError(str(self._path), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
+            raise self._capture.no_data()
 
     @property
     def summary(self) -> Summary:
@@ -218,6 +220,7 @@ class CaptureReader:
             range_m=self._ranges_m() if points else None,
             gps=self._gps,
             cut=self._capture.cut,
+            repeats=self._capture.repeated,
         )
 
     def _chunks(self) -> Iterator[list[Datagram]]:
@@ -280,7 +283,8 @@ class CaptureReader:
         self._factory = int(fields["factory"][0])
         for mode in np.unique(fields["return_mode"]):
             stride = 2 if mode == RETURN_MODE_BYTE[ReturnMode.DUAL] else 1
-            step_cdeg = np.diff(azimuth_cdeg[fields["return_mode"] == mode, ::stride].astype(np.int64)) % AZIMUTH_CODES
+            own_cdeg: I8 = azimuth_cdeg[fields["return_mode"] == mode, ::stride].astype(np.int64)
+            step_cdeg: I8 = np.diff(own_cdeg) % AZIMUTH_CODES
             # A far wider step than its neighbours is the edge of a field of view.
             even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
             self._turned_cdeg += int(step_cdeg[even].sum())

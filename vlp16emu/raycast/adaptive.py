@@ -105,7 +105,6 @@ def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _error_m(order: F8, met: int, resolution_m: float) -> float:
-    """Estimate the error of the strongest echo's range."""
     first, last, strongest = _strongest(order, 0, met, resolution_m)
     second = max(_strongest(order, 0, first, resolution_m)[2], _strongest(order, last + 1, met, resolution_m)[2])
     mean_m, squares, spread = 0.0, 0.0, 0.0

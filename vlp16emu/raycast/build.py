@@ -145,7 +145,7 @@ def widened(vertices_m: F4, triangles: U4) -> F4:
 
 
 def _new_scene(owner: object) -> tuple[int, Callable[[], object]]:
-    """Make an empty scene that goes with its owner, or when what is returned beside its address is called."""
+    """Return the address of an empty scene, released with its owner, and a function that releases it before."""
     lib = rtc.library()
     scene: int = lib.rtcNewScene(rtc.device())
     release = weakref.finalize(owner, lib.rtcReleaseScene, scene)
@@ -218,7 +218,7 @@ class Placed:
 
 
 def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I8]:
-    """Join the buffers of the different meshes of placements; with the first row of each piece of each placement."""
+    """Join the buffers of the different meshes of placements; return them and the first row of each piece."""
     first, tables, rows = dict[int, int](), [np.zeros((0, 2), np.uint64)], [np.zeros(0, np.int64)]
     stop = 0
     for mesh, count in zip(meshes, counts, strict=True):

@@ -114,15 +114,9 @@ def _new_device() -> int:
     return handle
 
 
-@cache
-def _allocator() -> ctypes.CDLL | None:
-    libc = ctypes.CDLL(None) if sys.platform == "linux" else None
-    return libc if hasattr(libc, "malloc_trim") else None
-
-
 def give_memory_back() -> None:
     """Return freed memory to the system, if the allocator is glibc: its free blocks between live ones would grow for ever."""
-    if libc := _allocator():
+    if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
         libc.malloc_trim(0)
 
 

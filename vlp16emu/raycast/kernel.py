@@ -6,7 +6,7 @@ on firing numbers and on what was met, never on threads. What makes no arrays co
 loops take arrays out of tuples first: a twentieth of the time.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -19,7 +19,16 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, U2, U4
 
 
-def go_on(passage: Any, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32) -> None:
+class Cast(NamedTuple):
+    """One thread's cast of a batch of pulses against near faces."""
+
+    near: Target
+    light: PulseBatch
+    packet: RayPacket
+    batch: Batch
+
+
+def go_on(passage: Any, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
     """Let the rays of pulses that have met nothing near go on through what is far.
 
     A far medium overloads it by `numba.extending.overload`: casting near faces needs none of it.
@@ -32,27 +41,17 @@ def go_on(passage: Any, light: PulseBatch, batch: Batch, todo: int, count: int, 
 
 
 @numba.njit(cache=True, nogil=True)
-def cast_lines(
-    near: Target,
-    beyond: Target | None,
-    passage: Any,
-    light: PulseBatch,
-    packet: RayPacket,
-    batch: Batch,
-    range_m: F4,
-    surface: U4,
-    cos_incidence: F4,
-) -> None:
-    """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L).
+def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, surface: U4, cos_incidence: F4) -> None:
+    """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fill arrays (k, L).
 
-    Where nothing is far, `beyond` and `passage` are None, and numba leaves out what is for them.
+    If nothing is far, `beyond` and `passage` are None, and numba leaves out what is for them.
     """
-    pulses, one = PACKET * light.origin_m.shape[1], ZERO + 1
-    set_filter(packet)
-    for first in light.order:
-        _cast_middles(near, beyond, light, packet, batch, first)
+    batch, pulses, one = cast.batch, PACKET * cast.light.origin_m.shape[1], ZERO + 1
+    set_filter(cast.packet)
+    for first in cast.light.order:
+        _cast_middles(cast, beyond, first)
         if passage is not None:
-            go_on(passage, light, batch, pulses, one, np.float32(0.0))
+            go_on(passage, cast, pulses, one, np.float32(0.0))
         for q in range(pulses):
             i, j, met = first + q % PACKET, q // PACKET, batch.surface[q, 0]
             range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
@@ -60,16 +59,7 @@ def cast_lines(
 
 
 @numba.njit(cache=True, nogil=True)
-def cast_pulses(
-    near: Target,
-    beyond: Target | None,
-    passage: Any,
-    light: PulseBatch,
-    packet: RayPacket,
-    batch: Batch,
-    budget: RayBudget,
-    count: U2,
-) -> U4:
+def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2) -> U4:
     """Cast the sub-rays of every pulse, by rounds of eight.
 
     Parameters
@@ -80,19 +70,19 @@ def cast_pulses(
     -------
     (3, n) in order of pulses: bits of the ranges, surfaces, bits of the cosines
     """
-    pulses = PACKET * count.shape[1]
-    set_filter(packet)
+    batch, pulses = cast.batch, PACKET * count.shape[1]
+    set_filter(cast.packet)
     groups = [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
-    for first in light.order:
+    for first in cast.light.order:
         todo, have = pulses, ZERO
         for q in range(pulses):
             batch.todo[q] = q
         while todo:
             rays = min(ROUND, budget.most - have)
-            _cast_near(near, beyond, light, budget, packet, batch, first, todo, have, rays)
+            _cast_near(cast, beyond, budget, first, todo, have, rays)
             if passage is not None:
-                go_on(passage, light, batch, todo, rays, reach_of(have, budget.adaptive))
-            todo, have = _settle(near, budget, batch, todo, have, rays), have + rays
+                go_on(passage, cast, todo, rays, reach_of(have, budget.adaptive))
+            todo, have = _settle(cast, budget, todo, have, rays), have + rays
         groups[first // PACKET] = _taken(batch, first, count)
     n = ZERO
     for group in groups:
@@ -105,10 +95,9 @@ def cast_pulses(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _cast_middles(
-    near: Target, beyond: Target | None, light: PulseBatch, packet: RayPacket, batch: Batch, first: int
-) -> None:
+def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
     """Cast the middles of the pulses of eight sequences against faces, those of a laser as one packet."""
+    near, light, packet, batch = cast
     rays = packet.rays
     origin_m, direction, from_m = light.origin_m, light.direction, near.window_origin_m
     reach_m = light.reach_m
@@ -124,23 +113,15 @@ def _cast_middles(
             rays[TIME + r] = light.time[i, j]
         packet.valid[:] = -1
         cast_packet(near, packet, light.near_m[j], reach_m)
-        _put_down(near, beyond, packet, batch, PACKET * j, ZERO + 1, ZERO + PACKET, reach_m, light.far_m)
+        _put_down(cast, beyond, PACKET * j, ZERO + 1, ZERO + PACKET)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _cast_near(
-    near: Target,
-    beyond: Target | None,
-    light: PulseBatch,
-    budget: RayBudget,
-    packet: RayPacket,
-    batch: Batch,
-    first: int,
-    todo: int,
-    have: int,
-    count: int,
+    cast: Cast, beyond: Target | None, budget: RayBudget, first: int, todo: int, have: int, count: int
 ) -> None:
     """Cast the next sub-rays of pulses, which have some already, against faces, those of a pulse as one packet."""
+    near, light, packet, batch = cast
     valid, reach_m = packet.valid, light.reach_m
     for t in range(todo):
         q = batch.todo[t]
@@ -153,24 +134,15 @@ def _cast_near(
             packet.rays[TIME + r] = light.time[i, j]
             valid[r] = -1 if r < count else 0
         cast_packet(near, packet, light.near_m[j], reach_m)
-        _put_down(near, beyond, packet, batch, q, ZERO, count, reach_m, light.far_m)
+        _put_down(cast, beyond, q, ZERO, count)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _put_down(
-    near: Target,
-    beyond: Target | None,
-    packet: RayPacket,
-    batch: Batch,
-    q: int,
-    step: int,
-    count: int,
-    reach_m: float,
-    far_m: float,
-) -> None:
+def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
     """Store hits, of all rays of pulse q (step 0) or of one ray of each pulse from q on (step 1); send the others on."""
+    near, light, packet, batch = cast
     instance, valid, row, surface = packet.instance, packet.valid, batch.row, batch.surface
-    missed = 0
+    missed, far_m = 0, light.far_m
     for r in range(count):
         to, lane = q + step * r, (1 - step) * r
         if instance[r] == NONE:
@@ -181,14 +153,13 @@ def _put_down(
         valid[r] = -1 if instance[r] == NONE else 0
         batch.missed[to] = missed > 0 if step == 0 else instance[r] == NONE
     if beyond is not None and missed:
-        _send_on(beyond, packet, batch, q, step, count, reach_m, far_m)
+        _send_on(cast, beyond, q, step, count)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _send_on(
-    beyond: Target, packet: RayPacket, batch: Batch, q: int, step: int, count: int, reach_m: float, far_m: float
-) -> None:
+def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
     """Store the rays that go on for the medium, and cast them against what is cast as faces at any range."""
+    _, light, packet, batch = cast
     own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface
     if step == 0:
         for at in range(3 * LANES):
@@ -201,7 +172,7 @@ def _send_on(
                     row[q + r, DIRECTION + LANES * a] = own[DIR + PACKET * a + r]
     if not beyond.scene:
         return
-    cast_packet(beyond, packet, reach_m, far_m)
+    cast_packet(beyond, packet, light.reach_m, light.far_m)
     for r in range(count):
         if valid[r] and instance[r] != NONE:
             to, lane = q + step * r, (1 - step) * r
@@ -209,8 +180,9 @@ def _send_on(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _settle(near: Target, budget: RayBudget, batch: Batch, todo: int, have: int, count: int) -> int:
+def _settle(cast: Cast, budget: RayBudget, todo: int, have: int, count: int) -> int:
     """Take the hits of a round; list the pulses that need another, and return how many."""
+    batch, reflectance = cast.batch, cast.near.reflectance
     hits, row, met, left = batch.hits, batch.row, batch.surface, 0
     range_m, surface, cosine = hits.range_m, hits.surface, hits.cos_incidence
     most, own = batch.scratch.shape[1], have + count
@@ -221,17 +193,12 @@ def _settle(near: Target, budget: RayBudget, batch: Batch, todo: int, have: int,
             range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
             surface[at + lane], cosine[at + lane] = met[q, lane], row[q, COSINE + lane]
         batch.have[q] = own
-        if own < budget.most and not (
-            budget.adaptive
-            and enough(
-                range_m[begin : begin + own],
-                surface[begin : begin + own],
-                cosine[begin : begin + own],
-                near.reflectance,
-                budget,
-                batch.scratch,
-            )
-        ):
+        needs_more = own < budget.most
+        if needs_more and budget.adaptive:
+            stop = begin + own
+            ranges, surfaces, cosines = range_m[begin:stop], surface[begin:stop], cosine[begin:stop]
+            needs_more = not enough(ranges, surfaces, cosines, reflectance, budget, batch.scratch)
+        if needs_more:
             batch.todo[left] = q
             left += 1
     return left

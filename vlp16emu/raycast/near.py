@@ -15,7 +15,7 @@ from vlp16emu.raycast.beam import FARTHEST, LINE, Footprint, beam_axis_of
 from vlp16emu.raycast.build import EmbreeMesh, Placed, Shape, shape_of
 from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.faces import inverses, relative_to_window
-from vlp16emu.raycast.kernel import cast_lines, cast_pulses
+from vlp16emu.raycast.kernel import Cast, cast_lines, cast_pulses
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
@@ -91,13 +91,14 @@ class EmbreeGeometry:
             beam.seed,
             firings.index,
         )
-        room = ray_packet(), batch_of(PACKET * shape[1], beam.budget.most if beam.has_width else 1)
+        most = beam.budget.most if beam.has_width else 1
+        own = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
         if beam.has_width:
             count = np.empty(shape, np.uint16)
-            range_bits, surface, cosine_bits = cast_pulses(near, *beyond, pulses, *room, beam.budget, count)
+            range_bits, surface, cosine_bits = cast_pulses(own, *beyond, beam.budget, count)
             return Hits(count, range_bits.view(np.float32), surface, cosine_bits.view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        cast_lines(near, *beyond, pulses, *room, *met)
+        cast_lines(own, *beyond, *met)
         if beam.section.model == "offset":
             displace(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)
@@ -122,7 +123,7 @@ def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
 
 
 def _by_sectors(azimuth_deg: F8) -> I8:
-    """First sequence of each packet, (k / 8,), so that revolutions go through a sector one after the other."""
+    """Return the first sequence of each packet, (k / 8,), so that revolutions go through a sector one after the other."""
     sector = (azimuth_deg[::PACKET, 0] / _SECTOR_DEG).astype(np.int64)
     return np.argsort(sector, kind="stable") * PACKET
 
@@ -158,7 +159,7 @@ class EmbreeCaster:
         return EmbreeGeometry(self._placed(window, self._begun(window)))
 
     def _begun(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
-        """Begin to grow the shapes of a window that no other has; all of them in order."""
+        """Return the shapes of a window in order, or futures of those that no window has yet."""
         return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
 
     def _grown(self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> list[EmbreeMesh]:

@@ -92,7 +92,8 @@ class RayPacket(NamedTuple):
     """(11,) addresses for `_decide`."""
 
 
-_Corners = tuple[float, float, float, float, float, float, float, float, float]
+_Vector = tuple[float, float, float]
+_Corners = tuple[_Vector, _Vector, _Vector]
 _DTYPES = ["f4", "i4", "u8", "u8", "f4", "f8", "u4", "u8", "u8"]
 
 
@@ -116,29 +117,38 @@ _as_uint32, _as_uint64 = _pointer(types.uint32), _pointer(types.uint64)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _minus(a: _Vector, b: _Vector) -> _Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _vector(numbers: Any, at: int, step: int) -> _Vector:
+    return np.float64(numbers[at]), np.float64(numbers[at + step]), np.float64(numbers[at + 2 * step])
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _corners(desk: Any, instance: int, face: int) -> _Corners:
     row = 2 * (_as_int64(desk[5])[instance] + np.int64(face >> np.uint64(32)))
     buffers, triangle = _as_uint64(desk[6]), 3 * np.int64(face & np.uint64(NONE))
     vertices, corners = _as_float32(buffers[row]), _as_uint32(buffers[row + 1])
     a, b, c = 3 * corners[triangle], 3 * corners[triangle + 1], 3 * corners[triangle + 2]
-    return (
-        np.float64(vertices[a]),
-        np.float64(vertices[a + 1]),
-        np.float64(vertices[a + 2]),
-        np.float64(vertices[b]),
-        np.float64(vertices[b + 1]),
-        np.float64(vertices[b + 2]),
-        np.float64(vertices[c]),
-        np.float64(vertices[c + 1]),
-        np.float64(vertices[c + 2]),
-    )
+    return _vector(vertices, a, 1), _vector(vertices, b, 1), _vector(vertices, c, 1)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[float, float, float, float, float, float]:
+def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[_Vector, _Vector]:
     """Return origin and direction of ray r in the coordinates of an instance's shape."""
-    x, y, z = np.float64(own[r]), np.float64(own[PACKET + r]), np.float64(own[2 * PACKET + r])
-    dx, dy, dz = (np.float64(own[DIR + r]), np.float64(own[DIR + PACKET + r]), np.float64(own[DIR + 2 * PACKET + r]))
+    (x, y, z), (dx, dy, dz) = _vector(own, r, PACKET), _vector(own, DIR + r, PACKET)
     knots = np.int64(desk[9])
     if knots:
         shear, n = _as_float32(desk[8]), np.int64(desk[10])
@@ -149,44 +159,24 @@ def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[float, float,
         over_m = z - _as_float64(desk[7])[instance]
         x, y, dx, dy = x - lean_x * over_m, y - lean_y * over_m, dx - lean_x * dz, dy - lean_y * dz
     at, T = 12 * instance, _as_float64(desk[4])
-    return (
-        T[at] * x + T[at + 1] * y + T[at + 2] * z + T[at + 3],
-        T[at + 4] * x + T[at + 5] * y + T[at + 6] * z + T[at + 7],
-        T[at + 8] * x + T[at + 9] * y + T[at + 10] * z + T[at + 11],
-        T[at] * dx + T[at + 1] * dy + T[at + 2] * dz,
-        T[at + 4] * dx + T[at + 5] * dy + T[at + 6] * dz,
-        T[at + 8] * dx + T[at + 9] * dy + T[at + 10] * dz,
-    )
+    one, two, three = _vector(T, at, 1), _vector(T, at + 4, 1), _vector(T, at + 8, 1)
+    from_m, along = (x, y, z), (dx, dy, dz)
+    origin_m = _dot(one, from_m) + T[at + 3], _dot(two, from_m) + T[at + 7], _dot(three, from_m) + T[at + 11]
+    return origin_m, (_dot(one, along), _dot(two, along), _dot(three, along))
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _normal(corners: _Corners) -> tuple[float, float, float]:
-    """Return the normal of a triangle, twice its area long."""
-    ax, ay, az, bx, by, bz, cx, cy, cz = corners
-    return (
-        (by - ay) * (cz - az) - (bz - az) * (cy - ay),
-        (bz - az) * (cx - ax) - (bx - ax) * (cz - az),
-        (bx - ax) * (cy - ay) - (by - ay) * (cx - ax),
-    )
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _cut(
-    corners: _Corners, normal: tuple[float, float, float], ray: tuple[float, float, float, float, float, float]
-) -> tuple[float, float, bool]:
-    """Cut a ray with a triangle: range, product of normal and direction, and whether it passes inside.
+def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tuple[float, float, bool]:
+    """Cut a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
 
     The three determinants of the direction and two corners have one sign where it does, and for two triangles that share an
     edge its determinants are the same but for the sign: no ray passes between them.
     """
-    x, y, z, dx, dy, dz = ray
-    ax, ay, az, bx, by, bz, cx, cy, cz = corners
-    ax, ay, az, bx, by, bz, cx, cy, cz = (ax - x, ay - y, az - z, bx - x, by - y, bz - z, cx - x, cy - y, cz - z)
-    of_a = (by * cz - bz * cy) * dx + (bz * cx - bx * cz) * dy + (bx * cy - by * cx) * dz
-    of_b = (cy * az - cz * ay) * dx + (cz * ax - cx * az) * dy + (cx * ay - cy * ax) * dz
-    of_c = (ay * bz - az * by) * dx + (az * bx - ax * bz) * dy + (ax * by - ay * bx) * dz
-    facing = normal[0] * dx + normal[1] * dy + normal[2] * dz
-    range_m = (ax * normal[0] + ay * normal[1] + az * normal[2]) / facing
+    origin_m, along = ray
+    a, b, c = _minus(corners[0], origin_m), _minus(corners[1], origin_m), _minus(corners[2], origin_m)
+    of_a, of_b, of_c = _dot(_cross(b, c), along), _dot(_cross(c, a), along), _dot(_cross(a, b), along)
+    facing = _dot(normal, along)
+    range_m = _dot(a, normal) / facing
     return range_m, facing, (min(of_a, of_b, of_c) >= 0.0) | (max(of_a, of_b, of_c) <= 0.0)
 
 
@@ -196,14 +186,10 @@ def _decide(arguments: int) -> None:
     words = _as_uint64(arguments)
     valid, desk, n = (_as_int32(words[0]), _as_uint64(_as_uint64(words[2])[1]), np.int64(words[5] & np.uint64(NONE)))
     far_m, numbers, hit = _as_float32(words[3]), _as_uint32(words[3]), _as_uint32(words[4])
-    own, state, instances, faces = (
-        _as_float32(desk[0]),
-        _as_float64(desk[1]),
-        _as_uint32(desk[2]),
-        _as_uint64(desk[3]),
-    )
-    last, last_face, corners = NONE, np.uint64(0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    normal = (0.0, 0.0, 0.0)
+    own, state = _as_float32(desk[0]), _as_float64(desk[1])
+    instances, faces = _as_uint32(desk[2]), _as_uint64(desk[3])
+    last, last_face, normal = NONE, np.uint64(0), (0.0, 0.0, 0.0)
+    corners = normal, normal, normal
     for i in range(n):
         if not valid[i]:
             continue
@@ -211,7 +197,7 @@ def _decide(arguments: int) -> None:
         face = np.uint64(hit[_HIT_MESH * n + i]) << np.uint64(32) | np.uint64(hit[_HIT_PRIMITIVE * n + i])
         if instance != last or face != last_face:  # as a rule the same for all rays
             last, last_face, corners = instance, face, _corners(desk, np.int64(instance), face)
-            normal = _normal(corners)
+            normal = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
         range_m, facing, is_inside = _cut(corners, normal, _in_shape(desk, own, r, np.int64(instance)))
         limit_m = state[_LIMIT + r]
         is_first = instance < instances[r] or (instance == instances[r] and face < faces[r])
@@ -261,10 +247,8 @@ def ray_packet() -> RayPacket:
     parts = [raw[at : at + size] for at, size in zip(first[:-1].tolist(), sizes, strict=True)]
     packet = RayPacket(*(part.view(dtype) for part, dtype in zip(parts, _DTYPES, strict=True)))
     packet.context[1] = packet.desk.ctypes.data
-    packet.arguments[0], packet.arguments[1] = (
-        FLAG_COHERENT | FLAG_FILTER | int(NONE) << 32,
-        packet.context.ctypes.data,
-    )
+    packet.arguments[0] = FLAG_COHERENT | FLAG_FILTER | int(NONE) << 32
+    packet.arguments[1] = packet.context.ctypes.data
     packet.desk[:4] = [part.ctypes.data for part in packet[4:8]]
     words = packet.rays.view(np.uint32)
     words[_MASK : _MASK + PACKET], words[_ID : _ID + PACKET] = NONE, np.arange(PACKET)

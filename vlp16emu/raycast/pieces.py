@@ -1,4 +1,4 @@
-"""Shapes in pieces whose boxes fit them, each an instance of its own.
+"""Pieces of shapes whose boxes fit them, each an instance of its own.
 
 A ray is taken into the coordinates of every instance whose box it passes, which costs as much as a good part of what follows,
 and the rays of a lidar are nearly level: what counts of a box is its area as seen from the side. So stems are apart from the
@@ -49,7 +49,7 @@ def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8]:
 
 
 def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
-    """Put each mesh that is not empty to those before it, unless two boxes are smaller than the one around both."""
+    """Group meshes that are not empty, in order, while one box around them is no larger than two."""
     bodies, around = list[list[int]](), np.zeros((2, 3))
     for mesh, (vertices_m, triangles) in enumerate(faces):
         if not len(triangles):
@@ -67,7 +67,7 @@ def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
 
 
 def _slabs(body: Sequence[Faces]) -> tuple[list[I8], F8]:
-    """Give the slab (t,) of each triangle of some meshes, all 0 where slabs are not worth it; and boxes of those that hold any."""
+    """Return the slab (t,) of each triangle of some meshes, all 0 if slabs are not worth it, and the boxes of slabs that hold any."""
     low_m = min(float(vertices_m[:, 2].min()) for vertices_m, _ in body)
     high_m = max(float(vertices_m[:, 2].max()) for vertices_m, _ in body)
     boxes = np.repeat([[[np.inf] * 3, [-np.inf] * 3]], 1 + int((high_m - low_m) / _SLAB_M), axis=0)
@@ -82,7 +82,7 @@ def _slabs(body: Sequence[Faces]) -> tuple[list[I8], F8]:
 
 
 def _side_m2(boxes: F8) -> F8:
-    """Areas (...,) of boxes (..., 2, 3) as seen from the side: their two faces together, by which the mean over all sides goes."""
+    """Return areas (...,) of boxes (..., 2, 3) as seen from the side: their two faces together, by which the mean over all sides goes."""
     size: F8 = boxes[..., 1, :] - boxes[..., 0, :]
     return (size[..., 0] + size[..., 1]) * size[..., 2]
 

@@ -32,7 +32,7 @@ def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, 
 
 
 def _directions(lowest_sine: float) -> F8:
-    """Directions (sectors, rings, 3), unit length: rays that are cast together are neighbours on a ring."""
+    """Return directions (sectors, rings, 3), unit length: rays that are cast together are neighbours on a ring."""
     sine = lowest_sine + (1.0 - lowest_sine) * (np.arange(_RINGS) + 0.5) / _RINGS
     # A ring begins where the one below it does not: the golden ratio leaves no gap and no row.
     start = np.arange(_RINGS) * (math.sqrt(5.0) - 1.0) / 2.0

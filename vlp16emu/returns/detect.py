@@ -42,6 +42,7 @@ _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
 _CODES_PER_M = 500.0  # of the distance on the wire, 2 mm
 _MOST_SILENT = 100.0  # where the reflectivity of no-returns ends on einride
+_Pair = tuple[float, float]
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
 
 
@@ -134,14 +135,14 @@ def _detect(
                     lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
-                measured = _measure(constants, noise[0, j], noise[1, j], at_m, light, error_m, gain)
+                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, error_m, gain)
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
                     if keeps_exact:
                         exact_m[i, j, column] = at_m
             elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
-                _write(constants, n, j, error_m, gain, peaks, chosen, distance_m[i, j], reflectivity[i, j])
+                _write(constants, n, j, (error_m, gain), peaks, chosen, distance_m[i, j], reflectivity[i, j])
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
@@ -238,15 +239,10 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _measure(
-    constants: DetectorConstants,
-    range_noise: float,
-    other_noise: float,
-    range_m: float,
-    amplitude: float,
-    error_m: float,
-    gain: float,
+    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, error_m: float, gain: float
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity; distance 0 below the least range, and nothing beyond the greatest."""
+    range_noise, other_noise = noise
     reflectance = amplitude * range_m * range_m
     measured_m = range_m + error_m
     sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(100.0 * reflectance, 100.0)
@@ -306,17 +302,10 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _write(
-    constants: DetectorConstants,
-    n: int,
-    j: int,
-    error_m: float,
-    gain: float,
-    peaks: F8,
-    chosen: I8,
-    distance_m: F4,
-    reflectivity: U1,
+    constants: DetectorConstants, n: int, j: int, errors: _Pair, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
 ) -> None:
     """Fill the returns (3,) of a pulse, each chosen peak measured once; none counts that is measured beyond `max_range_m`."""
+    error_m, gain = errors
     for column in range(3):
         peak = chosen[column]
         if peak < 0:
@@ -333,6 +322,6 @@ def _write(
         if column > 0 and peak == chosen[column - 1]:
             distance_m[column], reflectivity[column] = distance_m[column - 1], reflectivity[column - 1]
         elif peak >= 0:
-            drawn, other = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
+            pair = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-            distance_m[column], reflectivity[column] = _measure(constants, drawn, other, at_m, light, error_m, gain)
+            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, error_m, gain)

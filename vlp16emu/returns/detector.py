@@ -1,4 +1,4 @@
-"""What a unit's receiver is, made once per run."""
+"""The receiver of a unit, made once per run."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -96,25 +96,19 @@ class UnitDetector:
         )
 
     def for_mode(self, mode: ReturnMode) -> Self:
-        """Give a receiver that looks for the echoes of a return mode."""
+        """Return a receiver that looks for the echoes of a return mode."""
         return replace(self, constants=self.constants._replace(strongest_only=mode is ReturnMode.STRONGEST))
 
     def without_chance(self) -> Self:
-        """Give a receiver of the same threshold in the same air that detects all echoes, without chance and without errors."""
-        constants = self.constants._replace(
-            strongest_only=False,
-            amplitude_noise=0.0,
-            clutter=0.0,
-            range_noise_m=0.0,
-            reflectivity_noise=0.0,
-            reflectivity_noise_share=0.0,
-            reflectivity_step=0.0,
-        )
+        """Return a receiver of the same threshold in the same air that detects all echoes, without chance and without errors."""
+        errors = "amplitude_noise", "clutter", "range_noise", "reflectivity_"
+        nothing = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
+        constants = self.constants._replace(strongest_only=False, **nothing)
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
         return type(self)(constants, none, one, np.zeros(5), None, None, Noise(preset="ideal"), self.power_up_ns)
 
     def drift_m(self, t_ns: I8) -> F8:
-        """Warm-up error of ranges at some instants, same shape; fades exponentially from power-up on."""
+        """Return the warm-up error of ranges at instants, same shape; fades exponentially from power-up on."""
         if not self.noise.warm_up_m:
             return np.zeros(t_ns.shape)
         return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / self.noise.warm_up_s))
@@ -130,7 +124,7 @@ def _parity(seed: int, lasers: int, spread: float) -> F8:
 
 
 def threshold_of(detector: Detector) -> tuple[float, float]:
-    """Amplitude that is detected with probability one half, and one sigma of its noise, in m-2."""
+    """Return the amplitude that is detected with probability one half, and one sigma of its noise, in m-2."""
     range_m = detector.range_at_10_percent_m
     threshold = _CALIBRATION_REFLECTANCE / (range_m * range_m)
     return threshold, threshold / detector.threshold_snr

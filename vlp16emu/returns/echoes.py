@@ -40,6 +40,8 @@ _HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_wavef
 NODE_M = 0.15
 """Greatest span of the sub-rays that are taken as one."""
 _LN2 = 0.6931471805599453
+_Light = tuple[float, float, float]
+"""Mean and variance of the places of light, and its height, as `_waveform` returns them."""
 _FAINTEST = 1e-9  # reflectance of what is black or edge-on, so that it still has a place
 _APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 0.01 mm
 _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
@@ -158,7 +160,6 @@ def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _sort(nodes: F8, count: int) -> None:
-    """Put nodes in order of range by insertion; they are few."""
     for i in range(1, count):
         range_m, amplitude = nodes[RANGE, i], nodes[AMPLITUDE, i]
         j = i
@@ -170,7 +171,7 @@ def _sort(nodes: F8, count: int) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _quick_exp(x: float) -> float:
-    """Exponential of a number up to 0, good to 1e-10 of itself, or 1e-300: a library's call costs twice as much."""
+    """Return the exponential of a number up to 0, good to 1e-10 of itself, or 1e-300: a library's call costs twice as much."""
     x = max(x, -690.0)
     shifted = x * 1.4426950408889634 + 6755399441055744.0  # its last bits hold the power of 2
     r = x - (shifted - 6755399441055744.0) * _LN2
@@ -182,7 +183,7 @@ def _quick_exp(x: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> tuple[float, float, float]:
+def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> _Light:
     """Return mean and variance of the places of the light at x_m, relative to x_m, and the height of the waveform."""
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
@@ -230,48 +231,36 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
     if stop - start == 1:
         return _add_peak(peaks, found, nodes[RANGE, start], nodes[AMPLITUDE, start])
     _look(nodes, start, stop, sigma_m)
-    a_m = nodes[RANGE, start]
-    a_mean_m, a_var_m2, a_height = nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start]
+    a_m, a = nodes[RANGE, start], (nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start])
     rises = True  # even where all nodes are at one place
     for node in range(start + 1, stop):
-        b_m = nodes[RANGE, node]
-        b_mean_m, b_var_m2, b_height = nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node]
+        b_m, b = nodes[RANGE, node], (nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node])
         reach_m = min(b_m - a_m, sigma_m)
-        one = rises and b_mean_m <= 0.0 and b_m - a_m <= 2.0 * sigma_m
+        one = rises and b[0] <= 0.0 and b_m - a_m <= 2.0 * sigma_m
         if rises:
             end_m = b_m if one else a_m + reach_m
-            top_m, height = _climb(nodes, start, stop, sigma_m, a_m, end_m, one, a_mean_m, a_var_m2, a_height)
+            top_m, height = _climb(nodes, start, stop, sigma_m, a_m, end_m, one, a)
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)
-        if b_mean_m <= 0.0 and not one and b_m > a_m:
-            end_m = b_m - reach_m
-            top_m, height = _climb(nodes, start, stop, sigma_m, b_m, end_m, b_m < a_m, b_mean_m, b_var_m2, b_height)
+        if b[0] <= 0.0 and not one and b_m > a_m:
+            top_m, height = _climb(nodes, start, stop, sigma_m, b_m, b_m - reach_m, b_m < a_m, b)
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)
-        a_m, a_mean_m, a_var_m2, a_height = b_m, b_mean_m, b_var_m2, b_height
-        rises = a_mean_m > 0.0 or (a_mean_m == 0.0 and a_var_m2 > sigma_m * sigma_m)  # or stands in a trough
+        a_m, a = b_m, b
+        rises = a[0] > 0.0 or (a[0] == 0.0 and a[1] > sigma_m * sigma_m)  # or stands in a trough
     return found
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _climb(
-    nodes: F8,
-    start: int,
-    stop: int,
-    sigma_m: float,
-    x_m: float,
-    end_m: float,
-    closed: bool,
-    mean_m: float,
-    var_m2: float,
-    height: float,
+    nodes: F8, start: int, stop: int, sigma_m: float, x_m: float, end_m: float, closed: bool, light: _Light
 ) -> tuple[float, float]:
     """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m; height 0 for none.
 
     Newton's rule on the mean, with halving as its net. `closed` says that the waveform is known to fall at end_m; if it
-    is not, that is looked up as soon as Newton's rule fails. The waveform at x_m is given.
+    is not, that is looked up as soon as Newton's rule fails. `light` is the waveform at x_m.
     """
-    low_m, high_m = min(x_m, end_m), max(x_m, end_m)
+    (mean_m, var_m2, height), low_m, high_m = light, min(x_m, end_m), max(x_m, end_m)
     uphill = mean_m > 0.0
     while True:
         curvature = 1.0 - var_m2 / (sigma_m * sigma_m)

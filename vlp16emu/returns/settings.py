@@ -41,7 +41,7 @@ _PRESETS: dict[str, dict[str, object]] = {
 
 
 class Detector(Section):
-    """The receiver, as far as it is the same in all units."""
+    """Properties of the receiver that all units have in common."""
 
     pulse_ns: Annotated[float, Field(ge=1, le=20)] = 6.0
     """Full width of a pulse at half maximum; not in the data sheet (assumption, 5 ns in other simulators)."""
@@ -56,7 +56,7 @@ class Detector(Section):
 
 
 class Noise(Preset):
-    """Errors of range and reflectivity, and what is lost for want of light."""
+    """Errors of range and reflectivity, and the detection threshold."""
 
     presets = _PRESETS
 
@@ -130,7 +130,7 @@ class Noise(Preset):
 
 
 class Weather(Section):
-    """Clear air unless something is given."""
+    """Fog and rain; the air is clear without these keys."""
 
     visibility_m: Annotated[float, Field(ge=10, le=100_000)] | None = None
     """Meteorological visibility; fog below 1000 m, haze below 10 km."""
@@ -139,7 +139,7 @@ class Weather(Section):
 
     @property
     def summary(self) -> str | None:
-        """What is in the air in one line; None where it is clear."""
+        """Fog and rain in one line; None in clear air."""
         parts = []
         if self.visibility_m is not None:
             parts.append(f"visibility {self.visibility_m:g} m")

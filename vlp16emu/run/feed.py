@@ -1,4 +1,4 @@
-"""The packets of a stream, which follows its clock and what is set on its sensors."""
+"""Packets of a stream, which can skip ahead and go on with other events."""
 
 from collections import Counter
 from collections.abc import Collection, Generator, Iterator
@@ -13,13 +13,13 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 
 class PacketFeed:
-    """The packets of a run in order of sending: an iterator that can go on further ahead, or with other events.
+    """Iterator over the packets of a run in order of sending, which can skip ahead or go on with other events.
 
     Parameters
     ----------
     engine : makes them
     start_s, stop_s : span of the run, since the first pulse
-    also : kinds that leave beside the packets of the sensors
+    also : kinds that are sent beside the packets of the sensors
 
     Raises
     ------
@@ -36,7 +36,7 @@ class PacketFeed:
         self._at_reached = set[tuple[int, PacketKind]]()
         self._from_ns: int | None = None
         self.skipped = Counter[PacketKind]()
-        """Packets that were left out."""
+        """Packets that were skipped, by kind."""
 
     def __iter__(self) -> Iterator[Packet]:
         return self
@@ -53,17 +53,17 @@ class PacketFeed:
         return packet
 
     def close(self) -> None:
-        """End the workers, and wait for what they have begun."""
+        """Stop the workers, and wait for the blocks under way."""
         self._packets = iter(())
 
     def _let_go(self) -> None:
-        """End the workers without waiting: what comes next is wanted at once."""
+        """Stop the workers without waiting, as the next packet is wanted at once."""
         before, self._packets = self._packets, iter(())
         if isinstance(before, Generator):
             Thread(target=before.close, name="let go", daemon=True).start()
 
     def go_on_from(self, due_ns: int) -> None:
-        """Compute no packet that is due before a UTC time, from the next one on; from any thread."""
+        """Skip packets due before a UTC time, from the next one on; from any thread."""
         self._from_ns = due_ns
 
     def begin_again(self, from_ns: int, engine: Engine) -> None:
@@ -83,13 +83,13 @@ class PacketFeed:
         return iter(self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
 
     def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
-        """Yield packets due from a UTC time on; of those due just then some are out already."""
+        """Yield packets due from a UTC time on, without those of `there` due just then, which have been sent."""
         for packet in self._from(self._since_s(from_ns)):
             if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
                 yield packet
 
     def _leave_out(self, from_ns: int) -> None:
-        """Begin again further on."""
+        """Go on at a UTC time, and count the packets before it as skipped."""
         stop_ns = self.engine.scenario.start_ns + round(self._stop_s * S_NS)
         from_ns = min(from_ns, stop_ns)
         if from_ns <= self._reached_ns:
@@ -99,7 +99,7 @@ class PacketFeed:
         self._packets = self._from(self._since_s(from_ns))
 
     def _count(self, before_ns: int) -> Counter[PacketKind]:
-        """Count the packets of all units due from the first pulse until before a UTC time."""
+        """Count the packets of all units due before a UTC time, by kind."""
         scenario, units = self.engine.scenario, self.engine.parts.units
         since_ns = before_ns - scenario.start_ns
         kinds = PacketKind.DATA, PacketKind.POSITION

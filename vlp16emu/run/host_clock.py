@@ -1,4 +1,4 @@
-"""The clock of the host that records, which stamps the packets of a capture."""
+"""Clock of the host that records, which stamps the packets of a capture."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ _LANES_PER_UNIT = 8
 
 
 def _own(section: CaptureClock, seed: int) -> CaptureClock:
-    """Draw the host of a run."""
+    """Sample the host of one run."""
     if not section.host_spread:
         return section
     names = "jitter_us", "late_share", "late_us"
@@ -26,9 +26,9 @@ def _own(section: CaptureClock, seed: int) -> CaptureClock:
 
 
 class HostClock:
-    """Stamps the packets of a recording, in their order.
+    """Stamps packets of a recording in their order.
 
-    A stamp follows from the seed and the packet alone, but where it would be before the one in front of it.
+    A stamp depends on the seed and the packet alone, unless it would precede the stamp before it.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class HostClock:
         self._latest_ns = 0
 
     def stamped(self, packet: Packet) -> Packet:
-        """Give a packet the instant at which it is captured instead of that at which it is due."""
+        """Return a packet that is due when it is captured."""
         if self._is_ideal:
             return packet
         since_ns = packet.due_ns - self._start_ns
@@ -52,7 +52,7 @@ class HostClock:
         return replace(packet, due_ns=self._latest_ns)
 
     def _delay_us(self, packet: Packet) -> float:
-        """Draw by how much a packet is late."""
+        """Sample the delay of a packet."""
         from vlp16emu.elementary import log  # here: a scene is read without numba
         from vlp16emu.random import Purpose, normal, uniform
 

@@ -1,4 +1,4 @@
-"""Whether this machine keeps up with a stream, and settings with which it would."""
+"""Settings with which this machine keeps up with a stream."""
 
 import math
 
@@ -14,9 +14,7 @@ _ONE_RAY_GAIN, _SHORT_GAIN = 4.0, 2.0
 
 
 def settings_that_keep_up(scenario: Scenario, engine_speed: float, speed: float) -> list[str]:
-    """List options of `stream` with which the engine keeps up, each enough by itself.
-
-    Where it is stalled they are those that make it faster.
+    """Return options of `stream` with which the engine keeps up, each enough by itself; if it is stalled, those that make it faster.
 
     Parameters
     ----------
@@ -39,11 +37,11 @@ def settings_that_keep_up(scenario: Scenario, engine_speed: float, speed: float)
 
 
 def speed_beside_sender(engine_speed: float, sender_share: float, threads: int, cores: int) -> float:
-    """Compute the engine's speed where the sending thread takes its share of the same cores.
+    """Return the engine's speed if the sending thread takes its share of the same cores.
 
     Parameters
     ----------
-    engine_speed : simulated seconds per second with nothing else at work
+    engine_speed : simulated seconds per second without other work
     sender_share : processor seconds per second of the sending thread, in [0, 1)
     threads : workers of the engine
     cores : of the machine

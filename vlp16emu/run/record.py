@@ -13,8 +13,8 @@ from typing import Protocol
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
-from vlp16emu.errors import OutputError, spare
-from vlp16emu.output import STDOUT
+from vlp16emu.errors import OutputError
+from vlp16emu.output import STDOUT, spare
 from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
 from vlp16emu.run.host_clock import HostClock
@@ -163,7 +163,7 @@ def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
         for number, link in enumerate(links)
         for kind, port in ((PacketKind.DATA, link.data_port), (PacketKind.POSITION, link.position_port))
     }
-    with Capture(path) as capture:
+    with Capture(path, repeats=True) as capture:
         for datagram in capture:
             kind, number = ways[datagram.source, datagram.destination_port]
             yield Packet(kind, datagram.stamp_ns, datagram.payload, number)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from ipaddress import ip_address
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -42,10 +43,8 @@ class Replay:
         if path.is_fifo():
             raise CaptureError(str(path), "a pipe", "a file, which can be read twice")
         self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
-        self.units = units_in(path)
+        self.units = units_in(path, required=True)
         """In order of address, then of port."""
-        if not self.units:
-            raise CaptureError(str(path), "no data packets", "the packets of a VLP-16")
         self.passes = 0
         """Begun so far."""
         self.left_out = 0
@@ -73,10 +72,10 @@ class Replay:
 
     def _packets(self) -> Iterator[Packet]:
         """Read all packets once."""
-        numbers = dict[tuple[bytes, int], int]()
+        numbers = dict[tuple[bytes, int, bytes], int]()
         with Capture(self.path) as capture:
             for datagram in capture:
-                key = (datagram.source, datagram.destination_port)
+                key = datagram.source, datagram.destination_port, datagram.mac
                 if key not in numbers:
                     owners = (number for number, unit in enumerate(self.units) if unit.owns(datagram))
                     numbers[key] = next(owners, -1)
@@ -165,7 +164,7 @@ def _link(unit: CapturedUnit, data_port: int | None, position_port: int | None) 
     captured = next(iter(unit.position_ports), POSITION_PORT)
     return replace(
         FACTORY_LINK,
-        source=str(unit).rsplit(":", 1)[0],
+        source=str(ip_address(unit.source)),
         data_port=data_port or unit.data_port,
         position_port=position_port or captured,
     )

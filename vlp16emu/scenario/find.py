@@ -13,7 +13,7 @@ from vlp16emu.settings import SceneFile, Section
 
 
 def _folders() -> Iterator[Path]:
-    """Where scenes are looked for, best first."""
+    """Yield the folders of scenes, in order of precedence."""
     if own := os.environ.get("VLP16EMU_SCENES"):
         yield Path(own)
     package = Path(str(resources.files("vlp16emu")))
@@ -23,7 +23,7 @@ def _folders() -> Iterator[Path]:
 
 
 def scene_files() -> dict[str, Path]:
-    """All scenes that can be called by name, sorted: files, and folders with a file of their name in them.
+    """Return all scenes by name, sorted: files, and folders with a file of their name in them.
 
     Those of other packages, in the folders of their entry points `vlp16emu.scenes`, come last.
     """
@@ -41,12 +41,12 @@ def _scenes_in(folders: Iterable[Path]) -> dict[str, Path]:
 
 
 def find(scene: str) -> Path:
-    """Path of a scene given by name, with _ or - in it, or by path; a path is not yet looked at.
+    """Return the path of a scene given by name, with _ or - in it, or by path; whether a path exists is not checked.
 
     Raises
     ------
     ScenarioError
-        where there is no scene of that name
+        If there is no scene of that name
     """
     path = Path(scene)
     if path.suffix in (".toml", ".json") or path.parent != Path():
@@ -64,12 +64,11 @@ def find(scene: str) -> Path:
 
 
 def named_files(scenario: Section) -> list[Path]:
-    """List the files that a scenario is made of beside its own: poses, waypoints, heights, trees, meshes."""
+    """Return the files that a scenario names: poses, waypoints, heights, trees, meshes."""
     return list(_named_in(scenario))
 
 
 def _named_in(value: object) -> Iterator[Path]:
-    """Find the files of a section and of all that it holds."""
     if isinstance(value, Section):
         kinds = get_type_hints(type(value), include_extras=True)
         for key, inner in value:

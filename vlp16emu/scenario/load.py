@@ -73,7 +73,7 @@ def load(
     Raises
     ------
     ScenarioError
-        where the file or a setting is no scene
+        If the file or a setting is no scene
     """
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene
@@ -89,7 +89,6 @@ def load(
 
 
 def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
-    """Give a scene of its own with values changed."""
     source = source._replace(tree=deepcopy(source.tree))
     for change in changes:
         _apply(source.tree, change)
@@ -98,7 +97,6 @@ def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
 
 
 def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path) -> _Source:
-    """Read a scene of any kind; `folder` is that of a dictionary."""
     if isinstance(scene, Scenario):
         tree = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
         return _Source("scenario", tree, Path.cwd(), is_json=True)
@@ -112,7 +110,6 @@ def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path) -> _
 
 
 def _checked(source: _Source) -> Scenario:
-    """Check a tree."""
     context = {"folder": source.folder}  # so that a file is found from wherever it is named again
     if source.is_json:
         source.tree.pop("written_by", None)
@@ -130,7 +127,6 @@ def _is_json(path: Path) -> bool:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Parse the file."""
     kind, parse = ("JSON", json.loads) if _is_json(path) else ("TOML", toml)
     with readable(path, "a scene file", ScenarioError):
         text = path.read_text(encoding="utf-8-sig")
@@ -164,7 +160,6 @@ def _take_errors(tree: dict[str, Any]) -> None:
 
 
 def _changes(settings: Mapping[str, object] | Sequence[str]) -> Iterable[_Setting]:
-    """Read settings of either kind."""
     if isinstance(settings, Mapping):
         read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in settings.items()]
     else:
@@ -195,7 +190,7 @@ def _parts_of(kind: Any) -> list[Any]:
 
 
 def _as_meant(value: object, kinds: Sequence[Any]) -> object:
-    """Take a value for what a key of some types can have: a whole number, a file from here, a word in its own case."""
+    """Return a value as a key of some types takes it: a whole number, a file from here, a word in its own case."""
     if isinstance(value, dict):
         return {key: _as_meant(inner, _kinds_of(kinds, key)) for key, inner in value.items()}
     if isinstance(value, list):
@@ -213,7 +208,6 @@ def _as_meant(value: object, kinds: Sequence[Any]) -> object:
 
 
 def _parsed(text: str) -> _Setting:
-    """Read one `key.path=value`."""
     key, equals, value = text.partition("=")
     if not equals or not value.strip():
         key = ""
@@ -221,7 +215,6 @@ def _parsed(text: str) -> _Setting:
 
 
 def _apply(tree: dict[str, Any], setting: _Setting) -> None:
-    """Put a value into the tree."""
     names = setting.key.split(".")
     if not all(names):
         raise ScenarioError(setting.where, "no assignment", "key.path=value")
@@ -254,7 +247,7 @@ def _value(text: str) -> object:
 
 
 def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str, str]) -> str:
-    """Where a fault comes from: the last setting that touched its key, or without which there is none, or the scene."""
+    """Return the origin of a fault: the last setting of its key, the one without which there is none, or the scene."""
     key, _, _ = fault
     for setting in reversed(settings):
         if key == setting.key or key.startswith((f"{setting.key}.", f"{setting.key}[")):
@@ -266,7 +259,6 @@ def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str
 
 
 def _fault(source: _Source, settings: Sequence[_Setting]) -> tuple[str, str, str] | None:
-    """Check a scene with settings, and explain what is wrong."""
     try:
         _checked(_changed(source, settings))
     except ValidationError as error:

@@ -3,7 +3,15 @@
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AwareDatetime, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo, field_validator
+from pydantic import (
+    AwareDatetime,
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+    field_validator,
+)
 from pydantic_core import CoreSchema, core_schema
 
 from vlp16emu.doors import door, has_door
@@ -21,6 +29,13 @@ from vlp16emu.world import Wind, WorldSection
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 """Seconds of a pcap file are 32 bits without sign and end 37 days later, farther off than any run reaches."""
+
+
+def _from_text(start: Any) -> Any:
+    try:
+        return datetime.fromisoformat(start) if isinstance(start, str) else start
+    except ValueError:
+        return start
 
 
 class _Events:
@@ -49,7 +64,7 @@ class Scenario(Section):
     seed: Seed = 1
     """Seed of all random numbers: the same scenario and seed give the same bytes. `world.seed`, `motion.seed` and `sensor.seed`
     take its place for the stand, the walk and the sensor."""
-    start_utc: AwareDatetime = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
+    start_utc: Annotated[AwareDatetime, BeforeValidator(_from_text)] = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
     """When the first pulse is fired, from 1970 to 2105."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
     """Length of a recording, unless the command gives another."""
@@ -124,17 +139,21 @@ class Scenario(Section):
     @property
     def world_seed(self) -> int:
         """Seed of what the sensor sees."""
-        return self.seed if self.world.own_seed is None else self.world.own_seed
+        return self._seed_of(self.world)
 
     @property
     def motion_seed(self) -> int:
         """Seed of how the carrier moves."""
-        return self.seed if self.motion.own_seed is None else self.motion.own_seed
+        return self._seed_of(self.motion)
 
     @property
     def sensor_seed(self) -> int:
         """Seed of the first sensor and of the instruments beside it."""
-        return self.seed if self.sensor.seed is None else self.sensor.seed
+        return self._seed_of(self.sensor)
+
+    def _seed_of(self, section: Section) -> int:
+        own: int | None = getattr(section, "seed", None)
+        return self.seed if own is None else own
 
     @property
     def start_ns(self) -> int:
@@ -143,12 +162,12 @@ class Scenario(Section):
         return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
 
     def span_s(self, start_s: float, duration_s: float | None, *, where: str = "start_s") -> tuple[float, float]:
-        """Begin and end of a run, in seconds since the first pulse; it ends with the scene where no duration is given.
+        """Return begin and end of a run, in seconds since the first pulse; without a duration it ends with the scene.
 
         Raises
         ------
         InputError
-            where the run would begin after the end of the scene; `where` is what the line calls its begin
+            If the run would begin after the end of the scene; `where` is the name of its begin in the error
         """
         if duration_s is not None:
             return start_s, start_s + duration_s

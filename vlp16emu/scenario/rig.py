@@ -8,7 +8,7 @@ from vlp16emu.sensor.settings import Sensor
 from vlp16emu.settings import Seed, merged
 
 _OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port", "seed"})
-"""What no two units have in common, so none of it is taken from `[sensor]`."""
+"""Keys that no two units have in common, so they are not taken from `[sensor]`."""
 
 
 class RigUnit(Sensor):
@@ -24,13 +24,13 @@ class RigUnit(Sensor):
 
 
 def completed(table: Any, first: Sensor, place: int) -> Any:
-    """Lay the table of a unit over what it has from the first one.
+    """Return the table of a unit with the keys that it takes from the first one.
 
     Parameters
     ----------
     table : as the user wrote it; what is no table is left to the check of its type
     first : `[sensor]`
-    place : of the table, from 1
+    place : number of the table, from 1
     """
     if not isinstance(table, dict):
         return table

@@ -36,13 +36,13 @@ class _InOurWords(GenerateJsonSchema):
 
 @cache
 def schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of a scene file; the same object every time, so do not write to it."""
+    """Return the JSON Schema (draft 2020-12) of a scene file; the same object every time, so do not write to it."""
     tree = Scenario.model_json_schema(schema_generator=_InOurWords)
     return {"$schema": GenerateJsonSchema.schema_dialect} | tree | {"title": "vlp16emu scene"}
 
 
 def _docstrings(section: type[BaseModel]) -> dict[str, str]:
-    """Read the strings that follow the keys of a section, and of those that it inherits from."""
+    """Return the strings that follow the keys of a section and of its base classes."""
     found: dict[str, str] = {}
     for owner in reversed(section.__mro__[: section.__mro__.index(BaseModel)]):
         try:

@@ -68,7 +68,6 @@ def _place(
     sensor_m: Array,
     world_m: Array,
 ) -> None:
-    """Fill points (n, 3) in both frames."""
     moving = len(world_p_body_m) > 1
     for i in range(len(distance_m)):
         n = i if moving else 0

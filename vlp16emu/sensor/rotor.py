@@ -161,7 +161,7 @@ class Encoder:
             twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
             hum=(section.hum_deg * factor[2], turned_deg[2]),
             noise_deg=section.azimuth_noise_deg,
-            noise_limit_deg=section.azimuth_noise_limit_deg,
+            noise_limit_deg=0.1,  # so that no reading of an even encoder is behind the one before it (assumption)
             pitch_deg=section.encoder_pitch_deg,
             rate_error=section.encoder_rate_error * (1.0 + spread * (0.2 * own[7] - 0.1)),
             first_deg=math.floor(20.0 * own[6]) / 100,
@@ -246,7 +246,7 @@ class Rotor:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _turn(elapsed_ns: IntArray, span_ns: int, deg_per_ns: float, start_deg: float, out: Array) -> None:
-    """Fill angles (n,); the remainder is exact, like that of `%`, for whole turns and their differences are."""
+    """Fill angles (n,); the remainder is exact, like that of `%`, as whole turns and their differences are."""
     for i in range(out.shape[0]):
         angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
         angle_deg -= 360.0 * math.floor(angle_deg / 360.0)
@@ -255,7 +255,7 @@ def _turn(elapsed_ns: IntArray, span_ns: int, deg_per_ns: float, start_deg: floa
 
 @numba.njit(cache=True, nogil=True)
 def _swung(elapsed_ns: IntArray, amplitude_ns: Array, period_ns: Array, phase_rad: Array) -> IntArray:
-    """Turn times (n,) into those at which a motor of even speed is where this one is; nothing at 0."""
+    """Return times (n,) at which a motor of even speed is where this one is; 0 stays."""
     out = np.empty_like(elapsed_ns)
     last, at_ns, further_ns = np.int64(np.iinfo(np.int64).min), 0.0, 0.0
     for i in range(elapsed_ns.shape[0]):

@@ -29,7 +29,6 @@ _PRESETS: dict[str, dict[str, object]] = {
 
 
 def _of_a_host(address: str) -> str:
-    """Refuse what a sensor cannot be set to."""
     try:
         known = IPv4Address(address)
     except ValueError:
@@ -43,7 +42,7 @@ Address = Annotated[str, AfterValidator(_of_a_host)]
 
 
 class Lidar(Preset):
-    """What all lidars have in common."""
+    """Keys that all lidars have in common."""
 
     seed: Seed | None = None
     """Seed of the errors of this sensor, and of the GPS receiver and inertial unit beside it; the scene's seed if not set."""
@@ -68,8 +67,6 @@ class Lidar(Preset):
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
     """White error of each azimuth reading, one sigma; with an encoder of lines, of when a line is seen, spread evenly: within 2.304 us,
     the period of a firing, it is 0.0024 at 600 rpm. 0 switches it off."""
-    azimuth_noise_limit_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.1
-    """At which that error of an even encoder is cut."""
     encoder_pitch_deg: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
     encoder."""
@@ -186,12 +183,12 @@ AnySensor = Annotated[Sensor | FreeSensor, OneOf(Lidar, "sensors", "model", "vlp
 
 
 def on_the_wire(sensor: Sensor | FreeSensor) -> Sensor:
-    """Hand on a sensor that has packets.
+    """Return a sensor that has packets.
 
     Raises
     ------
     ScenarioError
-        where it has none
+        If it has none
     """
     if isinstance(sensor, FreeSensor):
         raise ScenarioError(

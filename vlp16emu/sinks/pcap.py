@@ -43,14 +43,14 @@ class PcapResult:
 class PcapSink(PacketSink):
     """Writes data and position packets to a file, stamped with the instants at which they are due.
 
-    Each record goes to the operating system by a write of its own, so that what a killed program leaves, as
-    NAME.part, is readable up to the last whole packet. Closing cuts off what a failed write has left of a record,
-    and keeps the packets, also after an error; where there is none after an error, no file is left.
+    Each record goes to the operating system in one write, so a killed program leaves a file NAME.xxxxxxxx.part that can be
+    read to its last whole packet. So does an error other than `KeyboardInterrupt`: the file stays under that name
+    and ends with a whole packet, and the earlier file NAME is as it was. No file is left without packets.
 
     Parameters
     ----------
-    path : as `OutputFile` takes it; an existing file is replaced
-    links : of each unit
+    path : as for `OutputFile`; an existing file is replaced when this one is whole
+    links : addresses and ports of each unit
 
     Raises
     ------
@@ -63,7 +63,7 @@ class PcapSink(PacketSink):
         self._is_stdout = path == STDOUT
         self._links = links
         self._sent = Counter[PacketKind]()
-        self._bytes = 0
+        self._bytes, self._failed = 0, False
         self._hash = hashlib.sha256()
         self._output = OutputFile(path, buffering=0)
         self._file = self._output.file
@@ -73,12 +73,15 @@ class PcapSink(PacketSink):
             self._output.discard()
             raise
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, *raised: object) -> None:
+        error = raised[1] if raised else None
         if not self._is_stdout:  # which may hold more than what is ours
             with suppress(OSError):  # a pipe or a device has no end that could be cut
                 os.ftruncate(self._file.fileno(), self._bytes)
-        if error[1] is None or self._sent:
+        if not self._failed and (error is None or (self._sent and isinstance(error, KeyboardInterrupt))):
             self._output.keep()
+        elif self._sent:
+            self._output.leave()
         self._output.discard()
 
     def send(self, packet: Packet) -> None:
@@ -86,7 +89,7 @@ class PcapSink(PacketSink):
 
         Raises
         ------
-        RunError : If the disk is full or the device gone; the packets before this one are kept.
+        RunError : If the disk is full or the device gone; it names the file with the packets before this one.
         ValueError : If the packet is NMEA, which travels by serial line and not by Ethernet.
         """
         frame = self._frame(packet)
@@ -119,10 +122,10 @@ class PcapSink(PacketSink):
             while written < len(record):  # a full disk takes what fits and refuses only the next byte
                 written += self._file.write(record[written:])
         except OSError as error:
+            self._failed = True
             name, sent = "standard output" if self._is_stdout else self.path, self._sent.total()
-            raise RunError(
-                f"{name}: {error.strerror} at packet {sent + 1}; the {sent} packets before it are kept"
-            ) from error
+            kept = f"the {sent} packets before it are in {self._output.place}" if sent else "no file is written"
+            raise RunError(f"{name}: {error.strerror} at packet {sent + 1}; {kept}") from error
         self._hash.update(record)
         self._bytes += len(record)
 

@@ -186,7 +186,7 @@ class HallSite:
 
     name, origin_m, obstacles = "flat", (0.0, 0.0, 0.0), None
 
-    def __init__(self, section: Hall) -> None:
+    def __init__(self, section: Hall, _seed: int) -> None:  # nothing of a hall is random
         self._section, self._hall = section, HallWorld(section)
         self.height_m = self._hall.height_m
 

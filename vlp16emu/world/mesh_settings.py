@@ -35,7 +35,7 @@ class PartFinish(Section):
 
     @property
     def brightness(self) -> float | None:
-        """How bright it is at right angles, of a white Lambertian surface; None where none is given."""
+        """Reflectance at normal incidence, relative to a white Lambertian surface; None if none is given."""
         if self.retroreflection_cd_lx_m2 is None:
             return self.reflectance
         return math.pi * self.retroreflection_cd_lx_m2  # a white Lambertian surface has 1 / pi
@@ -49,13 +49,13 @@ class Finish(PartFinish):
 
     @property
     def brightness(self) -> float:
-        """How bright it is at right angles, of a white Lambertian surface: above 1 a retroreflector."""
+        """Reflectance at normal incidence, relative to a white Lambertian surface; above 1 for a retroreflector."""
         given = super().brightness
         return self.reflectance if given is None else given
 
 
 class MeshPart(PartFinish):
-    """What one part of a mesh file is, where it differs from the rest."""
+    """Labels and finish of one part of a mesh file that differs from the rest."""
 
     name: str
     """Name of the object or group (OBJ) or node (GLB)."""
@@ -66,7 +66,7 @@ class MeshPart(PartFinish):
 
 
 class MeshPlace(Section):
-    """Where a mesh stands."""
+    """Place and pose of a mesh in the world."""
 
     x_m: Place
     """Position east."""
@@ -94,7 +94,7 @@ class MeshSource(Section):
 
 
 class ModelPart(Section):
-    """What one part of the file of a tree is."""
+    """Label of one part of the file of a tree."""
 
     name: str
     """Name of the object or group (OBJ) or node (GLB)."""

@@ -17,24 +17,24 @@ class WorldSection(Section):
 
     has_trees: ClassVar[bool] = False
     """Whether wind moves something in it."""
+    site_door: ClassVar[str]
+    """Name in `doors.DOORS` of what `site` makes; a section of another package overrides `site`."""
     if TYPE_CHECKING:
         kind: str
-        meshes: list[MeshFile]
 
-    @property
-    def own_seed(self) -> int | None:
-        """Seed that the section names; None for that of the scene."""
-        return None
+    meshes: list[MeshFile] = Field(default_factory=list)
+    """The user's own things; they may lie anywhere."""
 
     def site(self, seed: int) -> Site:
-        """Return its ground, on which the path and then the world are made.
+        """Return the ground, on which the path and then the world are made.
 
         Raises
         ------
         GeometryError
             If it cannot be made as it is written
         """
-        raise NotImplementedError
+        site: Site = door(self.site_door)(self, seed)
+        return site
 
 
 class Wind(Section):
@@ -55,22 +55,25 @@ class Wind(Section):
     0.08 (Moore and Maguire, Trees 19, 2005)."""
 
 
-class HallBox(Finish):
-    """An upright box."""
+class HallThing(Finish):
+    """Something of known shape."""
 
     name: str
     """Name in reports."""
+
+
+class HallBox(HallThing):
+    """An upright box."""
+
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
     """x, y and z of the centre."""
     size_m: Annotated[tuple[Size, Size, Size], Field(strict=False)]
     """Extent along x, y and z."""
 
 
-class HallPole(Finish):
+class HallPole(HallThing):
     """An upright round pole."""
 
-    name: str
-    """Name in reports."""
     foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
     """x, y and z of the middle of the lower end."""
     diameter_m: Size
@@ -79,11 +82,9 @@ class HallPole(Finish):
     """Height over the foot."""
 
 
-class HallSphere(Finish):
+class HallSphere(HallThing):
     """A ball."""
 
-    name: str
-    """Name in reports."""
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
     """x, y and z of the centre."""
     diameter_m: Size
@@ -92,6 +93,8 @@ class HallSphere(Finish):
 
 class Hall(WorldSection):
     """A closed room of known size, centred on the origin, floor at z = 0, with things in it."""
+
+    site_door = "hall_site"
 
     kind: Literal["hall"]
     """Selects a hall of known shapes."""
@@ -115,10 +118,3 @@ class Hall(WorldSection):
     """Upright round poles."""
     spheres: list[HallSphere] = Field(default_factory=list)
     """Balls."""
-    meshes: list[MeshFile] = Field(default_factory=list)
-    """The user's own things; unlike the others they may lie anywhere."""
-
-    def site(self, seed: int) -> Site:  # noqa: ARG002  # nothing of a hall is random
-        """Return the floor of the hall."""
-        site: Site = door("hall_site")(self)
-        return site

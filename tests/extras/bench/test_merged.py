@@ -57,7 +57,7 @@ def test_a_hundred_settings_are_two_changes(bench):
         bench.device.change(lambda settings, n=number: replace(settings, rpm=300 + 60 * (n % 10 + 1), fov_deg=(n, 350)))
     bench.device.change(lambda settings: replace(settings, return_mode=ReturnMode.DUAL))
     assert len(bench.stream.changes) == 1
-    bench.stream.made_until_ns += S_NS
+    bench.stream.made_until_ns += 2 * S_NS
     assert bench.stream.changed.acquire(timeout=60)
     first, second = bench.feed.begun[-1].scenario.events
     assert (first.kind, first.rpm, second.kind) == ("setting", 300, "setting")
@@ -72,7 +72,7 @@ def test_a_restart_among_settings_loses_those_before_it(bench):
     bench.device.change(lambda settings: replace(settings, rpm=1200))
     bench.device.restart()
     bench.device.change(lambda settings: replace(settings, laser_on=False))
-    bench.stream.made_until_ns += S_NS
+    bench.stream.made_until_ns += 2 * S_NS
     assert bench.stream.changed.acquire(timeout=60)
     _, lost, setting = bench.feed.begun[-1].scenario.events
     assert (lost.kind, setting.kind, setting.at_s) == ("power_cycle", "setting", lost.at_s + lost.off_s)

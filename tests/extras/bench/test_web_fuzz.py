@@ -119,38 +119,6 @@ def test_any_form_sets_what_it_may_and_nothing_else(web, ask, path, pairs, odd):
         assert shown(after, place, key) == wanted
 
 
-@MANY
-@given(
-    method=st.sampled_from(["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "X-Y"]),
-    path=st.one_of(
-        st.sampled_from([*DOCUMENTS, *FORMS, "/", "/cgi/save", "/cgi/nothing"]),
-        PLAIN.map(lambda text: f"/{text}"),
-        st.lists(st.sampled_from(["..", "cgi", "settings.json", "%2e", "etc", "", "."])).map(
-            lambda names: f"/{'/'.join(names)}"
-        ),
-    ),
-    query=st.sampled_from(["", "?", "?_=1", "?a=b?c"]),
-    body=st.one_of(st.none(), st.binary(max_size=5000)),
-    header=st.sampled_from(
-        [{}, {"Connection": "keep-alive"}, {"Expect": "x"}, {"Accept": "image/png"}, {"Range": "bytes=0-1"}]
-    ),
-)
-def test_any_method_and_path_has_its_status(web, ask, method, path, query, body, header):
-    """Unknown paths are 404, wrong methods 405, long bodies 413; what is there is there for GET and HEAD alone."""
-    status, said = ask(method, path + query, body, header)
-    path = path.partition("?")[0]
-    takes = {"GET", "HEAD"} if path in {*DOCUMENTS, "/"} else {"POST"} if path in {*FORMS, "/cgi/save"} else None
-    if body is not None and len(body) > 4096:
-        assert status == 413
-    elif takes is None:
-        assert status == 404
-    elif method not in takes:
-        assert status == 405
-    else:
-        assert status in ((200, 204) if method == "POST" else (200,))
-        assert method == "POST" or bool(said) == (method == "GET")
-
-
 TOKENS = st.sampled_from(
     [b"GET ", b"POST ", b"/cgi/setting", b"/cgi/settings.json", b" HTTP/1.1", b" HTTP/1.0", b" HTTP/9", b"\r\n", b"\n",
      b"Host: 127.0.0.1\r\n", b"Host: evil\r\n", b"Content-Length: 7\r\n", b"Content-Length: 99999999999\r\n",

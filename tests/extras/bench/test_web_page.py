@@ -1,122 +1,61 @@
 """The page at `/` in a browser: it shows the sensor's state, and its form sets it."""
 
-import json
-import os
 import shutil
-import subprocess
 from dataclasses import replace
 
 import pytest
 
 from vlp16emu.extras.bench.web import HttpFault
 
-pytestmark = pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
-WITHIN_MS = 10_000
-
-
-class Browser:
-    """Headless Chromium, steered through a pair of pipes by its DevTools protocol."""
-
-    def __init__(self, folder):
-        down_read, self._down = os.pipe()
-        self._up, up_write = os.pipe()
-        options = [
-            "--headless=new",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-dev-shm-usage",
-            "--remote-debugging-pipe",
-            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--no-first-run",
-            "--window-size=1000,900",
-            f"--user-data-dir={folder}",
-            "about:blank",
-        ]
-        script = f'exec chromium "$@" 3<&{down_read} 4>&{up_write}'  # where it looks for them
-        self._program = subprocess.Popen(
-            ["bash", "-c", script, "chromium", *options],
-            pass_fds=(down_read, up_write),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "HOME": str(folder)},
-        )
-        os.close(down_read)
-        os.close(up_write)
-        self._number, self._session, self._received = 0, None, b""
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-
-    def call(self, method, **parameters):
-        """Send a command, and wait for its result."""
-        self._number += 1
-        command = {"id": self._number, "method": method, "params": parameters}
-        if self._session:
-            command["sessionId"] = self._session
-        os.write(self._down, json.dumps(command).encode() + b"\0")
-        while (message := self._message()).get("id") != self._number:
-            pass
-        assert "error" not in message, message
-        return message["result"]
-
-    def _message(self):
-        while b"\0" not in self._received:
-            part = os.read(self._up, 1 << 20)
-            assert part, "chromium has ended"
-            self._received += part
-        text, _, self._received = self._received.partition(b"\0")
-        return json.loads(text)
-
-    def run(self, script):
-        """Run JavaScript in the page, and wait for the value of its promise."""
-        result = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in result, result["exceptionDetails"]
-        return result["result"].get("value")
-
-    def wait(self, condition):
-        """Wait until a condition holds in the page."""
-        seen = f"""new Promise((done, failed) => {{
-            const begin = Date.now(), look = () => {condition} ? done(true)
-                : Date.now() - begin > {WITHIN_MS} ? failed(new Error(document.body.innerText)) : setTimeout(look, 20);
-            look();
-        }})"""
-        assert self.run(seen)
-
-    def text(self, name):
-        """Read the text of an element."""
-        return self.run(f"document.getElementById('{name}').textContent")
-
-    def type(self, selector, value):
-        """Put a value into a field, as typing does."""
-        self.run(
-            f"""{{ const field = document.querySelector({json.dumps(selector)});
-            field.value = {json.dumps(value)}; field.dispatchEvent(new Event("input", {{bubbles: true}})); }}"""
-        )
-
-    def close(self):
-        """End the browser."""
-        for end in (self._down, self._up):
-            os.close(end)
-        self._program.terminate()
-        self._program.wait(10)
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+LOOKS = 3000
+"""At the page, 20 ms apart."""
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    started = Browser(tmp_path_factory.mktemp("chromium"))
-    yield started
-    started.close()
+def browser():
+    with (
+        sync_api.sync_playwright() as playwright,
+        playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"]) as started,
+    ):
+        yield started
+
+
+class Page:
+    """The page of a sensor, once it shows values."""
+
+    def __init__(self, browser, address):
+        self._page = browser.new_page()
+        self._page.goto("http://{}:{}/".format(*address))
+        self.wait("typeof at == 'function' && at('link').textContent == 'connected'")
+        self.run, self.click, self.close = self._page.evaluate, self._page.click, self._page.close
+
+    def type(self, selector, value):
+        """Put a value into a field, as typing does."""
+        put = "(field, value) => { field.value = value; field.dispatchEvent(new Event('input', {bubbles: true})); }"
+        self._page.eval_on_selector(selector, put, value)
+
+    def wait(self, condition):
+        """Wait until a condition holds in the page, whose policy forbids scripts that watch it."""
+        for _ in range(LOOKS):
+            if self._page.evaluate(condition):
+                return
+            self._page.wait_for_timeout(20)
+        pytest.fail(self._page.inner_text("body"))
+
+    def text(self, name):
+        """Read the text of an element."""
+        return self._page.text_content(f"#{name}")
 
 
 @pytest.fixture
 def page(web, browser):
-    """The page of a sensor, once it shows values."""
-    browser.call("Page.navigate", url="http://{}:{}/".format(*web.address))
-    browser.wait("typeof at == 'function' && at('link').textContent == 'connected'")
-    yield browser
-    browser.call("Page.navigate", url="about:blank")
+    opened = Page(browser, web.address)
+    yield opened
+    opened.close()
 
 
 def test_the_page_shows_the_state(web, page):
@@ -149,7 +88,7 @@ def test_the_page_shows_the_state(web, page):
 def test_the_form_sets_the_speed_and_the_number_follows(web, page):
     """A speed that is set reaches the stream, and the number goes there by steps."""
     page.type("[name=rpm]", "900")
-    page.run("document.querySelector('[type=submit]').click()")
+    page.click("[type=submit]")
     page.wait("at('rpm').textContent > 600 && at('rpm').textContent < 900")
     page.wait("at('rpm').textContent == 900")
     assert web.engine.settings.rpm == 900
@@ -166,7 +105,7 @@ def test_the_form_sends_what_was_changed(web, page):
     }  # fmt: skip
     for selector, value in values.items():
         page.type(selector, value)
-    page.run("document.querySelector('[type=submit]').click()")
+    page.click("[type=submit]")
     page.wait("at('said').textContent.startsWith('Set.')")
     made = web.engine.settings
     assert (made.return_mode, made.laser_on, made.fov_deg) == ("dual", False, (350, 10))
@@ -179,7 +118,7 @@ def test_the_form_sends_what_was_changed(web, page):
 def test_a_refused_value_is_shown_with_its_reason(web, page):
     """What the sensor does not take is said in the page, and stays marked."""
     page.type("[data-path='/cgi/setting/host'] [name=addr]", "0.0.0.0")
-    page.run("document.querySelector('[type=submit]').click()")
+    page.click("[type=submit]")
     page.wait("at('said').textContent.startsWith('addr: found')")
     assert "expected the IPv4 address of a host" in page.text("said")
     assert page.run("document.querySelectorAll('.changed').length") == 1
@@ -190,10 +129,10 @@ def test_save_and_reset_are_buttons(web, page):
     """What is saved by one button is there after the other; what was set since is not."""
     web.client.post("/cgi/setting", "rpm=300")
     page.wait("document.querySelector('[name=rpm]').value == 300")  # set from elsewhere, and shown
-    page.run("at('save').click()")
+    page.click("#save")
     page.wait("at('said').textContent == 'Saved.'")
     web.client.post("/cgi/setting", "rpm=1200")
-    page.run("at('reset').click()")
+    page.click("#reset")
     page.wait("at('said').textContent == 'The sensor starts again.'")
     assert [settings.rpm for settings in web.engine.resets] == [300]
     page.wait("document.querySelector('[name=rpm]').value == 300")

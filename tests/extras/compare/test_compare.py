@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.errors import CaptureError
+from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.compare import compared, fitted, read_sequences, statistics_of
+from vlp16emu.packets import DATA_PAYLOAD
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 
@@ -123,6 +124,34 @@ def test_the_level_of_no_returns_comes_back(recorded):
     level = {"noise.no_return_level": 14.0, "noise.no_return_wander": 0.5}
     noise = fitted(recorded("silent", UNIT | SHORT_SIGHTED | level))["noise"]
     assert noise["no_return_level"] == pytest.approx(14.0, rel=0.4)
+
+
+def turning(path, rpm):
+    """Capture of 200 packets without returns of a rotor at some speed."""
+    payload = np.zeros(200, DATA_PAYLOAD)
+    turned_cdeg = np.arange(200 * 12) * 110.592e-6 * rpm * 600
+    payload["blocks"]["flag"], payload["return_mode"], payload["factory"] = 0xEEFF, 0x37, 0x22
+    payload["blocks"]["azimuth_cdeg"] = turned_cdeg.reshape(200, 12) % 36_000
+    payload["timestamp_us"] = np.arange(200) * 1327.104
+    with PcapSink(path) as sink:
+        for i, data in enumerate(payload):
+            sink.send(Packet(PacketKind.DATA, i * 1_327_104, data.tobytes()))
+    return path
+
+
+@pytest.mark.parametrize("rpm", [0, 20, 1860])
+def test_a_rotor_that_no_vlp16_can_have_is_refused(tmp_path, rpm):
+    """The manual (63-9243 Rev D, section 8.3) has 300 to 1200 rpm: a rotor that stands or runs up is one line."""
+    with pytest.raises(CaptureError, match=r"a rotor at .* rpm; expected 300 to 1200 rpm"):
+        read_sequences(turning(tmp_path / "a.pcap", rpm))
+
+
+def test_a_speed_between_those_that_can_be_set_is_compared_but_not_fitted(tmp_path):
+    """580 rpm is no multiple of 60: `compare` measures it, 3.3 % off, and `fit` says why no setting makes it."""
+    sequences = read_sequences(turning(tmp_path / "a.pcap", 580))
+    assert statistics_of(sequences)["rotation.speed_off_percent"] == pytest.approx(10 / 3, rel=1e-3)
+    with pytest.raises(InputError, match=r"a mean speed of 580.0 rpm; expected a multiple of 60 rpm"):
+        fitted(sequences)
 
 
 def test_what_is_too_short_is_refused(tmp_path):

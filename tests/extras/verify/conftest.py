@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vlp16emu.extras.verify import verify_capture
+from vlp16emu.extras.verify import verify
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.packets.layout import DATA_PAYLOAD
 
@@ -71,7 +71,7 @@ class Traffic:
 
     def verified(self, **how):
         """Check a capture of it."""
-        return verify_capture(self.save(self.folder / "made.pcap"), **how)
+        return verify(self.save(self.folder / "made.pcap"), **how)
 
 
 def data_frames(seconds, rpm, *, dual):

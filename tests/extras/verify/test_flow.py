@@ -2,13 +2,12 @@
 
 import functools
 import operator
-import struct
 import tracemalloc
 
 import pytest
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.extras.verify import Rule, verify_capture
+from vlp16emu.extras.verify import Rule, verify
 
 HOUR_US = 3_600_000_000
 
@@ -106,14 +105,6 @@ def test_old_sentence_is_found_only_while_locked(traffic):
         assert {finding.packet for finding in result.findings} == {i + 1}
 
 
-def test_sensor_without_gps_is_clean(traffic):
-    """No pulse and no sentence break no rule."""
-    made = traffic(0.5)
-    for i in made.position():
-        made.write_position(i, 202, bytes(310))
-    assert made.verified().is_clean
-
-
 @pytest.mark.parametrize(
     ("text", "void", "notes"),
     [
@@ -186,25 +177,11 @@ def test_all_findings_are_counted_and_the_first_ones_kept(traffic):
     assert str(result.findings[0]) == f"packet {broken[0] + 1}: flag: 0000 at block 0; expected ffee"
 
 
-def test_other_traffic_is_left_alone(traffic):
-    """A name query and an ARP frame between the packets are counted as others and move the numbers on."""
-    made = traffic(0.5)
-    query = bytearray(made.frames[0][:42] + bytes(30))
-    query[34:42] = struct.pack(">4H", 40_000, 53, 38, 0)
-    arp = bytearray(made.frames[0][:12] + b"\x08\x06" + bytes(28))
-    made.frames[:0], made.stamps_us[:0] = [query, arp], made.stamps_us[:1] * 2
-    i = made.data(100)
-    made.payload(i)[0]["blocks"]["flag"][0] = 0
-    result = made.verified()
-    assert result.other_frames == 2
-    assert [f.packet for f in result.findings] == [i + 1]
-
-
 def test_cut_file_is_reported_and_checked_up_to_there(tmp_path, traffic):
     """A file that ends within a packet is no broken traffic, but the result says that it is cut."""
     path = traffic(0.5).save(tmp_path / "cut.pcap")
     path.write_bytes(path.read_bytes()[:-100])
-    result = verify_capture(path)
+    result = verify(path)
     assert (result.is_cut, result.is_clean) == (True, True)
 
 
@@ -222,7 +199,7 @@ def test_memory_does_not_grow_with_the_capture(tmp_path, traffic):
     for name, seconds in (("short", 1.25), ("long", 5.0)):
         path = traffic(seconds).save(tmp_path / name)
         tracemalloc.start()
-        verify_capture(path)
+        verify(path)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.1 * peaks[0]

@@ -1,15 +1,140 @@
-"""A stand of given trees."""
+"""Lists of measured stems, and a stand of them."""
 
 import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.given.given_stand import GivenStand
+from vlp16emu.forest.given.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.plants.flora import flora, species_table
+from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
 from vlp16emu.forest.stand.settings import Plot
+from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.world.polyline import Corridor
 
-HEADER = "x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg\n"
+LIST = """\
+x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg,remark
+1.5,2.5,norway_spruce,30,25,10,4.5,2,90,old
+-3,4,silver_birch,20.5,21,8,4,,,
+10,-7.25,norway_spruce,40,28,,,0,0,forked
+"""
+NO_ORIGIN = (0.0, 0.0, 0.0)
+
+
+def read(tmp_path, text=LIST, origin_m=NO_ORIGIN):
+    path = tmp_path / "stems.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_stem_list(path, species_table(), origin_m)
+
+
+def test_a_list_is_read_as_it_stands(tmp_path):
+    """Place, species, diameter, height, crown and lean come from the list, in its order; other columns are ignored."""
+    trees, table = read(tmp_path), species_table()
+    assert trees["x_m"].tolist() == [1.5, -3, 10]
+    assert trees["y_m"].tolist() == [2.5, 4, -7.25]
+    names = ["norway_spruce", "silver_birch", "norway_spruce"]
+    assert trees["species"].tolist() == [table[name].number for name in names]
+    assert trees["dbh_m"] == pytest.approx([0.30, 0.205, 0.40])
+    assert trees["height_m"].tolist() == [25, 21, 28]
+    assert trees["crown_base_m"][:2].tolist() == [10, 8]
+    assert trees["crown_width_m"][:2].tolist() == [4.5, 4]
+    assert trees["lean_deg"].tolist() == [2, 0, 0]
+    assert trees["lean_towards_deg"].tolist() == [0, 0, 90]  # azimuth 90 is east
+    assert trees["list_line"].tolist() == [2, 3, 4]
+
+
+@pytest.mark.parametrize("name", ["Picea abies", "norway spruce", "Norway-Spruce", " NORWAY_SPRUCE "])
+def test_species_have_their_names_in_any_spelling(tmp_path, name):
+    """The name of the table is found with any case and any space, and so is the scientific one."""
+    (number,) = read(tmp_path, f"x,y,species,dbh_cm,height_m\n1,2,{name},30,25\n")["species"].tolist()
+    assert number == species_table()["norway_spruce"].number
+
+
+def test_diameters_in_millimetres_are_refused(tmp_path):
+    """A list whose middle tree is less than 12 times as high as thick is one of millimetres; a single such tree is not."""
+    rows = "x,y,species,dbh_cm,height_m\n1,2,silver_birch,{},21\n5,2,silver_birch,{},22\n9,2,silver_birch,{},20\n"
+    message = "line 4, column dbh_cm: found 222 cm at a height of 20 m; half of all trees are less than 10 times"
+    with pytest.raises(GeometryError, match=message):
+        read(tmp_path, rows.format(205, 210, 222))
+    assert read(tmp_path, rows.format(20.5, 210, 22.2))["dbh_m"].max() == 2.1
+
+
+def test_the_origin_moves_the_map_into_the_scene(tmp_path):
+    """Easting and northing of the origin are taken off the places."""
+    trees = read(tmp_path, origin_m=(1.0, 2.0, 300.0))
+    assert trees["x_m"].tolist() == [0.5, -4, 9]
+    assert trees["y_m"].tolist() == [0.5, 2, -9.25]
+
+
+def test_an_inventory_is_a_stem_list(tmp_path):
+    """The inventory that we write of some trees is read back as the same trees, to half its last decimal."""
+    trees = np.zeros(2, INVENTORY)
+    for name in INVENTORY.names:
+        trees[name] = [1.25, 2.5]
+    trees["species"] = [species_table()[name].number for name in ("european_beech", "scots_pine")]
+    trees["height_m"], trees["lean_towards_deg"] = [20.0, 30.0], [200.0, 45.0]
+    with (tmp_path / "inventory.csv").open("wb") as file:
+        write_csv(file, trees)
+    back = read_stem_list(tmp_path / "inventory.csv", species_table(), NO_ORIGIN)
+    for name in set(INVENTORY.names) & set(TREE.names) - {"id", "z_m", "list_line"}:
+        assert back[name] == pytest.approx(trees[name], abs=1e-4)
+
+
+def test_missing_crowns_follow_the_species(tmp_path):
+    """An empty crown cell is filled by the species' equations, with the thickest fifth of the list as top height."""
+    tree, spruce = read(tmp_path)[2], species_table()["norway_spruce"]
+    dbh_cm, height_m = np.array([40.0]), np.array([28.0])
+    assert tree["crown_width_m"] == spruce.crown_width_m(dbh_cm)[0]
+    assert tree["crown_base_m"] == spruce.crown_base_m(dbh_cm, height_m, 28.0)[0]
+
+
+def test_missing_heights_follow_the_measured_ones(tmp_path):
+    """An empty height lies on the species' curve through the mean diameter and height of its measured trees."""
+    rows = [f"{10 * i},0,silver_birch,{dbh},{h}" for i, (dbh, h) in enumerate([(20, 18), (26, 22), (31, "")])]
+    trees = read(tmp_path, "\n".join(["x,y,species,dbh_cm,height_m", *rows]))
+    birch = species_table()["silver_birch"]
+    assert trees["height_m"][:2].tolist() == [18, 22]
+    expected = birch.height_m(np.array([31.0]), np.sqrt((20**2 + 26**2) / 2), 20.0)[0]
+    assert trees["height_m"][2] == pytest.approx(expected, abs=1e-9)
+    assert 20.5 < expected < 22
+
+
+HEADER = "x,y,species,dbh_cm,height_m,crown_base_m\n"
+GOOD = "1,2,silver_birch,20,18,9\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x,y,species,height_m\n", "line 1: no column dbh_cm or dbh_m; expected it among x, y, species, height_m"),
+        ("x,y,dbh_cm,height_m\n", "line 1: no column species"),
+        (HEADER, "no tree below line 1"),
+        ("x,y,species,dbh_cm,height_m,lean_azimuth_deg,lean_towards_deg\n", "line 1: found lean_azimuth_deg and lean_towards_deg; expected one of them"),
+        (HEADER + GOOD + "\n1,9,silver_brich,20,18,9\n", "line 4, column species: unknown species 'silver_brich'; expected silver_birch, the nearest"),
+        (HEADER + GOOD + "1,9,palm,20,18,9\n", "line 3, column species: unknown species 'palm'; expected one of silver_birch"),
+        (HEADER + "1,2,silver_birch,-20,18,9\n", "line 2, column dbh_cm: found -20; expected a number from 1 to 500"),
+        (HEADER + "1,2,silver_birch,20,180,9\n", "line 2, column height_m: found 180; expected a number from 2 to 130"),
+        (HEADER + "1,2,silver_birch,20,18,18\n", "line 2, column crown_base_m: found 18; expected less than the height, 18"),
+        (HEADER + GOOD + "5,5,silver_birch,20,18,9\n1.01,2,silver_birch,30,20,9\n", r"line 4: the place of line 2, \(1.01, 2\) m"),
+        (HEADER + "1,2,silver_birch,20,,9\n", "height_m: no tree of silver_birch has a height; expected one at least"),
+    ],
+)  # fmt: skip
+def test_a_bad_list_is_refused_in_one_line(tmp_path, text, message):
+    """What is wrong with a list is told with file, line and column, what was found and what was expected."""
+    with pytest.raises(GeometryError, match=f"stems.csv[:,] {message}"):
+        read(tmp_path, text)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    """A spreadsheet's own file, and a file that is not there, are refused by name."""
+    path = tmp_path / "stems.csv"
+    with pytest.raises(GeometryError, match=r"stems.csv: no such file or directory; expected a stem list"):
+        read_stem_list(path, species_table(), NO_ORIGIN)
+    path.write_bytes(b"PK\x03\x04\xff\xfe")
+    with pytest.raises(GeometryError, match=r"stems.csv, line 1: no UTF-8 text"):
+        read_stem_list(path, species_table(), NO_ORIGIN)
+
+
+TREE_HEADER = "x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg\n"
 ROWS = """\
 3,4,silver_birch,20,20,9,4,0,0
 -3,4,norway_spruce,30,25,12,4,0,0
@@ -24,7 +149,7 @@ FAR_AWAY = np.array([[500.0, 500.0], [510.0, 500.0]])
 def make(tmp_path):
     def make_stand(rows=ROWS, path_xy_m=FAR_AWAY, path_clearance_m=0.8, on_conflict="refuse"):
         path = tmp_path / "stems.csv"
-        path.write_text(HEADER + rows, encoding="utf-8")
+        path.write_text(TREE_HEADER + rows, encoding="utf-8")
         return GivenStand(
             Plot(kind="plot", stem_list=str(path), on_conflict=on_conflict),
             seed=1,

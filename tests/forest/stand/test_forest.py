@@ -13,7 +13,7 @@ from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import distance_m
 
-THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=4.0, height_m=5.0)
+THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=5.0, height_m=6.0)
 
 
 def mesh_bytes(meshes):
@@ -221,8 +221,8 @@ def test_tiles_out_of_reach_are_forgotten(make_forest):
         ({"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])}, r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite"),
         ({"path_xy_m": np.array([[0.0, 0.0], [9e4, 9e4]])}, "path_xy_m: spans 90 km x 90 km"),
         (
-            {"stems_per_ha": 2e5, "species": [THIN]},
-            "found 200000 trees and things per hectare; expected at most 125000",
+            {"stems_per_ha": 1.5e5, "species": [THIN]},
+            "found 150000 trees and things per hectare; expected at most 125000",
         ),
     ],
 )

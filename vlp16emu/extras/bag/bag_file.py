@@ -2,14 +2,17 @@
 
 import heapq
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Iterable
+from contextlib import ExitStack
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
+from vlp16emu.output import final_name
 from vlp16emu.units import S_NS
 
 _SUFFIXES = (".mcap", ".bag", "")
@@ -23,11 +26,15 @@ _OWN_TYPES = {
 """Definitions in github.com/ros-drivers/velodyne (velodyne_msgs/msg) and nmea_msgs (msg), and in
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
 _HELD_NS = S_NS
-"""For so long messages wait for earlier ones."""
+"""Time for which messages wait for earlier ones."""
+_FAILURES = (OSError, sqlite3.Error)
+"""Errors of a full disk, the second one in a folder of ROS 2."""
+_NAME = 60
+"""Characters of the name that are part of the temporary folder's."""
 LATEST_NS = (2**31 - 1) * S_NS
 """Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
 _METADATA_VERSION = 8
-"""Of rosbag2: the last one whose quality of service is a text."""
+"""Last version of rosbag2 whose quality of service is a text."""
 
 
 def check_bag(path: Path) -> None:
@@ -36,9 +43,9 @@ def check_bag(path: Path) -> None:
     Raises
     ------
     OutputError
-        where the ending is another, or the folder is there already
+        If the ending is another, or the folder is there already
     MissingExtraError
-        where rosbags is not installed
+        If rosbags is not installed
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES or not path.name:
@@ -61,9 +68,9 @@ class BagFile:
     Raises
     ------
     OutputError
-        where the suffix is another, the folder is there already, or nothing can be written there
+        If the suffix is another, the folder is there already, or nothing can be written there
     MissingExtraError
-        where rosbags is not installed
+        If rosbags is not installed
     """
 
     def __init__(self, path: Path) -> None:
@@ -75,11 +82,16 @@ class BagFile:
         self._store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
         for name, text in _OWN_TYPES.items():
             self._store.register(get_types_from_msg(text, name))
-        try:
-            self._beside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        except OSError as error:
-            raise OutputError(str(path), str(error.strerror), "a place that can be written") from error
-        self._writer = self._opened(self._beside / path.stem, suffix)
+        with ExitStack() as stack:
+            try:
+                self._final = final_name(path)
+                self._beside = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME]}.", dir=self._final.parent))
+                stack.callback(shutil.rmtree, self._beside, ignore_errors=True)
+                self._writer = self._opened(self._beside / path.stem, suffix)
+            except _FAILURES as error:
+                found = getattr(error, "strerror", None) or str(error)
+                raise OutputError(str(path), found, "a place that can be written") from error
+            self._remove = stack.pop_all()
         self._connections: dict[str, Any] = {}
         self._held: list[tuple[int, int, str, Any]] = []
         self._number = count()
@@ -101,11 +113,11 @@ class BagFile:
             if error is None:
                 made = self._beside / self.path.stem
                 made = made / f"{made.name}.mcap" if self.path.suffix.lower() == ".mcap" else made
-                made.replace(self.path)
-        except OSError as failed:
-            raise RunError(f"{self.path}: {failed.strerror}; no bag is written") from failed
+                made.replace(self._final)
+        except _FAILURES as failed:
+            raise self._failed(failed) from failed
         finally:
-            shutil.rmtree(self._beside, ignore_errors=True)
+            self._remove.close()
 
     @staticmethod
     def time(t_ns: int) -> tuple[int, int]:
@@ -125,8 +137,10 @@ class BagFile:
         Raises
         ------
         RunError
-            where the disk is full
+            If the disk is full, or no bag can hold the stamp
         """
+        if not 0 <= t_ns <= LATEST_NS:
+            raise RunError(f"{self.path}: a message at {t_ns / S_NS:.3f} s since 1970 fits no bag; no bag is written")
         heapq.heappush(self._held, (t_ns, next(self._number), topic, self._make(name, fields)))
         self.counts[topic] = self.counts.get(topic, 0) + 1
         first_ns, last_ns = self.span_ns or (t_ns, t_ns)
@@ -135,7 +149,7 @@ class BagFile:
             self._append()
 
     def _make(self, name: str, fields: Iterable[Any]) -> Any:
-        """Make a message, and those within it."""
+        """Return a message with those inside it."""
         from rosbags.interfaces import Nodetype
 
         made = []
@@ -157,8 +171,11 @@ class BagFile:
         serialize = self._store.serialize_ros1 if self.is_ros1 else self._store.serialize_cdr
         try:
             self._writer.write(self._connections[topic], t_ns, serialize(message, name))
-        except OSError as error:
-            raise RunError(f"{self.path}: {error.strerror}; no bag is written") from error
+        except _FAILURES as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> RunError:
+        return RunError(f"{self.path}: {getattr(error, 'strerror', None) or error}; no bag is written")
 
     def _opened(self, made: Path, suffix: str) -> Any:
         """Open the writer of a kind of bag."""
@@ -172,7 +189,7 @@ class BagFile:
         return writer
 
     def _connection(self, topic: str, name: str) -> Any:
-        """Announce a topic: reliable, the last ten; fixed transforms are kept for whoever comes later, as tf2_ros does."""
+        """Announce a topic: reliable, the last ten; fixed transforms are latched, as tf2_ros does."""
         from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
         is_fixed, any_time = topic == "/tf_static", QosTime(0, 0)

@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.errors import CaptureError, InputError, PacketError, readable, spare
+from vlp16emu.errors import InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages
 from vlp16emu.extras.bag.sink import BagSink, TrueSamples
-from vlp16emu.packets import DATA_BYTES, Capture, CapturedUnit, check_stamps, chosen_unit, unit_clocks, units_in
+from vlp16emu.output import spare
+from vlp16emu.packets import DATA_BYTES, Capture, check_stamps, chosen_unit, unit_clocks, units_in
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -30,17 +32,19 @@ Row = tuple[int, list[float]]
 
 @dataclass(frozen=True, slots=True)
 class BagResult:
-    """What a bag holds."""
+    """Contents of a bag."""
 
     file: str
     messages: dict[str, int]
-    """By topic."""
+    """Messages of each topic."""
     duration_s: float
-    """From the first message to the last."""
+    """Time from the first message to the last."""
     clocks: tuple[str, ...]
-    """Of each unit, in the order of their topics: sensor, gps or host."""
+    """Clock of each unit, in the order of their topics: sensor, gps or host."""
     host_ahead_s: tuple[float, ...]
     """Capture stamps less the sensor's clock at the first data packet of each unit."""
+    repeats: int
+    """Packets left out as they came before."""
     interrupted: bool
 
 
@@ -75,24 +79,25 @@ def write_bag(
     """
     spare([capture], out)
     check_bag(out)
-    stop, every = stop or Event(), units_in(capture)
+    stop, every = stop or Event(), units_in(capture, required=True)
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
     check_stamps(capture, clocks, LATEST_NS)
     made = [one.make() for one in clocks]
     taken = [every.index(one) for one in units], len(every)
-    with BagSink(
-        out, len(units), lambda number, _: made[number], partial(_truth, truth, taken) if truth else None
-    ) as sink:
-        try:
-            for packet in _packets(capture, units):
-                if stop.is_set():
-                    break
-                sink.send(packet)
-        except PacketError as error:
-            raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
-        if sink.first_ns is None and not stop.is_set():
-            raise CaptureError(str(capture), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
+    truth_of = partial(_truth, truth, taken) if truth else None
+    with (
+        _named(capture),
+        BagSink(out, len(units), lambda number, _: made[number], truth_of) as sink,
+        Capture(capture) as datagrams,
+    ):
+        for datagram in datagrams:
+            if stop.is_set():
+                break
+            of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
+            if of is not None:
+                kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
+                sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
     return BagResult(
         file=str(out),
@@ -100,18 +105,18 @@ def write_bag(
         duration_s=(last_ns - first_ns) / S_NS,
         clocks=tuple(one.clock for one in clocks),
         host_ahead_s=tuple((one.host_ahead_ns or 0) / S_NS for one in made),
+        repeats=datagrams.repeated,
         interrupted=stop.is_set(),
     )
 
 
-def _packets(capture: Path, units: Sequence[CapturedUnit]) -> Iterator[Packet]:
-    """Yield the packets of a capture by their sensors, numbered as its frames."""
-    with Capture(capture) as datagrams:
-        for datagram in datagrams:
-            of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
-            kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
-            if of is not None:
-                yield Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number)
+@contextmanager
+def _named(capture: Path) -> Iterator[None]:
+    """Add the name of the capture to errors of its packets."""
+    try:
+        yield
+    except PacketError as error:
+        raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
 
 
 class _Rows:

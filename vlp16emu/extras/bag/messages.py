@@ -25,7 +25,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 """PointXYZIRT of velodyne_pointcloud (pointcloudXYZIRT.cpp, ros-drivers/velodyne): packed, 22 bytes."""
 _FLOAT32, _UINT16 = 7, 4
-"""Of sensor_msgs/PointField."""
+"""Types of sensor_msgs/PointField."""
 _FIELDS = [
     (name, offset, _FLOAT32 if kind.kind == "f" else _UINT16, 1)
     for name, (kind, offset, *_) in (_POINT.fields or {}).items()
@@ -171,7 +171,7 @@ class TrueMessages:
 
 
 def _placed(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """Give place and quaternion of a rigid transform."""
+    """Return translation and quaternion of a rigid transform."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True) + 0.0  # no -0.0

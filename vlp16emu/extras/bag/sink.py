@@ -14,7 +14,7 @@ from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
 _OFTEN_NS = S_NS // 10
-"""Of simulated time, in which truth is written together."""
+"""Time whose truth is written together."""
 
 
 class TrueSamples(Protocol):
@@ -25,7 +25,7 @@ class TrueSamples(Protocol):
 
 
 TruthOf = Callable[[BagFile, Sequence[str], int], Sequence[tuple[TrueSamples, int]]]
-"""From a bag, the frames of the units and the first pulse to what is true from then on; and for how long after the last packet."""
+"""Makes the truth from the first pulse on, of a bag, the frames of its units and the first pulse; each with its time after the last packet."""
 
 
 class BagSink(PacketSink):
@@ -45,7 +45,7 @@ class BagSink(PacketSink):
     OutputError, MissingExtraError
         as `BagFile`
     RunError
-        where the disk is full: here, or later
+        If the disk is full: here, or later
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class BagSink(PacketSink):
 
     @property
     def result(self) -> PcapResult:
-        """What stands in the bag, once it is closed; sha256 of several files in the order of their names."""
+        """Contents of the closed bag; sha256 of several files in the order of their names."""
         path = self.bag.path
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         return PcapResult(

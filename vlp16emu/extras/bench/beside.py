@@ -25,13 +25,13 @@ _Beat = tuple[int, Packet | Callable[[], Packet]]
 class Beside:
     """Packets of kinds NMEA, PPS and IMU, made in the order of a run and not before their time.
 
-    Raises `ScenarioError` where the scene has no such device.
+    Raises `ScenarioError` if the scene has no such device.
     """
 
     def __init__(self, engine: Engine, kinds: Collection[PacketKind]) -> None:
         scenario, parts = engine.scenario, engine.parts
         if not scenario.gps.connected and not {PacketKind.NMEA, PacketKind.PPS}.isdisjoint(kinds):
-            raise ScenarioError("gps.connected", "found false", "true, where the receiver is to be played")
+            raise ScenarioError("gps.connected", "found false", "true, for a receiver to be played")
         if scenario.imu is None and PacketKind.IMU in kinds:
             raise ScenarioError("imu", "no such table in the scene", "[imu], such as imu.preset=consumer")
         self._start_ns, self._delay_ns = scenario.start_ns, parts.gps.sentence_delay_ns
@@ -39,7 +39,7 @@ class Beside:
         self._rate_hz = scenario.imu.rate_hz if scenario.imu else 0
 
     def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-        """Give packets of a span since the first pulse with what is due in it; of what is due at once they leave first."""
+        """Return packets of a span since the first pulse with what is due in it; of what is due at once they leave first."""
         if not self._kinds:
             return packets
         made = {PacketKind.NMEA: self._sentences, PacketKind.PPS: self._pulses, PacketKind.IMU: self._samples}

@@ -58,7 +58,7 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
 def clock_spans(
     section: Sensor | FreeSensor, events: Sequence[Event], gps: DisturbedGps, start_ns: int
 ) -> tuple[ClockSpan, ...]:
-    """Find how the clock runs: locked to GPS where it can be, otherwise free from where it was, or from power-up.
+    """Find how the clock runs: locked to GPS if it can be, otherwise free from its last reading, or from power-up.
 
     Pulses without sentences pull the part below a second to their edge (63-9243 Rev D, appendix G).
 
@@ -180,7 +180,7 @@ class _Sent:
 
 
 def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stretch, ...]:
-    """Cut a run where return mode, field of view or laser change; without spans where nothing is sent.
+    """Cut a run where return mode, field of view or laser change; without spans in which nothing is sent.
 
     A change takes effect with the next packet of single return, and begins a packet.
     """

@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -18,6 +19,7 @@ from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.bench.events import Event, event
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
+from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import Http
@@ -30,9 +32,9 @@ from vlp16emu.units import S_NS, seconds_to_ns
 _LEAD_NS = 150_000_000
 """Least time from a setting to the first packet that follows it: by then the engine has made that packet anew."""
 _MOST_LEAD_NS = 1_000_000_000
-_MERGED_S = 0.5
+_MERGED_S = 5.0
 """For so long at most what is set waits until the packets of the settings before are made ahead again."""
-_POLL_S = 0.01
+_POLL_S, _WARM_S = 0.01, 0.01
 _STEP_S = 0.001
 """Times of events are rounded up to that."""
 
@@ -93,7 +95,7 @@ class Control:
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
-        self._lead_ns = _LEAD_NS
+        self._lead_ns, self._ahead_ns = _LEAD_NS, 0
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
         """What the web interface of each sensor shows and sets."""
 
@@ -112,7 +114,8 @@ class Control:
         """Let the stream follow what is set; what was saved, sensors have from their first moment on."""
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
-        self._take_up()
+        if self._take_up() is None:
+            self._warm_up()
         thread = threading.Thread(target=self._run, name="settings", daemon=True)
         thread.start()
         try:
@@ -202,6 +205,12 @@ class Control:
             raise OutputError("host.addr", new.host, expected)
         self._sink.redirect(unit, *where[1])
 
+    def _warm_up(self) -> None:
+        """Load what changes need, so that the first one is followed as soon as others."""
+        engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
+        if not takes_poses(self._scenario.motion):
+            deque(engine.packets(0.0, _WARM_S), 0)
+
     def _run(self) -> None:
         """Body of the thread."""
         while self._asked.wait() and not self._over.is_set():
@@ -211,6 +220,7 @@ class Control:
 
     def _take_up(self) -> int | None:
         """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
+        self._ahead_ns = max(self._ahead_ns, self._under_way.made_until_ns - self._under_way.due_in_ns(0))
         from_ns = self._since_ns(self._lead_ns)
         at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
         with self._lock:
@@ -233,13 +243,13 @@ class Control:
 
     def _settle(self, from_ns: int) -> None:
         """Wait until packets of a change are made ahead; if that took longer than they lead, the next ones lead by more."""
-        begin_s = time.monotonic()
-        has_begun = False
+        begin_s, has_begun = time.monotonic(), False
         while (took_s := time.monotonic() - begin_s) < _MERGED_S and not self._over.wait(_POLL_S):
             until_ns = self._under_way.made_until_ns
             if not has_begun and until_ns > from_ns:
                 has_begun, self._lead_ns = True, min(max(_LEAD_NS, round(2 * took_s * S_NS)), _MOST_LEAD_NS)
-            if until_ns >= self._under_way.due_in_ns(self._lead_ns):
+            # A live run is never far ahead.
+            if has_begun and until_ns >= self._under_way.due_in_ns(min(self._lead_ns, self._ahead_ns // 2)):
                 return
 
     def _keys(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:

@@ -21,7 +21,7 @@ _REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
 
 
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
-    """Make `diag.json`: counts of the converters, which follow the state; all zero where a fault has switched the sensor off."""
+    """Make `diag.json`: counts of the converters, which follow the state; all zero if a fault has switched the sensor off."""
 
     def counts(volts: float, period_s: int) -> int:
         return round(volts * _COUNTS_PER_V + 0.8 * _sine(status, period_s))

@@ -58,11 +58,12 @@ class Event(Section):
         return self
 
 
-def _from(kind: type, **bounds: float) -> Any:
+def _from(kind: type, **bounds: Any) -> Any:
     return Annotated[kind, Field(**bounds)]
 
 
-_Sector = Annotated[tuple[_from(int, ge=0, le=359), _from(int, ge=0, le=359)], Field(strict=False)]  # type: ignore[misc]
+_Degree: Any = _from(int, ge=0, le=359)
+_Sector: Any = Annotated[tuple[_Degree, _Degree], Field(strict=False)]
 _LAW = "False: no data packets; position packets go on (63-9243 Rev D, section 10.1.2)."
 _PHASE = "Rotor angle at each UTC second, which the rotor is turned to; `off` lets it run on."
 _COUNT = "Number of packets of a kind, one after the other, that it may befall, in place of `duration_s`."
@@ -173,8 +174,9 @@ def tables() -> TypeAdapter[list[Event]]:
             of, default, meaning = KEYS.get(f"{name}.{key}") or KEYS[key]
             keys[key] = of, Field(default, description=meaning)
         classes.append(create_model(name, __base__=Event, __doc__=kind.meaning, **keys))
-    one = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # as many as the table has
-    return TypeAdapter(Annotated[list[one], Field(max_length=_MOST)])  # type: ignore[valid-type]  # made just now
+    one: Any = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # as many as the table has
+    some: Any = Annotated[list[one], Field(max_length=_MOST)]
+    return TypeAdapter(some)
 
 
 def checked(given: object, scene: dict[str, Any]) -> list[Event]:
@@ -201,6 +203,6 @@ def checked(given: object, scene: dict[str, Any]) -> list[Event]:
     return events
 
 
-def event(kind: str, at_s: float, unit: int, **keys: object) -> Event:
+def event(kind: str, at_s: float, unit: int = 1, **keys: object) -> Event:
     """Return an event of a unit, from 1."""
     return tables().validate_python([{"kind": kind, "at_s": at_s, "unit": unit, **keys}])[0]

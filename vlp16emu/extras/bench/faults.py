@@ -198,7 +198,7 @@ def earliest_ns(faults: Sequence[PacketFault], start_ns: int) -> int:
 def arriving(
     scenario: Scenario, units: Sequence[Unit], streams: Streams, start_ns: int, stop_ns: int
 ) -> Iterator[Packet]:
-    """Return the packets that arrive in a span since the first pulse; those that leave in it, where nothing happens to them."""
+    """Return the packets that arrive in a span since the first pulse; those that leave in it if nothing happens to them."""
     faults = faults_of(scenario, units)
     if not faults:
         return streams(start_ns, stop_ns)

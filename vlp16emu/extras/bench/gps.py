@@ -80,7 +80,7 @@ class DisturbedGps(GpsInput):
         return PpsState.LOCKED
 
     def second_ns(self, t_ns: int) -> int | None:
-        """Whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None where there is no sentence."""
+        """Return the whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None if there is no sentence."""
         if not self.connected:
             return None
         second_ns = (t_ns - self.sentence_delay_ns) // S_NS * S_NS

@@ -51,7 +51,7 @@ class GpsReader:
     Raises
     ------
     OutputError
-        where the port cannot be opened, or has no such line
+        If the port cannot be opened, or has no such line
     """
 
     def __init__(self, gps_in: GpsIn, gps: Gps, powered_for_s: float) -> None:

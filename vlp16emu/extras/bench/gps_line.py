@@ -59,7 +59,7 @@ class GpsLine:
         self._is_bad = False
         self._set_ns: int | None = None
         self.sentence = b""
-        """That came last, with CR and LF; empty before the first."""
+        """Last sentence, with CR and LF; empty before the first."""
 
     def pulse(self, t_ns: int) -> None:
         """Take the rising edge of a pulse.

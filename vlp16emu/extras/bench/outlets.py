@@ -40,7 +40,7 @@ class Ways:
 
     @contextmanager
     def opened(self, imu: Imu | None) -> Iterator[dict[PacketKind, Outlet]]:
-        """Open what there is, and give the way of each kind; `OutputError` where a port or the receiver of samples is none."""
+        """Open what there is, and give the way of each kind; `OutputError` if a port or the receiver of samples is none."""
         ways = dict[PacketKind, Outlet]()
         with ExitStack() as stack:
             if self.gps_out:
@@ -63,7 +63,7 @@ def imu_outlet(to: str, rate_hz: int) -> Outlet:
     Raises
     ------
     OutputError
-        where it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for the rate
+        If it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for the rate
     """
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
@@ -93,7 +93,7 @@ class ImuUdpSink(Outlet):
         self._socket.close()
 
     def send(self, packet: Packet) -> None:
-        """Send one sample; `RunError` where the system cannot send any more."""
+        """Send one sample; `RunError` if the system cannot send any more."""
         try:
             self._bytes += self._socket.sendto(packet.payload, self._to)
         except OSError as error:

@@ -56,7 +56,7 @@ class DeviceSettings:
     Raises
     ------
     pydantic.ValidationError
-        where a value is none that the sensor takes; also from `dataclasses.replace`
+        If a value is none that the sensor takes; also from `dataclasses.replace`
     """
 
     rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
@@ -139,7 +139,7 @@ class Device:
     Raises
     ------
     InputError
-        where the file is none that has been saved
+        If the file is none that has been saved
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class Device:
         self.change(lambda _: self._power_up, restarts=True)
 
     def save(self) -> None:
-        """Keep what is set for the next power-up; `OutputError` or `RunError` where the file cannot be written."""
+        """Keep what is set for the next power-up; `OutputError` or `RunError` if the file cannot be written."""
         with self._lock:
             if self._file is not None:
                 with OutputFile(self._file) as output, output.writing() as file:

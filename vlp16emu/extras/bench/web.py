@@ -19,8 +19,7 @@ from typing import Self
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, Vlp16emuError
-from vlp16emu.extras.bench.documents import document
-from vlp16emu.extras.bench.forms import PATHS, FormError, submit
+from vlp16emu.extras.bench.documents import PATHS, FormError, document, submit
 from vlp16emu.extras.bench.state import Device
 
 MOST_CONNECTIONS = 32
@@ -240,7 +239,7 @@ def _is_foreign(request: _Request, *, is_private: bool) -> bool:
 
 
 async def _request(line: StreamReader) -> _Request | None:
-    """Read a request, and its body as far as it may be long; None where there is no further one."""
+    """Read a request, and its body as far as it may be long; None if there is no further one."""
     head = await line.read(1)
     if not head:
         return None

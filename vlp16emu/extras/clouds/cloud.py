@@ -4,7 +4,7 @@ import shutil
 import tempfile
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -57,7 +57,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class CloudAbout:
-    """What a file says of its points as a whole, if its format has a place for it."""
+    """Metadata of a file of points, for formats that have a place for it."""
 
     comments: tuple[str, ...]
     """Lines for people."""
@@ -70,7 +70,7 @@ class CloudAbout:
 
 
 RETURN_NAMES = ("strongest", "last", "second_strongest")
-"""What the numbers in the column `return_number` mean."""
+"""Meaning of the numbers in the column `return_number`."""
 
 _TIME = Column("t_ns", "<i8", ("t_utc_s",), 9, ("time",), "<f8")
 """UTC as in all outputs of a run: ns since 1970 in .npz, seconds elsewhere, but for LAS, whose GPS time is adjusted by its bit."""
@@ -85,7 +85,7 @@ CAPTURE_COLUMNS = (
     Column("laser", "|u1", ("laser",)),
     Column("is_last", "|b1", ("is_last",)),
 )
-"""Of points of a capture: the arrays of `Points`, UTC, and the sensor's clock from the full hour before the capture on."""
+"""Columns of points of a capture: the arrays of `Points`, UTC, and the sensor's clock from the full hour before the capture on."""
 _AXES = {
     PointFrame.SENSOR: "x forward (azimuth 0), y left, z up",
     PointFrame.MANUAL: "x right, y forward (azimuth 0), z up: the frame of Velodyne's manual",
@@ -115,7 +115,7 @@ SCENE_COLUMNS = (
     Column("laser", "<u2", ("laser",), 0, ("laser",)),
     Column("return_number", "|u1", ("return_number",), 0, ("return_number",)),
 )
-"""Of points of a scene."""
+"""Columns of points of a scene."""
 TRUTH_COLUMNS = (
     Column("semantic", "|u1", ("semantic",), 0, ("semantic",)),
     Column("part", "|u1", ("part",), 0, ("part",)),
@@ -124,7 +124,7 @@ TRUTH_COLUMNS = (
     Column("species", "<u2", ("species",), 0, ("species",)),
     Column("reflectance", "<f4", ("reflectance",), 4, ("reflectance",)),
 )
-"""Of the surface behind each point of a scene."""
+"""Columns of the surface behind each point of a scene."""
 
 
 _VIEWPOINT = Column(
@@ -135,7 +135,7 @@ DESKEWED_COLUMNS = (
     Column("is_last", "|u1", ("is_last",), 0, ("is_last",)),
     _VIEWPOINT,
 )
-"""Of points of a capture that a trajectory places in the world."""
+"""Columns of points of a capture that a trajectory places in the world."""
 LABEL_COLUMNS = (
     Column("label", "|u1", ("label",), 0, ("label",)),
     Column("tree_id", "<u4", ("tree_id",), 0, ("treeID",)),
@@ -289,7 +289,7 @@ class _Npz(PointWriter):
         self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
-        """Put each array behind what there is of it."""
+        """Append each array to its temporary file."""
         for column, waiting in zip(self._columns, self._waiting, strict=True):
             waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
         self.points += len(block[self._columns[0].name])
@@ -325,8 +325,10 @@ _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack
 
 
 @contextmanager
-def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str) -> Iterator[PointWriter]:
-    """Open a file for points in the format that its suffix names; error lines call it `where`.
+def point_file(
+    path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str, inputs: Iterable[Path] = ()
+) -> Iterator[PointWriter]:
+    """Open a file for points in the format that its suffix names; error lines call it `where`; `inputs` are not replaced.
 
     Where the points end with an error, the file holds those that were written before it; where there are none, or
     the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
@@ -335,7 +337,7 @@ def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, wher
     if path.suffix not in _WRITERS and not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
     make = _WRITERS.get(path.suffix) or door(path.suffix, "clouds")
-    with OutputFile(path, where=where) as output:
+    with OutputFile(path, where=where, inputs=inputs) as output:
         failed: Exception | None = None
         with output.writing() as file, ExitStack() as stack:
             writer = make(file, columns, about, stack)

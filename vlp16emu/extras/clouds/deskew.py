@@ -23,6 +23,7 @@ from vlp16emu.extras.clouds.cloud import (
     time_comment,
 )
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
+from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
@@ -37,19 +38,7 @@ _MINUTE_NS = 60 * S_NS
 _PACKETS = 100
 """Placed at once: 38 400 points, some 20 MB."""
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
-"""As the packets have them."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrajectoryErrors:
-    """What lies between a trajectory and the sensor, or is put there on purpose."""
-
-    time_offset_s: float = 0.0
-    """Added to the time of each pulse before its pose is looked up."""
-    mount: tuple[float, float, float, float, float, float] = (0.0,) * 6
-    """Place (x, y, z in m) and turn (roll, pitch, yaw in degrees, as of `[motion.mount]`) of the sensor on the body of the poses."""
-    drift: tuple[float, float, float, float] = (0.0,) * 4
-    """To the east, north and up in m per minute, and counter-clockwise about the first pose in degrees per minute."""
+"""Columns that packets have as they are."""
 
 
 class Trajectory:
@@ -58,7 +47,7 @@ class Trajectory:
     Parameters
     ----------
     path : a TUM file, or a folder with the truth of a run, whose trajectory of a unit is taken
-    unit : of the run, from 1; InputError where the folder has no such truth or unit
+    unit : of the run, from 1; InputError if the folder has no such truth or unit
     errors : put on its poses
     """
 
@@ -103,7 +92,7 @@ class Trajectory:
 
 
 class CaptureTruth:
-    """What each point of a capture lies on, from the truth of its run.
+    """Ground truth of the points of a capture, from the truth folder of its run.
 
     Parameters
     ----------
@@ -121,7 +110,7 @@ class CaptureTruth:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of the points, beside `DESKEWED_COLUMNS`."""
+        """Columns of the points beside `DESKEWED_COLUMNS`."""
         known = {column.name for column in DESKEWED_COLUMNS} | {"reflectance"}
         wanted = TRUTH_COLUMNS + LABEL_COLUMNS * (self._labels is not None)
         return tuple(column for column in wanted if column.name not in known)
@@ -139,7 +128,7 @@ class CaptureTruth:
 
 @dataclass(frozen=True, slots=True)
 class Deskewed:
-    """What a file of points of a capture holds."""
+    """Contents of a file of points of a capture."""
 
     file: str
     capture: str
@@ -148,9 +137,13 @@ class Deskewed:
     without_pose: int
     """Points left out, as the trajectory has no pose at their pulses."""
     truth: bool
-    """Whether points have labels."""
+    """True if points have labels."""
     simulated_s: float
-    """From the first pulse of the capture to the last."""
+    """Time from the first pulse of the capture to the last."""
+    clock: str
+    """Clock of the pulses: sensor, gps or host."""
+    host_ahead_s: float
+    """Capture stamps less the sensor's clock at the first packet."""
     bytes: int
     interrupted: bool
     """Ended by its stop event."""
@@ -170,9 +163,9 @@ def write_deskewed(
     Raises
     ------
     InputError, TrajectoryError
-        where the truth is that of another run, or no pulse has a pose
+        If the truth is of another run, or no pulse has a pose
     CaptureError, PacketError
-        where the capture cannot be read, or is damaged; the file holds the points before
+        If the capture cannot be read, or is damaged; the file holds the points before
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     stamped = packet_clock(capture, known, clock, where="--clock")
@@ -188,7 +181,7 @@ def write_deskewed(
         )
         columns = DESKEWED_COLUMNS + (truth.columns if truth else ())
         points = without_pose = last_ns = 0
-        with point_file(path, columns, about, where=str(path)) as writer:
+        with point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
             for chunk in chain([first], chunks):
                 for block, left_out in _blocks(chunk, way, truth, start_ns):
                     writer.write(block)
@@ -198,8 +191,19 @@ def write_deskewed(
                     break
             if without_pose and not points:
                 raise _no_pose(way, stamped.clock, start_ns / S_NS, last_ns / S_NS)
-    files, size = (str(path), str(capture), str(way.path)), path.stat().st_size
-    return Deskewed(*files, points, without_pose, truth is not None, last_ns / S_NS, size, interrupted=stop.is_set())
+    return Deskewed(
+        file=str(path),
+        capture=str(capture),
+        trajectory=str(way.path),
+        points=points,
+        without_pose=without_pose,
+        truth=truth is not None,
+        simulated_s=last_ns / S_NS,
+        clock=stamped.clock,
+        host_ahead_s=(stamped.host_ahead_ns or 0) / S_NS,
+        bytes=path.stat().st_size,
+        interrupted=stop.is_set(),
+    )
 
 
 def _blocks(

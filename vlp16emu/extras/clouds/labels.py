@@ -19,7 +19,7 @@ def _schemes() -> Mapping[str, Mapping[str, Any]]:
 
 
 def scheme_names() -> tuple[str, ...]:
-    """Name all schemes."""
+    """Return the names of all schemes."""
     return tuple(_schemes())
 
 
@@ -29,7 +29,7 @@ class LabelScheme:
     def __init__(self, name: str, table: Mapping[str, Any]) -> None:
         self.name = name
         self.source: str = table["source"]
-        """Who publishes the numbers, and what they mean."""
+        """Publisher of the numbers, and their meaning."""
         self._codes = np.full((len(Semantic), len(PlantPart)), table["none"], np.uint8)
         for semantic in Semantic:
             for part in PlantPart:
@@ -43,7 +43,7 @@ class LabelScheme:
 
 
 def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
-    """Find a scheme by its name; InputError where there is none of that name, which its line calls `where`."""
+    """Return a scheme by its name; InputError, in the name of `where`, if there is none."""
     if name not in _schemes():
         raise InputError(where, f"found {name}", ", ".join(scheme_names()))
     return LabelScheme(name, _schemes()[name])
@@ -57,7 +57,7 @@ class PointLabels:
         self._numbers: dict[int, int] = {}
 
     def of(self, points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Make arrays (n,) `label`, `tree_id` and `height_m` by `world_m` (n, 3), `semantic`, `part`, `instance` (n,)."""
+        """Return arrays (n,) `label`, `tree_id` and `height_m` by `world_m` (n, 3), `semantic`, `part`, `instance` (n,)."""
         x_m, y_m, z_m = np.ascontiguousarray(points["world_m"].T)
         return {
             "label": self._scheme.codes(points["semantic"], points["part"]),

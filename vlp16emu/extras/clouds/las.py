@@ -28,7 +28,7 @@ _FIELDS = frozenset({*"xyz", "time", "intensity", "return_number", "is_last", "l
 """Properties that fields of the format hold."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 _EQUATOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563
-"""Of the ellipsoid (WGS 84)."""
+"""Ellipsoid of WGS 84."""
 
 
 def _ns(year: int, month: int, day: int) -> int:
@@ -50,7 +50,7 @@ class LasFile(PointWriter):
     """Takes points block by block; MissingExtraError where laspy, or for LAZ lazrs, is not installed.
 
     GPS time is adjusted standard GPS time. The return number counts the echoes of a pulse from the
-    nearest. The classification is the column `label`, or where there is none that of the scheme `asprs`. User data is the
+    nearest. The classification is the column `label`, or without it the class of the scheme `asprs`. User data is the
     column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: the head of a spinning
     sensor is one, and has no angle about a line of flight.
     """

@@ -7,13 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.engine.scans import points_of
-from vlp16emu.errors import spare
 from vlp16emu.extras.clouds.cloud import (
     LABEL_COLUMNS,
     RETURN_NAMES,
@@ -25,8 +25,8 @@ from vlp16emu.extras.clouds.cloud import (
     scene_comments,
 )
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels, label_scheme
+from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
-from vlp16emu.run.options import TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
@@ -35,7 +35,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """What a file of points holds, and what it took."""
+    """Contents of a file of points, and the time it took."""
 
     file: str
     scene: str
@@ -47,14 +47,14 @@ class PointCloud:
     """Model."""
     beams: int
     elevation_deg: tuple[float, float]
-    """Of the lowest and the highest beam."""
+    """Elevation of the lowest and the highest beam."""
     pulses_per_s: float
     turn: Turn
     points: int
     returns: Mapping[str, int]
     """Points by `RETURN_NAMES`."""
     truth: bool
-    """Whether points have labels."""
+    """True if points have labels."""
     bytes: int
     simulated_s: float
     wall_s: float
@@ -68,26 +68,18 @@ def write_points(
     emulator: Emulator,
     path: str | Path,
     *,
-    start_s: float = 0.0,
-    duration_s: float | None = None,
-    unit: int = 1,
-    truth: bool = False,
-    labels: str | None = None,
-    truth_to: TruthPlace | None = None,
     progress: Callable[[float], None] = lambda _: None,
     stop: Event | None = None,
+    **options: Any,
 ) -> PointCloud:
     """Write points in the world and in the sensor's frame, for a sensor of any beam table.
 
     Parameters
     ----------
     path : .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists
-    start_s, duration_s, stop : as of `Emulator.record`
-    unit : which sensor of a rig, from 1
-    truth : whether `TRUTH_COLUMNS` are written beside `SCENE_COLUMNS`
-    labels : scheme of labels beside them: "for-instance", "digiforests", "asprs" or "semantickitti"
-    truth_to : folder for the ground truth of the run, as `truth` of `Emulator.record`
     progress : called with the simulated seconds so far, block by block
+    stop : ends the file from another thread; it is valid
+    options : fields of `PointOptions`
 
     Raises
     ------
@@ -102,19 +94,18 @@ def write_points(
     RunError
         If the disk is full; the file is not complete
     """
-    run, path, began_s = emulator.run, Path(path), time.perf_counter()
-    spare(run.files, path)
-    number, scenario, stop = run.number(unit), run.scenario, stop or Event()
-    scheme, truth = None if labels is None else label_scheme(labels), truth or labels is not None
-    begin_s, _ = span_s = scenario.span_s(start_s, duration_s)
+    run, path, began_s, asked = emulator.run, Path(path), time.perf_counter(), PointOptions(**options)
+    number, scenario, stop = run.number(asked.unit), run.scenario, stop or Event()
+    scheme, truth = (label_scheme(asked.labels) if asked.labels else None), asked.truth or bool(asked.labels)
+    begin_s, _ = span_s = scenario.span_s(asked.start_s, asked.duration_s)
     blocks = _blocks(run.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
-    columns = SCENE_COLUMNS + TRUTH_COLUMNS * truth + LABEL_COLUMNS * (scheme is not None)
+    columns = SCENE_COLUMNS + TRUTH_COLUMNS * truth + LABEL_COLUMNS * bool(scheme)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
-    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path))
+    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=run.files)
     with (
         run.engine.windows.stopped_by(stop),
         file as writer,
-        run.truth(truth_to, span_s, of=run) as folder,
+        run.truth(asked.truth_to, span_s, of=run) as folder,
         suppress(CancelledError),
     ):
         for block, end_ns in blocks:
@@ -132,7 +123,7 @@ def write_points(
         file=str(path),
         scene=run.name,
         seed=scenario.seed,
-        unit=unit,
+        unit=asked.unit,
         sensor=sensor.section.model,
         beams=len(beams.elevation_deg),
         elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),

@@ -1,4 +1,4 @@
-"""What distinguishes one unit from another: statistics of captures, and the settings they imply."""
+"""Statistics of captures that distinguish one unit from another, and the settings they imply."""
 
 from vlp16emu.extras.compare.fit import fitted
 from vlp16emu.extras.compare.sequences import Sequences, read_sequences

@@ -1,9 +1,10 @@
-"""From a capture to the settings of the unit that made it."""
+"""Settings of the unit that made a capture."""
 
 import math
 
 import numpy as np
 
+from vlp16emu.errors import InputError
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import (
     Statistics,
@@ -23,14 +24,15 @@ _LEVEL = 80.0
 _EQUAL_STEPS, _COARSEST = 2.9, 5.0
 """Step of bright codes over their scatter and the share of equal neighbours, from our own packets; and its limit."""
 _LEAST_SILENT = 50
-_SET_RPM = 60
+_SET_RPM, _MOST_OFF_RPM = 60, 3.0
+"""Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (sibling manuals)."""
 
 
 def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
-    """Find the `[noise]` and `[sensor]` keys of the unit that made a capture, checked against the scene's own limits.
+    """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
     Bias and gain of each laser are not among them: without a target at a known place nothing shows them. A mean speed that
-    is off is given as the spread from which a unit's own is drawn.
+    is off is given as the spread from which a unit's own is drawn. InputError if it is off by more than a unit's may be.
     """
     noise, sensor = _noise(sequences, statistics_of(sequences)), _rotor(sequences)
     Noise.model_validate(noise)
@@ -70,10 +72,13 @@ def _silent_level(sequences: Sequences) -> float:
 def _rotor(sequences: Sequences) -> dict[str, object]:
     turning = turning_of(sequences)
     hum = hum_cdeg(sequences, turning.rest_cdeg)
-    set_rpm = _SET_RPM * round(turning.rpm / _SET_RPM)
+    set_rpm = min(max(_SET_RPM * round(sequences.rpm / _SET_RPM), 300), 1200)
     # Local variance of the readings of an encoder whose rate is right, and what its error adds: from our own packets.
     excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
     once, twice = turning.once_cdeg, turning.twice_cdeg
+    if (off_rpm := abs(sequences.rpm - set_rpm) * 600.0 / set_rpm) > _MOST_OFF_RPM:
+        expected = f"a multiple of {_SET_RPM} rpm within {_MOST_OFF_RPM:g} rpm at 600"
+        raise InputError("speed_error_rpm", f"a mean speed of {sequences.rpm:.1f} rpm", expected)
     return {
         "preset": "unit",
         "rotation_spread": 0.0,
@@ -84,5 +89,5 @@ def _rotor(sequences: Sequences) -> dict[str, object]:
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
         "hum_deg": round(hum / 100, 5),
         "encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3),
-        "speed_error_rpm": round(abs(turning.rpm - set_rpm) * 600.0 / set_rpm, 3),
+        "speed_error_rpm": round(off_rpm, 3),
     }

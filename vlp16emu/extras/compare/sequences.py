@@ -1,4 +1,4 @@
-"""A capture as firing sequences, numbered through gaps."""
+"""Firing sequences of a capture, numbered through gaps."""
 
 from dataclasses import dataclass
 from itertools import islice
@@ -8,23 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError
+from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Capture
-from vlp16emu.packets.layout import (
-    BLOCK_PERIOD_NS,
-    BLOCKS_PER_PACKET,
-    DATA_BYTES,
-    DATA_PAYLOAD,
-    RETURN_MODE_BYTE,
-    SEQUENCES_PER_BLOCK,
-    CapturedUnit,
-)
+from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.types import ReturnMode
-from vlp16emu.units import HOUR_NS, US_NS
+from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _LEAST_PACKETS = 80
 """One revolution at 600 rpm has 75."""
 _MOST_PACKETS = 50_000
 """One minute; more would change no figure."""
+_RPM = 270.0, 1320.0
+"""300 to 1200 rpm (63-9243 Rev D, section 8.3, p. 50) with a tenth of margin: other rotors stand, or run up or down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,35 +42,47 @@ class Sequences:
     """(p,) of the capture."""
     is_dual: bool
 
+    @property
+    def rpm(self) -> float:
+        """Mean speed of the rotor."""
+        turned = (self.azimuth_cdeg[-1] - self.azimuth_cdeg[0]) / layout.AZIMUTH_CODES
+        return float(turned / (self.block[-1] * layout.BLOCK_PERIOD_NS / S_NS) * 60)
+
 
 def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
-    """Read a minute of a capture at most; product and mode bytes of old firmware are not looked at.
+    """Read a minute of a capture at most, whatever the product byte.
 
-    CaptureError where it is none, or holds less than a revolution of a VLP-16, or its return mode changes.
+    Raises
+    ------
+    CaptureError
+        If it is no capture, holds less than a revolution or two return modes, or its rotor has no speed of a VLP-16
     """
     with Capture(path) as capture:
-        own = (one for one in capture if len(one.payload) == DATA_BYTES and (unit is None or unit.owns(one)))
+        own = (one for one in capture if len(one.payload) == layout.DATA_BYTES and (unit is None or unit.owns(one)))
         packets = list(islice(own, _MOST_PACKETS))
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
-    fields = np.frombuffer(b"".join(packet.payload for packet in packets), DATA_PAYLOAD)
+    fields = np.frombuffer(b"".join(packet.payload for packet in packets), layout.DATA_PAYLOAD)
     if len(modes := np.unique(fields["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
-    return _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
+    sequences = _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
+    if not _RPM[0] <= sequences.rpm <= _RPM[1]:
+        raise CaptureError(str(path), f"a rotor at {sequences.rpm:.1f} rpm", "300 to 1200 rpm")
+    return sequences
 
 
 def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64]) -> Sequences:
     """Count sequences and blocks by the time stamps of packets."""
-    dual = bool(fields["return_mode"][0] == RETURN_MODE_BYTE[ReturnMode.DUAL])
+    dual = bool(fields["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
     blocks = fields["blocks"][:, 1::2] if dual else fields["blocks"]
-    per_packet = BLOCKS_PER_PACKET // 2 if dual else BLOCKS_PER_PACKET
+    per_packet = layout.BLOCKS_PER_PACKET // 2 if dual else layout.BLOCKS_PER_PACKET
     clock_ns = fields["timestamp_us"].astype(np.int64) * US_NS
     since_ns = np.cumsum(np.diff(clock_ns, prepend=clock_ns[:1]) % HOUR_NS)
-    packet = np.rint(since_ns / (per_packet * BLOCK_PERIOD_NS)).astype(np.int64)
+    packet = np.rint(since_ns / (per_packet * layout.BLOCK_PERIOD_NS)).astype(np.int64)
     if (np.diff(packet) < 1).any():
         raise CaptureError(str(path), "time stamps that stand still or fall", "those of one sensor in order")
     block = (packet[:, None] * per_packet + np.arange(per_packet)).ravel()
-    number = (block[:, None] * SEQUENCES_PER_BLOCK + np.arange(SEQUENCES_PER_BLOCK)).ravel()
+    number = (block[:, None] * layout.SEQUENCES_PER_BLOCK + np.arange(layout.SEQUENCES_PER_BLOCK)).ravel()
     records, azimuth_deg = blocks["records"], blocks["azimuth_cdeg"].ravel() / 100
     return Sequences(
         number=number,

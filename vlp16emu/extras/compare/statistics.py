@@ -1,7 +1,7 @@
 """Statistics of a unit, from its packets alone, which depend little on what stood before it.
 
 Ranges are held against a cubic through fifteen pulses of the same laser, where all of them met a smooth surface. Each
-statistic is absent where the capture has too little for it.
+statistic is absent if the capture has too little for it.
 """
 
 import math
@@ -12,8 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.packets.layout import BLOCK_PERIOD_NS
-from vlp16emu.units import S_NS, US_NS
+from vlp16emu.units import US_NS
 
 _WINDOW = 15
 _SMOOTHEST_MM, _FARTHEST_MM = 20.0, 35.0
@@ -23,7 +22,7 @@ _MIDDLE_LEVEL = 20.0
 _LEAST = 500
 """Records, from which on a statistic is worth its name."""
 _COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
-"""From half a metre to 40 m; and so many codes of a laser and range, at least."""
+"""Codes, edges of the range classes from half a metre to 40 m, and the least number of codes in a class."""
 _HUM_CYCLES_PER_BLOCK = 0.16
 _MOST_COUNTS = 15
 
@@ -31,7 +30,7 @@ Statistics = dict[str, float]
 
 
 class Smooth:
-    """What pulses on smooth surfaces measure: residuals of the ranges with their slot of the beat, and reflectivities."""
+    """Residuals of the ranges of pulses on smooth surfaces, with their slot of the beat, and their reflectivities."""
 
     def __init__(self, sequences: Sequences) -> None:
         powers = np.vander(np.arange(_WINDOW) - _WINDOW // 2, 4).astype(float)
@@ -147,10 +146,8 @@ def _silence(sequences: Sequences) -> Statistics:
 
 
 class Turning(NamedTuple):
-    """The readings of the encoder against an even turn that changes its speed evenly."""
+    """Errors of the encoder against an even turn that changes its speed evenly."""
 
-    rpm: float
-    """Mean."""
     once_cdeg: complex
     """Amplitudes of the sine (imaginary) and the cosine (real) of the azimuth."""
     twice_cdeg: complex
@@ -166,8 +163,7 @@ def turning_of(sequences: Sequences) -> Turning:
     waves = [wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)]
     basis = np.stack([np.ones(len(block)), span, span**2, *waves], axis=1)
     found, *_ = np.linalg.lstsq(basis, azimuth.astype(float), rcond=None)
-    rpm = (azimuth[-1] - azimuth[0]) / 36_000 / (block[-1] * BLOCK_PERIOD_NS / S_NS) * 60
-    return Turning(float(rpm), complex(*found[3:5]), complex(*found[5:7]), azimuth - basis @ found)
+    return Turning(complex(*found[3:5]), complex(*found[5:7]), azimuth - basis @ found)
 
 
 def hum_cdeg(sequences: Sequences, rest_cdeg: NDArray[np.float64]) -> float:
@@ -184,7 +180,7 @@ def local(series: NDArray[Any]) -> NDArray[Any]:
 def _rotation(sequences: Sequences) -> Statistics:
     """Speed, errors that repeat with the turn, the hum, and the noise of readings."""
     azimuth, block = sequences.azimuth_cdeg, sequences.block
-    rpm, once, twice, rest = turning_of(sequences)
+    rpm, (once, twice, rest) = sequences.rpm, turning_of(sequences)
     step = np.diff(azimuth)[np.diff(block) == 1]
     mode = int(np.bincount(np.clip(step, 0, None)).argmax())
     out = {
@@ -206,7 +202,7 @@ def _rotation(sequences: Sequences) -> Statistics:
 
 
 def _residues(sequences: Sequences) -> Statistics:
-    """How evenly codes of distance are used."""
+    """Evenness of the codes of distance."""
     d = sequences.distance_lsb
     odd = [(codes[codes > 0] % 2).mean() for codes in d.T if (codes > 0).sum() >= _LEAST]
     if len(odd) < _SLOTS:

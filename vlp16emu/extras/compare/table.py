@@ -54,14 +54,14 @@ _TITLES = (
     "reflectivity of returns",
 )
 _LEAST_SPREAD = 0.25
-"""Of the greatest value: four units that agree more closely do not show what a fifth does."""
+"""Least spread as a share of the greatest value: four units that agree more closely do not show what a fifth does."""
 
 
 class Compared(NamedTuple):
     """One statistic of two captures."""
 
     name: str
-    """With the unit of its values, where they have one."""
+    """Name with the unit of the values, if they have one."""
     first: float
     second: float
     distance: float
@@ -69,7 +69,7 @@ class Compared(NamedTuple):
     apart: bool
     """Real units do not differ so much."""
     unlike: tuple[bool, bool]
-    """Whether each is outside what real units show, by more than half of their spread."""
+    """True for each that is outside what real units show by more than half of their spread."""
 
 
 def compared(first: Sequences, second: Sequences) -> list[Compared]:

@@ -5,7 +5,7 @@ import json
 import re
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -47,8 +47,8 @@ class Manifest:
                 self.entries[walk.number] = entry
             if entry is None or not self._is_there(walk, entry):
                 self.missing.append(walk)
-                if strange := _files_in(out / walk.folder) - self._listed(entry):
-                    found = f"{min(strange).relative_to(out)} is there, and {self.path.name} does not list it"
+                if strange := _files_in(out / walk.folder) - self._ours(entry):
+                    found = f"{min(strange).relative_to(out)} is there, and {self.path.name} does not list it so"
                     raise OutputError(str(out), found, "a new folder, or one of an earlier run")
 
     @contextmanager
@@ -70,7 +70,7 @@ class Manifest:
 
     def add(self, number: int, made: Path, entry: Entry) -> None:
         """List a walk that is complete in a folder of its own, which is to take its place."""
-        self._ready.append((made, self._out / entry["folder"], self._listed(self.entries.get(number))))
+        self._ready.append((made, self._out / entry["folder"], self._ours(self.entries.get(number))))
         self.entries[number] = entry
         if time.monotonic() >= self._next_s:
             self._settle()
@@ -100,17 +100,14 @@ class Manifest:
                 raise RunError(f"{final}: {error.strerror}; what is made so far is kept") from None
         self._next_s = time.monotonic() + _EVERY_S
 
-    def _listed(self, entry: Entry | None) -> set[Path]:
-        return {self._out / entry["folder"] / file["path"] for file in entry["files"]} if entry else set()
+    def _ours(self, entry: Entry | None) -> set[Path]:
+        """Files of a walk whose content is as the manifest lists it; others are somebody else's."""
+        files = [(self._out / entry["folder"] / file["path"], file) for file in entry["files"]] if entry else []
+        return {path for path, file in files if _is_as_listed(path, file)}
 
     def _is_there(self, walk: DatasetWalk, entry: Entry) -> bool:
         """Return whether all files of a walk are as listed, by a run that would list the same."""
-        folder = self._out / entry["folder"]
-        try:
-            files = (described(folder / file["path"], folder) == file for file in entry["files"])
-            return entry.items() >= identity(walk).items() and all(files)
-        except OSError:
-            return False
+        return entry.items() >= identity(walk).items() and len(self._ours(entry)) == len(entry["files"])
 
     def _read(self) -> tuple[dict[str, Entry], str | None]:
         """Read the walks of an earlier run by their folders, and the name of its folder of unfinished walks."""
@@ -121,7 +118,7 @@ class Manifest:
             text = self.path.read_text(encoding="utf-8")
         try:
             tree = json.loads(text)
-            walks = {walk["folder"]: walk for walk in tree["walks"] if self._listed(walk)}
+            walks = {walk["folder"]: walk for walk in tree["walks"] if _names(walk)}
             parts = tree.get("parts")
             if tree["written_by"].startswith("vlp16emu ") and re.fullmatch(r"(\.parts\.\w+)?", parts or ""):
                 return walks, parts
@@ -143,6 +140,18 @@ def described(path: Path, folder: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}
+
+
+def _is_as_listed(path: Path, file: Mapping[str, Any]) -> bool:
+    try:
+        found = described(path, path.parent)
+    except OSError:
+        return False
+    return (found["bytes"], found["sha256"]) == (file["bytes"], file["sha256"])
+
+
+def _names(walk: Entry) -> list[tuple[object, ...]]:
+    return [(file["path"], file["bytes"], file["sha256"]) for file in walk["files"]]
 
 
 def _files_in(folder: Path) -> set[Path]:

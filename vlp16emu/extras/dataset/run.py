@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import in_one_world
@@ -19,6 +20,7 @@ from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.extras.dataset.layouts import LAYOUTS
 from vlp16emu.extras.dataset.manifest import Entry, Manifest, described, identity
 from vlp16emu.extras.dataset.spec import DatasetWalk
+from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import lock
 
 _DEATHS = 10
@@ -43,12 +45,7 @@ class DatasetResult:
 
 
 def make_dataset(
-    walks: Sequence[DatasetWalk],
-    out: Path,
-    *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[float], None] = lambda _: None,
+    walks: Sequence[DatasetWalk], out: Path, *, progress: Callable[[float], None] = lambda _: None, **options: Any
 ) -> DatasetResult:
     """Make the walks of a dataset that are not there yet, and its manifest.
 
@@ -57,9 +54,8 @@ def make_dataset(
     Parameters
     ----------
     out : folder, new or of an earlier run; workers of a scheduler see it under the same path
-    workers : processes on this machine; 0 for this process alone; one per core by default
-    scheduler : address of a Dask scheduler, instead of processes on this machine
     progress : called with the simulated seconds so far, walk by walk
+    options : fields of `DatasetOptions`
 
     Raises
     ------
@@ -70,13 +66,13 @@ def make_dataset(
     RunError
         If a walk fails, or workers die over one walk again and again
     """
-    out = out.absolute()
+    out, asked = out.absolute(), DatasetOptions(**options)
     with _locked(out):
         manifest = Manifest(out, walks)
         missing, done_s = manifest.missing, sum(walk.scenario.duration_s for walk in walks)
         progress(done_s := done_s - sum(walk.scenario.duration_s for walk in missing))
         with manifest.making() as parts:
-            for walk, made, entry in _made(missing, parts, workers, scheduler):
+            for walk, made, entry in _made(missing, parts, asked.workers, asked.scheduler):
                 manifest.add(walk.number, made, entry)
                 progress(done_s := done_s + walk.scenario.duration_s)
         text = manifest.write()

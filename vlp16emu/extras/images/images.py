@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Unit, workers
-from vlp16emu.errors import InputError
 from vlp16emu.extras.camera import Camera, CameraKind, look
 from vlp16emu.extras.images.pictures import PictureFolder
+from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.palette import surface_colours
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.packets import DISTANCE_LSB_M
@@ -40,8 +40,6 @@ _CLEAR_M = 0.02
 _BAND = 1 << 16
 """Pixels cast at once, about: whole rows, independent of the number of threads."""
 _LABELS = ("semantic", "part", "species", "instance")
-_SHORTEST_S = 0.001
-"""Least time between two images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,27 +64,17 @@ def write_images(
     emulator: Emulator,
     folder: str | Path,
     *,
-    kind: str = "panorama",
-    size: tuple[int, int] | None = None,
-    fov_deg: float | None = None,
-    every_s: float = 1.0,
-    start_s: float = 0.0,
-    duration_s: float | None = None,
-    unit: int = 1,
     progress: Callable[[float], None] = lambda _: None,
     stop: Event | None = None,
+    **options: Any,
 ) -> ImageRun:
     """Write depth, labels and colours as images from the place of a sensor, each of one instant.
 
     Parameters
     ----------
     folder : new or empty
-    kind : "panorama" or "pinhole", which looks to the sensor's azimuth 0
-    size : width and height in pixels; by default 2048 x 512 for a panorama, 1024 x 768 for a pinhole camera
-    fov_deg : field of view of a pinhole camera from left to right, 90 by default
-    every_s : time between images, in seconds
-    start_s, duration_s, progress, stop : as in `Emulator.record`
-    unit : number of the sensor in a rig, from 1
+    progress, stop : as in `Emulator.record`
+    options : fields of `ImageOptions`
 
     Raises
     ------
@@ -101,15 +89,14 @@ def write_images(
     RunError
         If the disk is full; the images before are kept
     """
-    if not every_s >= _SHORTEST_S:
-        raise InputError("--every", f"found {every_s:g}", f"a number of seconds from {_SHORTEST_S:g}")
-    engine, stop, camera = emulator.engine, stop or Event(), Camera.of(kind, size, fov_deg)
-    scenario, of = engine.scenario, engine.parts.units[emulator.run.number(unit)]
-    begin_ns, end_ns = engine.span_ns(*scenario.span_s(start_s, duration_s))
+    asked = ImageOptions(**options)
+    engine, stop, camera = emulator.engine, stop or Event(), Camera.of(asked.kind, asked.size, asked.fov_deg)
+    scenario, of = engine.scenario, engine.parts.units[emulator.run.number(asked.unit)]
+    begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
     windows, species = engine.windows, species_of(engine.parts.world)
     pictures = PictureFolder(Path(folder), _cameras(camera, species))
     with windows.stopped_by(stop), pictures, workers(engine.threads, "image", stop) as pool, suppress(CancelledError):
-        for since_ns in range(begin_ns, end_ns, seconds_to_ns(every_s)):
+        for since_ns in range(begin_ns, end_ns, seconds_to_ns(asked.every_s)):
             geometry = windows.wait(windows.at_time(since_ns))
             t_ns = np.array([scenario.start_ns + since_ns])
             body = of.motion.poses_at(t_ns)
@@ -124,7 +111,7 @@ def write_images(
                 break
     written: dict[str, Any] = {"images": pictures.images, "bytes": pictures.bytes, "interrupted": stop.is_set()}
     size_px = camera.width, camera.height
-    return ImageRun(str(folder), emulator.name, unit, camera.kind, *size_px, **written)
+    return ImageRun(str(folder), emulator.name, asked.unit, camera.kind, *size_px, **written)
 
 
 def species_of(world: World) -> dict[int, str]:

@@ -1,15 +1,16 @@
 """A folder of images: PNG to look at, OpenEXR with exact values, and the intrinsics and poses of the camera."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import MissingExtraError, OutputError, RunError
+from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.truth.folder import tum_rows
-from vlp16emu.output import OutputFile, write_json
+from vlp16emu.output import OutputFolder, write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.types import F4, U1, Poses
 
@@ -21,7 +22,7 @@ _POSES = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; 
 class PictureFolder:
     """A folder for the images of one run: a context manager that writes the poses at its end.
 
-    OutputError if the folder cannot be made or is not empty; MissingExtraError if Pillow or OpenEXR is not installed.
+    It is an `OutputFolder`, and takes its name then. After an error the images so far stay without that name.
 
     Parameters
     ----------
@@ -36,24 +37,33 @@ class PictureFolder:
         except ImportError as error:
             library = "OpenEXR" if error.name == "OpenEXR" else "Pillow"
             raise MissingExtraError(library, "images", "writing images") from None
-        self._exr, self._image, self._path = OpenEXR, Image, path
+        self._exr, self._image = OpenEXR, Image
         self.bytes, self._poses = 0, [_POSES]
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            if present := sorted(path.iterdir()):
-                raise OutputError(str(path), f"holds {present[0].name}", "a new or empty folder")
-            for layer in (*LAYERS, "exr"):
-                (path / layer).mkdir()
-        except OSError as error:
-            raise OutputError(str(path), str(error.strerror), "a folder that can be written") from error
-        write_json(path / "cameras.json", cameras)
+        self._folder = OutputFolder(path)
+        self._path = self._folder.path
+        for layer in (*LAYERS, "exr"):
+            (self._path / layer).mkdir()
+        write_json(self._path / "cameras.json", cameras)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        with OutputFile(self._path / "poses.tum") as output, output.writing() as file:
-            file.write("".join(self._poses).encode())
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None or isinstance(error, KeyboardInterrupt):
+            with self._new("poses.tum") as file:
+                file.write("".join(self._poses).encode())
+            self._folder.keep()
+        elif self.images:
+            self._folder.leave()
+        self._folder.discard()
+
+    @contextmanager
+    def _new(self, name: str) -> Iterator[BinaryIO]:
+        try:
+            with (self._path / name).open("xb") as file:
+                yield file
+        except OSError as error:
+            raise RunError(f"{self._path / name}: {error.strerror or error}; the images before it are whole") from error
 
     @property
     def images(self) -> int:
@@ -73,10 +83,10 @@ class PictureFolder:
         steps = np.rint(depth_m / DISTANCE_LSB_M)
         for layer, kind in LAYERS.items():
             pixels = {"rgb": rgb, "depth": steps}.get(layer, labels.get(layer))
-            with OutputFile(self._path / layer / f"{name}.png") as output, output.writing() as file:
+            with self._new(f"{layer}/{name}.png") as file:
                 self._image.fromarray(np.ascontiguousarray(pixels, kind)).save(file, "PNG")
                 self.bytes += file.tell()
-        with OutputFile(self._path / "exr" / f"{name}.exr") as output, output.writing() as file:
+        with self._new(f"exr/{name}.exr") as file:
             self._write_exr(file, {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()})
         self.bytes += (self._path / "exr" / f"{name}.exr").stat().st_size
         self._poses.append(tum_rows(pose))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
-from vlp16emu.engine import Batching, Parts
+from vlp16emu.engine import Batching, Parts, window_of
 from vlp16emu.engine.windows import Windows
 from vlp16emu.extras.live.flown import Cell
 from vlp16emu.raycast.caster import Geometry, caster
@@ -74,12 +74,7 @@ class CellWindows(Windows[Geometry]):
 
         def open_cell(name: _Name) -> Geometry:
             cell, segment = name
-            track_m = track_of(cell, arm_m)
-            window = parts.world.window(track_m)
-            if parts.wind:
-                edges_ns = start_ns + batching.edges_ns(segment)
-                window = parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1]))
-            return built.open(window)
+            return built.open(window_of(parts, start_ns, batching, segment, track_of(cell, arm_m)))
 
         super().__init__(open_cell, batching, moves=True, threads=threads)
         self.cells, self._sways, self._segment = cells, parts.wind is not None, batching.segment
@@ -132,7 +127,7 @@ class LiveWindows(CellWindows):
         self.cells.clear()
         self.decided, self.left_out = -1, 0
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whoever works
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whatever the threads
         """Take blocks one by one, so that packets do not wait for each other; and go on at now where it is too late."""
         block = blocks.start
         while block < blocks.stop:

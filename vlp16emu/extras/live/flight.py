@@ -2,25 +2,23 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from threading import Event
-from types import TracebackType
 from typing import Self
 
 import numpy as np
 
-from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import STEPS
-from vlp16emu.errors import InputError, spare
+from vlp16emu.errors import InputError
 from vlp16emu.extras.live.cells import LiveWindows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.poses import PoseReceiver
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.options import PosesIn
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
@@ -28,7 +26,7 @@ from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _POLL_S = 0.05
-"""How often whoever waits for the first pose looks whether the run shall end."""
+"""How often a run that waits for the first pose looks whether it shall end."""
 _START_NS = 20_000_000
 """From when all is ready to the first pulse: threads start in it."""
 _WARM_S = 0.02
@@ -61,28 +59,39 @@ class LiveReport:
     """Table of what was flown, if one is written."""
 
 
-class Flight:
-    """A live run; a context manager.
+class Flight(PacketSink):
+    """A live run; a context manager, and the sink of its packets.
 
     Parameters
     ----------
-    engine : its scene's motion is live
-    motion : that of its carrier
-    poses : as `PosesIn` has it; `where` as `PoseReceiver` takes it
+    run : of a live scene
+    poses : where they come in; `where` as `PoseReceiver` takes it
     clock_ns : monotonic
 
     Raises
     ------
-    InputError, OutputError
-        as of `PoseReceiver`, and where the file cannot be written
+    InputError
+        If the scene is not live; and as of `PoseReceiver`
+    OutputError
+        If the table cannot be written, or would be written over a file that is read; and as of `PoseReceiver`
     """
 
-    def __init__(
-        self, engine: Engine, motion: LiveMotion, poses: PosesIn, *, clock_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
-        assert isinstance(engine.windows, LiveWindows)
-        self._engine, self._motion, self._windows, self._news = engine, motion, engine.windows, poses.news
+    look_ahead = 8
+    """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
+
+    def __init__(self, run: Run, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        engine, poses = run.engine, poses or PosesIn()
+        motion, windows = engine.parts.carrier, engine.windows
+        if not isinstance(motion, LiveMotion):
+            option = "--flown" if poses.where is None else "--pose-in"
+            found = f'found motion.kind = "{engine.scenario.motion.kind}"'
+            raise InputError(option, found, 'motion.kind = "live", without motion.flown')
+        assert isinstance(windows, LiveWindows)
+        if poses.flown is not None:
+            spare(run.files, poses.flown)
+        self._engine, self._motion, self._windows, self._news = engine, motion, windows, poses.news
         self._clock_ns, self._latency = clock_ns, LatenessHistogram()
+        self._sink: PacketSink
         self._lost_ns: int | None = None
         self._written, self._write_at_ns = 0, 0
         self._flown = poses.flown
@@ -93,12 +102,7 @@ class Flight:
             self._open = stack.pop_all()
         motion.is_open = True
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._open:
             if self._file and self._motion.knots:
                 with self._file.writing():
@@ -106,13 +110,10 @@ class Flight:
         self._motion.end()
         self._windows.begin_again()
 
-    look_ahead = 8
-    """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
-
     def prepare(self, stop: Event, pacer: Pacer) -> Late:
         """Wait for the first pose, open the world around it, and compute once what leaves first; or until `stop` is set.
 
-        Late packets are dropped, as later poses would wait for them. Raises `InputError` where the speed is not 1.
+        Late packets are dropped, as later poses would wait for them. Raises `InputError` if the speed is not 1.
         """
         if pacer.speed != 1.0:
             raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")
@@ -128,8 +129,8 @@ class Flight:
                 self._windows.wait(self._windows.at_block(0))
         return Late.SKIP
 
-    def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> "FlightSink":
-        """Let the first pulse be fired in a moment, and packets leave by the same clock: to a sink that this follows.
+    def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> Self:
+        """Let the first pulse be fired in a moment, and packets leave by the same clock, through this to `sink`.
 
         With `now` it is fired where the clock of the system has the fraction of a second that the scene begins with.
         """
@@ -139,14 +140,16 @@ class Flight:
                 in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
             self._motion.begin(self._clock_ns() + in_ns)
             pacer.begin(start_ns, -in_ns)
-        return FlightSink(sink, self)
+        self._sink = sink
+        return self
 
     def going_on(self, go_on_from: Callable[[int], None], pacer: Pacer) -> Callable[[int], None]:
         """Let an engine that is too slow go on in a moment, and not further ahead: nothing is computed ahead here."""
         return lambda _due_ns: go_on_from(pacer.due_in_ns(_START_NS))
 
-    def sent(self, packet: Packet) -> None:
-        """Take note of a packet that has left just now."""
+    def send(self, packet: Packet) -> None:
+        """Send one packet, and take note of it; errors as of the sink."""
+        self._sink.send(packet)
         now_ns, uses = self._clock_ns(), self._motion.first_uses
         if packet.fired_ns is not None:
             while uses and uses[0][0] <= packet.fired_ns:
@@ -204,38 +207,3 @@ class Flight:
         rows = flown_rows(self._written, knots.states(self._written, stop), cells)
         self._file.file.write(f"{header}{rows}".encode())
         self._written = stop
-
-
-class FlightSink(PacketSink):
-    """Passes packets on, and lets a flight know of each."""
-
-    def __init__(self, sink: PacketSink, flight: Flight) -> None:
-        self._sink, self._flight = sink, flight
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet; errors as of the sink."""
-        self._sink.send(packet)
-        self._flight.sent(packet)
-
-
-@contextmanager
-def flying(run: Run, poses: PosesIn | None) -> Iterator[Flight]:
-    """Return the flight of a stream whose scene is live; errors as of `Flight`.
-
-    Raises
-    ------
-    OutputError
-        If the table would be written over a file that is read
-    InputError
-        If poses are given and the scene is not live
-    """
-    engine, poses = run.engine, poses or PosesIn()
-    motion = engine.parts.carrier
-    if not isinstance(motion, LiveMotion):
-        option = "--flown" if poses.where is None else "--pose-in"
-        found = f'found motion.kind = "{engine.scenario.motion.kind}"'
-        raise InputError(option, found, 'motion.kind = "live", without motion.flown')
-    if poses.flown is not None:
-        spare(run.files, poses.flown)
-    with Flight(engine, motion, poses) as flight:
-        yield flight

@@ -11,10 +11,8 @@ from vlp16emu.engine.windows import STEPS, Batching, Windows
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.live.knots import STEP_NS, Knots
 from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
-from vlp16emu.motion.pose import Kinematics
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.tables import Column, read_table
-from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]
@@ -53,7 +51,7 @@ def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
 
 
 def read_flown(path: Path) -> Flown:
-    """Read a table of knots; `TrajectoryError` where the file is none, or is not whole from its beginning."""
+    """Read a table of knots; `TrajectoryError` if the file is none, or is not whole from its beginning."""
     table = read_table(path, _COLUMNS, "a table of knots", TrajectoryError)
     if len(table) < 2:
         raise TrajectoryError(str(path), f"found {len(table)} knots", "at least 2")
@@ -68,15 +66,14 @@ def read_flown(path: Path) -> Flown:
     return Flown(states, cells)
 
 
-class FlownMotion:
+class FlownMotion(Knots):
     """Motion of a body as it was flown; the first knot is at `start_ns`, UTC."""
 
     moves = True
 
     def __init__(self, flown: Flown, *, start_ns: int) -> None:
-        self.flown = flown
-        self._knots = Knots(start_ns, flown.states)
-        self.run_time_s = self._knots.last_ns / S_NS
+        super().__init__(start_ns, flown.states)
+        self.flown, self.run_time_s = flown, self.last_ns / S_NS
 
     def require_open(self) -> None:
         """Do nothing: what was flown is known."""
@@ -87,14 +84,6 @@ class FlownMotion:
 
         cells = [(number // STEPS, cell) for number, cell in self.flown.cells]
         return CellWindows(parts, start_ns, batching, threads, cells)
-
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
-        """Poses at UTC instants (n,)."""
-        return self._knots.poses_at(t_ns)
-
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives."""
-        return self._knots.kinematics_at(t_ns)
 
 
 def _cell(where: str, text: str) -> Cell:

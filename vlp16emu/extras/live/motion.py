@@ -32,7 +32,7 @@ LOST_NS = S_NS
 _AHEAD_NS = 2_000_000
 """How long before its first pulse a step is computed: some packets need that, and each is due after its last pulse."""
 _BASE_NS = 20_000_000
-"""Rates are taken from poses at least that far apart, where there are such: noise of 1 mm then makes 0.07 m/s."""
+"""Rates are taken from poses at least that far apart, if there are such: noise of 1 mm then makes 0.07 m/s."""
 _LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000
 """Poses closer together, or farther apart, say nothing of rates."""
 _MOST_PULL = 500.0
@@ -104,7 +104,7 @@ class PoseInput:
         Raises
         ------
         TrajectoryError
-            where a number is not finite, or the quaternion is not of unit length
+            If a number is not finite, or the quaternion is not of unit length
         """
         now_ns = self._clock_ns()
         try:
@@ -175,8 +175,8 @@ class PoseInput:
 class LiveMotion:
     """Motion of a body by the poses that have come in, made knot by knot as time goes on.
 
-    Each knot is made once, when its time comes, and never changed, so whoever asks again, or reads what was flown, finds
-    the same. Whoever asks for a time to come waits for it.
+    Each knot is made once, when its time comes, and never changed, so later calls, and readers of what was flown, find
+    the same. A call for a time to come waits for it.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class LiveMotion:
         self.first_uses.clear()
 
     def require_open(self) -> None:
-        """Raise `TrajectoryError` where no poses come in, as nobody streams."""
+        """Raise `TrajectoryError` if no poses come in, as nobody streams."""
         if not self.is_open:
             raise TrajectoryError(
                 "motion.kind",
@@ -258,7 +258,7 @@ class LiveMotion:
     def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
         """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
 
-        Raises `TrajectoryError` where nobody streams, and `CancelledError` where the stream ends before there is a pose.
+        Raises `TrajectoryError` if nobody streams, and `CancelledError` if the stream ends before there is a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 

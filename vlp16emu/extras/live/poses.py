@@ -20,7 +20,7 @@ _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 
 def pose_port(text: str) -> tuple[str, int]:
-    """Read where poses come in; `InputError` where it is no address and port."""
+    """Read where poses come in; `InputError` if it is no address and port."""
     scheme, _, rest = text.partition("://")
     host, _, port = rest.rpartition(":")
     if scheme != "udp" or not host or not port.isascii() or not port.isdecimal() or int(port) > 65_535:
@@ -34,14 +34,14 @@ class PoseReceiver:
     Parameters
     ----------
     where : as `pose_port` takes it; port 0 is any free one
-    put : takes position, quaternion and time of a pose, and raises `InputError` where they are none
+    put : takes position, quaternion and time of a pose, and raises `InputError` if they are none
 
     Raises
     ------
     InputError
-        where `where` is no address and port
+        If `where` is no address and port
     OutputError
-        where the port cannot be listened to
+        If the port cannot be listened to
     """
 
     def __init__(self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]) -> None:

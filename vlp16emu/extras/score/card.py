@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
+from vlp16emu.extras.options import ScoreInputs, TrajectoryErrors
 from vlp16emu.extras.score.clouds import cloud_distances, density_per_m2, uniformity
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.paths import RPE_DELTA_M, PathScore, score_path
@@ -41,27 +42,6 @@ _BREAST_M = 0.1
 """Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
-
-
-@dataclass(frozen=True, slots=True)
-class ScoreInputs:
-    """Files to score and their ground truth."""
-
-    truth: Path
-    """Truth folder of a run."""
-    trajectory: Path | None = None
-    times: Path | None = None
-    """Times of a trajectory in KITTI's format."""
-    map: Path | None = None
-    points: Path | None = None
-    """Points with the labels `leaf_wood` or `instance`."""
-    stems: Path | None = None
-    inventory: Path | None = None
-    truth_points: Path | None = None
-    unit: int = 1
-    alignment: str = "none"
-    radius_m: float = 0.5
-    """Largest distance between a stem of a map and its true stem."""
 
 
 class Limit(NamedTuple):
@@ -179,7 +159,7 @@ def _need(true: Cloud, *names: str) -> None:
 
 def _score_map(card: ScoreCard, found: F8, true: Cloud | None) -> None:
     """Score a map by itself, and against true points if they are given."""
-    from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
+    from vlp16emu.extras.clouds.deskew import Trajectory
 
     way = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors())
     first_ns = np.array([math.ceil(way.span_s[0] * 1e9)])

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
+from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS

@@ -16,7 +16,7 @@ _LABELS = ("semantic", "part", "instance", "species")
 
 
 def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]:
-    """Give `SLOT` (n, 384) of whole packets, in the order of their records: block by block, and by channel.
+    """Return `SLOT` (n, 384) of whole packets, in the order of their records: block by block, and by channel.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
 
 
 def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np.void]:
-    """Give `SLOT` (k, 16) of one return of each pulse, by its place (k, 16) on the last axis."""
+    """Return `SLOT` (k, 16) of one return of each pulse, by its place (k, 16) on the last axis."""
 
     def taken(values: NDArray[Any] | None) -> NDArray[Any]:
         assert values is not None

@@ -1,88 +1,80 @@
-"""Truth beside a run: a folder of text files that grow with it and are readable at any time."""
+"""Ground truth beside a run: a folder of text files that grow with it and are readable at any time."""
 
 import json
 import os
 import re
-import weakref
+import stat
 from collections.abc import Collection, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from io import FileIO
 from pathlib import Path
 from typing import Any, Self
 
-from vlp16emu.errors import OutputError, RunError, spare
-from vlp16emu.output import lock, write_json
+from vlp16emu.errors import InputError, MissingExtraError, RunError
+from vlp16emu.output import OutputFolder, write_json
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
 _FILES = re.compile(
-    r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum"
-    r"|returns(_\d+)?\.parquet(\.part)?"
+    r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json|(packets|trajectory)(_\d+)?\.tum"
+    r"|returns(_\d+)?\.parquet"
 )
-"""All that a run may write; those of an earlier run are replaced as a whole."""
+"""Names of all files that a run may write."""
 
 
 class TruthFolder:
     """A folder for the truth of one run; a context manager.
 
+    Its files grow in `path`, an `OutputFolder`, which takes its name at the end. After an error the samples so far stay in
+    `path`, without that name.
+
     Parameters
     ----------
-    path : new, empty, or with nothing in it but the truth of an earlier run, which is then removed
+    path : new, empty, or with nothing in it but the truth of an earlier run, which this one then replaces as a whole
     inputs : files that the run itself reads
 
     Raises
     ------
     OutputError
-        where the folder cannot be made, holds something else or one of the inputs, or another run writes into it
+        If the folder cannot be made, holds something else or one of the inputs, or another run writes it
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:
-        self.path = path
+        expected = "a new or empty folder, or one with the truth of an earlier run"
+        self._folder = OutputFolder(path, stranger=_stranger, expected=expected, inputs=inputs)
+        self.path = self._folder.path
         self._files: dict[str, FileIO] = {}
         self._failed: RunError | None = None
-        self._open = ExitStack()
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            opened = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-            self._open.callback(weakref.finalize(self, os.close, opened))
-            lock(opened, str(path))
-            present = sorted(path.iterdir())
-            strange = [file.name for file in present if not _FILES.fullmatch(file.name)]
-            if not strange and present and not _told_by_us(path / "scenario.json"):
-                strange = [present[0].name]
-            if strange:
-                expected = "a new or empty folder, or one with the truth of an earlier run"
-                raise OutputError(str(path), f"holds {strange[0]}", expected)
-            for file in present:
-                spare(inputs, file)
-            for file in present:
-                file.unlink()
-        except OSError as error:
-            raise OutputError(str(path), str(error.strerror), "a folder that can be written") from error
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._open.close()
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        for file in self._files.values():
+            file.close()
+        if (error is None and not self._failed) or isinstance(error, KeyboardInterrupt):
+            self._folder.keep()
+        elif not isinstance(error, InputError | MissingExtraError):
+            self._folder.leave()
+        self._folder.discard()
 
     def append(self, name: str, text: str) -> None:
         """Add whole lines to a file and hand them to the operating system.
 
-        Where they cannot all be written those that fit stay, nothing more is written, and it is a `RunError`.
+        If that fails, the lines so far stay, nothing more is written, and it is a `RunError`.
         """
         if self._failed:
             raise self._failed
         try:
             if name not in self._files:
-                self._files[name] = self._open.enter_context((self.path / name).open("wb", buffering=0))
+                self._files[name] = (self.path / name).open("xb", buffering=0)
             _append(self._files[name], text.encode())
         except OSError as error:
             self._failed = RunError(f"{self.path / name}: {error.strerror}; it ends with a whole line")
             raise self._failed from error
 
     def write_json(self, name: str, tree: Mapping[str, Any]) -> None:
-        """Write a whole file, in place of the one that is there; `RunError` where it cannot be written."""
+        """Write a whole file, in place of the one that is there; `RunError` if it cannot be written."""
         write_json(self.path / name, tree)
 
 
@@ -122,8 +114,16 @@ def tum_rows(poses: Poses) -> str:
     return "".join(lines)
 
 
-def _told_by_us(path: Path) -> bool:
-    """Whether a file is the scenario of an earlier run, without which a folder of such names is somebody else's."""
+def _stranger(folder: Path) -> str | None:
+    """Name an entry that is none of ours; without the scenario of an earlier run the folder is somebody else's."""
+    present = sorted(folder.iterdir())
+    strange = [file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)]
+    if not strange and not _is_scenario(folder / "scenario.json"):
+        strange = present
+    return strange[0].name if strange else None
+
+
+def _is_scenario(path: Path) -> bool:
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

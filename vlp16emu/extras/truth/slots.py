@@ -60,9 +60,9 @@ class SlotTable:
     Raises
     ------
     MissingExtraError
-        where pyarrow is not installed
+        If pyarrow is not installed
     OutputError
-        where the file cannot be opened
+        If the file cannot be opened
     """
 
     def __init__(self, path: Path) -> None:
@@ -82,19 +82,22 @@ class SlotTable:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None and not isinstance(error, KeyboardInterrupt):
+            self._output.discard()
+            return
         with self._output, self._output.writing():
             self._flush()
             self._file.close()
 
     def add(self, packet: Packet) -> None:
-        """Add the records of a data packet, whose number is how many came before it; `RunError` where they cannot be written."""
+        """Add the records of a data packet, whose number is how many came before it; `RunError` if they cannot be written."""
         self._held.append(packet)
         if len(self._held) == _GROUP:
             try:
                 self._flush()
             except OSError as error:
-                raise RunError(f"{self._path}: {error.strerror}; no file is written") from error
+                raise RunError(f"{self._path}: {error.strerror or error}; no file is written") from error
 
     def _flush(self) -> None:
         """Write the packets that are held as a row group."""
@@ -144,9 +147,9 @@ class SlotReader:
     Raises
     ------
     MissingExtraError
-        where pyarrow is not installed
+        If pyarrow is not installed
     InputError
-        where the file is no such table
+        If the file is no such table
     """
 
     def __init__(self, path: Path) -> None:
@@ -168,7 +171,7 @@ class SlotReader:
     def rows(
         self, stamp_us: NDArray[np.uint32], packet: NDArray[np.int64], slot: NDArray[np.int64]
     ) -> dict[str, NDArray[Any]]:
-        """Give the columns (n,) from `echo` to `share` of records that have a distance.
+        """Return the columns (n,) from `echo` to `share` of records that have a distance.
 
         Parameters
         ----------
@@ -179,7 +182,7 @@ class SlotReader:
         Raises
         ------
         InputError
-            where the table does not hold such a packet, or has no return there: the capture is of another run
+            If the table does not hold such a packet, or has no return there: the capture is of another run
         """
         number = self._numbers(stamp_us)[packet]
         group = np.searchsorted(self._begin, number, side="right") - 1
@@ -199,7 +202,7 @@ class SlotReader:
         return found
 
     def returns(self, names: list[str]) -> Iterator[dict[str, NDArray[Any]]]:
-        """Give columns of all records that have a distance, some packets at a time."""
+        """Return columns of all records that have a distance, some packets at a time."""
         for group in range(self._file.num_row_groups):
             columns = self._read(group, [*names, "miss"])
             yield {name: columns[name][~columns["miss"]] for name in names}

@@ -52,7 +52,7 @@ _T = TypeVar("_T")
 
 
 class Truth:
-    """Writes the truth of a run, beside its packets or, by the times at which they would leave, without; a context manager.
+    """Writes the ground truth of a run beside its packets, or without them by the times at which they are due; a context manager.
 
     Parameters
     ----------
@@ -63,11 +63,11 @@ class Truth:
     Raises
     ------
     OutputError
-        where the folder cannot be used, or holds a file that the scenario names
+        If the folder cannot be used, or holds a file that the scenario names
     ScenarioError
-        where poses of packets are wanted of a sensor that has none
+        If poses of packets are wanted of a sensor that has none
     RunError
-        where it cannot be written: here, or later
+        If it cannot be written: here, or later
     """
 
     def __init__(self, to: TruthTo, of: HasEngine, span_s: tuple[float, float]) -> None:
@@ -86,46 +86,62 @@ class Truth:
         self._to_come = self.beside(
             engine.packets(*span_s) if to.per_return else arriving(scenario, self._units, times, *span_ns)
         )
-        self._folder = TruthFolder(to.folder, named_files(scenario))
-        self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
-        self._folder.write_json("rig.json", rig_of(scenario, parts))
-        # The first packet may have begun before it was asked for.
-        earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
-        firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
-        from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
-        at = scenario.start_ns, to.rate_hz
-        self._trajectories = [
-            Samples(
-                self._begun(_file("trajectory", unit), _TUM_HEADER), partial(_poses, unit.motion, *at), *at, from_ns
-            )
-            for unit in self._units
-        ]
-        self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
-        self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
-        self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
-        self._returns, self._open = dict[int, SlotTable](), ExitStack()
-        for unit in self._units if to.per_return else ():
-            table = SlotTable(to.folder / _file("returns", unit, "parquet"))
-            self._returns[unit.number] = self._open.enter_context(table)
+        with ExitStack() as stack:
+            self._folder = stack.enter_context(TruthFolder(to.folder, named_files(scenario)))
+            self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
+            self._folder.write_json("rig.json", rig_of(scenario, parts))
+            # The first packet may have begun before it was asked for.
+            earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
+            firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
+            from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
+            at = scenario.start_ns, to.rate_hz
+            self._trajectories = [
+                Samples(
+                    self._begun(_file("trajectory", unit), _TUM_HEADER),
+                    partial(_trajectory, unit.motion, *at),
+                    *at,
+                    from_ns,
+                )
+                for unit in self._units
+            ]
+            self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
+            self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
+            self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
+            self._returns = dict[int, SlotTable]()
+            for unit in self._units if to.per_return else ():
+                table = SlotTable(self._folder.path / _file("returns", unit, "parquet"))
+                self._returns[unit.number] = stack.enter_context(table)
+            self._open = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        with self._folder, suppress(CancelledError, *([RunError] if error else [])), self._open:
-            self._write()
-            for samples in self._trajectories:
-                samples.up_to(self._seen_ns + self._step_ns)
-            begin_s, stop_s = self._span_s
-            if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
-                stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
-            if (ran := self._of.engine.scenario) is not self._scenario or stop_s != self._span_s[1]:
-                self._folder.write_json(self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
+        failed = error
+        try:
+            with suppress(CancelledError):
+                self._finish()
+        except RunError as late:
+            failed = error or late
+        self._open.__exit__(type(failed) if failed else None, failed, None)  # which keeps the folder if nothing failed
+        if failed is not error and failed is not None:
+            raise failed
+
+    def _finish(self) -> None:
+        """Write the samples up to the last packet, and the scene with the span that was run."""
+        self._write()
+        for samples in self._trajectories:
+            samples.up_to(self._seen_ns + self._step_ns)
+        begin_s, stop_s = self._span_s
+        if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
+            stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
+        if (ran := self._of.engine.scenario) is not self._scenario or stop_s != self._span_s[1]:
+            self._folder.write_json(self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Pass packets on, and write what was true until each of them once a second.
 
-        A packet counts as sent when the next one is asked for: whoever stops at one has not sent it.
+        A packet counts as sent when the next one is asked for: a run that stops at one has not sent it.
         """
         for packet in packets:
             yield packet
@@ -159,7 +175,7 @@ class Truth:
         for number, firsts_ns in self._firsts_ns.items():
             if firsts_ns:
                 true = self._units[number].motion.kinematics_at(np.array(firsts_ns))
-                self._packets[number](tum_rows(_poses_of(true)))
+                self._packets[number](_tum(true))
                 firsts_ns.clear()
 
     def _write_events(self) -> None:
@@ -225,18 +241,17 @@ def _file(name: str, unit: Unit, suffix: str = "tum") -> str:
     return f"{name}_{unit.number + 1}.{suffix}" if unit.number else f"{name}.{suffix}"
 
 
-def _poses_of(true: Kinematics) -> Poses:
-    """Poses (n,), also of a body that never moves."""
-    return Poses(true.t_ns, true.world_R_body, true.world_p_body_m)
+def _tum(true: Kinematics) -> str:
+    return tum_rows(Poses(true.t_ns, true.world_R_body, true.world_p_body_m))
 
 
 def true_motion(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> Kinematics:
-    """Make samples first .. first + count - 1 of a trajectory."""
+    """Return samples first .. first + count - 1 of a trajectory."""
     return motion.kinematics_at(start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz)
 
 
-def _poses(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> str:
-    return tum_rows(_poses_of(true_motion(motion, start_ns, rate_hz, first, count)))
+def _trajectory(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> str:
+    return _tum(true_motion(motion, start_ns, rate_hz, first, count))
 
 
 def _inertial(imu: ImuSampler, first: int, count: int) -> str:
@@ -251,19 +266,18 @@ def _inertial(imu: ImuSampler, first: int, count: int) -> str:
 
 
 def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
-    """Lines of what a receiver measures and says; sample i is the UTC second i."""
-
-    def row(t_ns: int) -> str:
-        true, said = receiver.reading(t_ns), receiver.fix(t_ns)
+    """Write what a receiver measures and reports; sample i is the UTC second i."""
+    rows = []
+    for t_ns in range(first * S_NS, (first + count) * S_NS, S_NS):
+        true, fix = receiver.reading(t_ns), receiver.fix(t_ns)
         latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], gps)[0].tolist()
         east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
-        return (
-            f"{seconds_text(t_ns)},{said.valid:d},{true.cover:.4f},"
+        rows.append(
+            f"{seconds_text(t_ns)},{fix.valid:d},{true.cover:.4f},"
             f"{latitude_deg:.10f},{longitude_deg:.10f},{height_m:.4f},{east_m_s:.6f},{north_m_s:.6f},"
-            f"{said.latitude_deg:.10f},{said.longitude_deg:.10f},{said.speed_m_s:.6f},{said.course_deg:.4f}\n"
+            f"{fix.latitude_deg:.10f},{fix.longitude_deg:.10f},{fix.speed_m_s:.6f},{fix.course_deg:.4f}\n"
         )
-
-    return "".join(row(second * S_NS) for second in range(first, first + count))
+    return "".join(rows)
 
 
 def _event_row(one: Happening) -> str:
@@ -280,15 +294,11 @@ def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]
 
 
 def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
-    """Describe the frames of the trajectory and of what is fixed to it."""
+    """Describe the frames of the trajectory and the extrinsics of what is fixed to it."""
     gps, imu = scenario.gps, scenario.imu
-    rig: dict[str, Any] = {
-        "world": {
-            "axes": "x east, y north, z up",
-            "latitude_deg": gps.latitude_deg,
-            "longitude_deg": gps.longitude_deg,
-            "height_m": gps.height_m,
-        },
+    place = {key: getattr(gps, key) for key in ("latitude_deg", "longitude_deg", "height_m")}
+    return {
+        "world": {"axes": "x east, y north, z up"} | place,
         "sensor": {"axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"},
         "units": [_unit(unit) for unit in parts.units],
         "manual": {
@@ -296,12 +306,10 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
             "sensor_T_manual": _transform(SENSOR_R_MANUAL, np.zeros(3)),
         },
         "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
-    }
-    return rig | ({"imu": {"body_T_imu": _mount(imu.mount)}} if imu else {})
+    } | ({"imu": {"body_T_imu": _mount(imu.mount)}} if imu else {})
 
 
 def _unit(unit: Unit) -> dict[str, Any]:
-    """Describe a unit, its addresses, and where it sits."""
     keys = ("name", "model", "serial_number", "address", "data_port", "position_port")
     return {
         "unit": unit.number + 1,

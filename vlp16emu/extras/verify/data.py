@@ -7,34 +7,24 @@ from numpy.typing import NDArray
 
 from vlp16emu.extras.verify.frames import HOUR_US, JITTER_US, ClockWatch, wrap_hour_us
 from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
+from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
-from vlp16emu.packets.layout import (
-    AZIMUTH_CODES,
-    BLOCK_FLAG,
-    BLOCK_PERIOD_NS,
-    BLOCKS_PER_PACKET,
-    DATA_PAYLOAD,
-    FACTORY_BYTE,
-    LASERS,
-    MIN_DISTANCE_LSB,
-    RETURN_MODE_BYTE,
-)
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
-"""Of the equal pairs of a packet; 603 packets of a real unit show 0.03 % overall and 1.1 % at most."""
+"""Share of the equal pairs of a packet; 603 packets of a real unit show 0.03 % overall and 1.1 % at most."""
 
 _STEP_TOLERANCE_CDEG = 6
 """Real units read azimuths with 0.5 cdeg of noise, which makes steps 0.8 cdeg wide; the widest seen is 4.5."""
 _GAP_TOLERANCE_CDEG = 26
-"""By which the azimuth left out may disagree with the time left out: 9 cdeg of once-per-revolution error, as
+"""Difference of the azimuth left out from the time left out: 9 cdeg of once-per-revolution error, as
 seen on real units, at either end, and the noise of two readings and a step."""
 _GAP_TOLERANCE = 0.005
-"""The same in proportion to the gap, for speed control: 3 rpm of 600."""
+"""Further difference in proportion to the gap, for speed control: 3 rpm of 600."""
 _CLOCK_PPM = 10
-"""By which a clock that follows GPS may run faster or slower for a while."""
+"""Rate error of a clock that follows GPS, for a while."""
 
 _RPM = (300, 1200)
 """Source: 63-9243 Rev D, section 8.3, p. 50."""
@@ -42,15 +32,15 @@ _RPM_TOLERANCE = 0.01
 """Speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder."""
 _RPM_STEPS = 100
 """Fewer steps than these say too little about the speed."""
-_CDEG_PER_STEP_AND_RPM = 6 * 100 * BLOCK_PERIOD_NS / 1e9
+_CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
 _STILL_CDEG = 12
-"""Two readings differ by less than this where the rotor stands; at 300 rpm a packet turns by 220."""
+"""Two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220."""
 _SET_RPM = 60
 """Speeds that can be set are multiples of this (63-9243 Rev D, section 8.3)."""
 _HELD_RPM = 4.0
-"""By which the mean of a revolution may be off: speed control, 3 rpm in sibling manuals, and two readings."""
+"""Error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings."""
 
-_BY_ELEVATION = np.array([*range(0, LASERS, 2), *range(1, LASERS, 2)])
+_BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
 """Lasers from the lowest to the highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
 _SHORTEST = 300
 """Firing sequences: fewer may all look into the sky."""
@@ -60,11 +50,11 @@ _SECTORS = 36
 _SECTOR_RETURNS = 300
 """Fewer returns say too little about a sector."""
 _SECTOR_BLOCKS = 20
-"""The same of its blocks, which a whole revolution has of each."""
+"""Fewer blocks say too little; a whole revolution has more in each sector."""
 _DARKER = 0.35
 """Light of a sector as a share of that before; behind dirt that lets 0.5 through it is 0.25, as light passes twice."""
 _STEADY = 0.25
-"""By how much the sectors change in the middle while one turns dark."""
+"""Largest median change of the sectors while one turns dark."""
 
 
 class DataChunk:
@@ -85,9 +75,9 @@ class DataChunk:
         self.judged = slice(0, n if ends else n - 1)
         """Packets whose azimuths are judged; of the last one only the next chunk knows the neighbour."""
         self.number, self.stamp_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
-        payload = np.frombuffer(b"".join(each.payload for each in datagrams), DATA_PAYLOAD)
+        payload = np.frombuffer(b"".join(each.payload for each in datagrams), layout.DATA_PAYLOAD)
         blocks = payload["blocks"]
-        self.dual = bool(payload["return_mode"][0] == RETURN_MODE_BYTE[ReturnMode.DUAL])
+        self.dual = bool(payload["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
         self.timestamp_us = payload["timestamp_us"].astype(np.int64)
         self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)
         """(n, 12)."""
@@ -107,27 +97,27 @@ class DataChunk:
         pairs = zip(before or bytes([self.mode[0], self.product[0]]), (self.mode, self.product), strict=True)
         self.mode_before, self.product_before = (np.append(np.uint8(first), codes[:-1]) for first, codes in pairs)
         new_mode, new_product = self.mode != self.mode_before, self.product != self.product_before
-        is_new, modes = new_mode | new_product, [*RETURN_MODE_BYTE.values()]
+        is_new, modes = new_mode | new_product, [*layout.RETURN_MODE_BYTE.values()]
         self.is_set = new_mode & ~new_product & np.isin(self.mode, modes) & np.isin(self.mode_before, modes)
         self.is_changed = is_new & ~self.is_set
         is_new[0] |= not before
         self.is_no_mode = is_new & ~np.isin(self.mode, modes)
-        is_no_product = is_new & ~np.isin(self.product, [*FACTORY_BYTE.values()])
+        is_no_product = is_new & ~np.isin(self.product, [*layout.FACTORY_BYTE.values()])
         self.is_old_product = is_no_product & (self.product == PRODUCT_BEFORE_RELEASE) & ~new_product
         self.is_no_product = is_no_product & ~self.is_old_product
 
     def _read_codes(self) -> None:
         each = np.arange(len(self.number))
-        is_no_flag, self.azimuth = self.flag != BLOCK_FLAG, self.azimuth_cdeg.max(axis=1)
+        is_no_flag, self.azimuth = self.flag != layout.BLOCK_FLAG, self.azimuth_cdeg.max(axis=1)
         self.is_no_flag, self.flag_block = is_no_flag.any(axis=1), is_no_flag.argmax(axis=1)
         self.flag_found = self.flag[each, self.flag_block].byteswap()
         self.azimuth_block, self.first_deg = self.azimuth_cdeg.argmax(axis=1), self.azimuth_cdeg[:, 0] / 100
-        self.is_past_turn, self.is_full_turn = self.azimuth > AZIMUTH_CODES, self.azimuth == AZIMUTH_CODES
+        self.is_past_turn, self.is_full_turn = self.azimuth > layout.AZIMUTH_CODES, self.azimuth == layout.AZIMUTH_CODES
         self.is_past_hour = self.timestamp_us >= HOUR_US
-        is_short = (self.distance_lsb > 0) & (self.distance_lsb < MIN_DISTANCE_LSB)
+        is_short = (self.distance_lsb > 0) & (self.distance_lsb < layout.MIN_DISTANCE_LSB)
         self.short = is_short.sum(axis=(1, 2, 3))
         self.has_short = self.short > 0
-        self.shortest = np.where(is_short, self.distance_lsb, MIN_DISTANCE_LSB).min(axis=(1, 2, 3))
+        self.shortest = np.where(is_short, self.distance_lsb, layout.MIN_DISTANCE_LSB).min(axis=(1, 2, 3))
         # Even and odd blocks of dual return are pairs (63-9243 Rev D, section 9.3.2, p. 57).
         is_apart = self.azimuth_cdeg[:, ::2] != self.azimuth_cdeg[:, 1::2]
         self.is_apart, pair = is_apart.any(axis=1), is_apart.argmax(axis=1)
@@ -146,11 +136,11 @@ class DataChunk:
         The second block of each dual pair is left out.
         """
         azimuth_cdeg = self.azimuth_cdeg[:, :: 2 if self.dual else 1]
-        forward_cdeg = np.append(np.diff(azimuth_cdeg.ravel()) % AZIMUTH_CODES, 0)
+        forward_cdeg = np.append(np.diff(azimuth_cdeg.ravel()) % layout.AZIMUTH_CODES, 0)
         self.forward_cdeg: NDArray[np.int64] = forward_cdeg.reshape(azimuth_cdeg.shape)
         """(n, blocks) 0 .. 35999; the very last one leads nowhere and is 0."""
-        half = AZIMUTH_CODES // 2
-        self.signed_cdeg: NDArray[np.int64] = (self.forward_cdeg + half - 1) % AZIMUTH_CODES - half + 1
+        half = layout.AZIMUTH_CODES // 2
+        self.signed_cdeg: NDArray[np.int64] = (self.forward_cdeg + half - 1) % layout.AZIMUTH_CODES - half + 1
         self.usual_cdeg = np.median(self.forward_cdeg[:, :-1], axis=1, keepdims=True)
         self.is_even = np.abs(self.signed_cdeg - self.usual_cdeg) <= _STEP_TOLERANCE_CDEG
         self.is_odd: NDArray[np.bool_] = ~self.is_even | (self.signed_cdeg <= 0)
@@ -163,12 +153,12 @@ class DataChunk:
         self.step_number = np.repeat(self.number[:, None], blocks, axis=1)
         self.step_number[:-1, -1] = self.number[1:]  # a step belongs to the packet it leads to
         self.step_deg, self.usual_deg = self.signed_cdeg / 100, float(np.median(self.usual_cdeg)) / 100
-        led_to = np.roll(np.arange(0, BLOCKS_PER_PACKET, BLOCKS_PER_PACKET // blocks), -1)
+        led_to = np.roll(np.arange(0, layout.BLOCKS_PER_PACKET, layout.BLOCKS_PER_PACKET // blocks), -1)
         self.step_block = np.broadcast_to(led_to, self.step_deg.shape)
 
     def _read_times(self) -> None:
         """Find which of the n - 1 steps of time are regular, and excuse azimuths that time explains."""
-        self.period_ns = BLOCK_PERIOD_NS * self.forward_cdeg.shape[1]
+        self.period_ns = layout.BLOCK_PERIOD_NS * self.forward_cdeg.shape[1]
         self.after = self.number[1:]
         self.step_us = wrap_hour_us(np.diff(self.timestamp_us))
         self.low_us = self.period_ns // US_NS
@@ -184,6 +174,10 @@ class DataChunk:
         self.is_lost = ~self.is_regular & is_whole & ~self.is_gap
         self.is_broken = ~(self.is_regular | self.is_gap | self.is_lost)
         self.gap_number = np.where(odd_inside, self.number[:-1], self.after)
+        gaps_cdeg = self.forward_cdeg[:-1][self.is_gap][self.is_odd[:-1][self.is_gap]]
+        if len(gaps_cdeg):  # the last packet has no time step that would explain its gap
+            off_cdeg = np.abs(self.forward_cdeg[-1][:, None] - gaps_cdeg).min(axis=1)
+            self.is_odd[-1] &= off_cdeg > _GAP_TOLERANCE_CDEG
         self.is_odd[:-1][self.is_gap] = False
         self.is_odd[:-1, -1] &= self.is_regular
         self.is_odd[self.is_still] = False
@@ -196,7 +190,7 @@ class DataChunk:
         even_cdeg = self.forward_cdeg[:, :-1][~self.is_odd[:, :-1]]
         # A mean, because the median of whole numbers is too coarse to turn a gap into time.
         usual_cdeg = max(float(even_cdeg.mean()), 1.0) if len(even_cdeg) else 1.0
-        rate_cdeg_us = usual_cdeg / (BLOCK_PERIOD_NS / US_NS)
+        rate_cdeg_us = usual_cdeg / (layout.BLOCK_PERIOD_NS / US_NS)
         is_odd = self.is_odd[:-1]
         gap_us = np.where(is_odd, self.forward_cdeg[:-1] - usual_cdeg, 0.0).sum(axis=1) / rate_cdeg_us
         tolerance_us = _GAP_TOLERANCE_CDEG / rate_cdeg_us + _GAP_TOLERANCE * gap_us
@@ -213,17 +207,17 @@ class DataChunk:
         self.late_ms = late_us / 1e3
         self.is_late = (late_us > JITTER_US) & ~takes_longer & (not self.is_broken.any())
         self.offset_us = int(offset_us[0]) + round(float(np.median(moved_us)))
-        """Of the whole chunk: a median, which no burst can move."""
+        """Clock offset of the whole chunk: a median, which no burst can move."""
 
     def _read_revolutions(self) -> None:
         """Find the mean speed of each revolution, over which the error of the encoder goes out."""
         turned_cdeg = self.signed_cdeg[:-1].sum(axis=1)
         middle_cdeg = float(np.median(turned_cdeg)) if len(turned_cdeg) else 0.0
-        packets = max(round(AZIMUTH_CODES / middle_cdeg), 1) if middle_cdeg >= 1.0 else len(self.number)
+        packets = max(round(layout.AZIMUTH_CODES / middle_cdeg), 1) if middle_cdeg >= 1.0 else len(self.number)
         rows = len(turned_cdeg) // packets * packets
         whole = self.is_regular[:rows].reshape(-1, packets).all(axis=1)
         revolution_cdeg = turned_cdeg[:rows].reshape(-1, packets).sum(axis=1)
-        self.rpm = revolution_cdeg / AZIMUTH_CODES / (packets * self.period_ns / S_NS) * 60.0
+        self.rpm = revolution_cdeg / layout.AZIMUTH_CODES / (packets * self.period_ns / S_NS) * 60.0
         self.is_off = whole & (np.abs(self.rpm - _SET_RPM * np.rint(self.rpm / _SET_RPM)) > _HELD_RPM)
         self.revolution_number = self.number[:rows:packets]
         is_even = self.is_even.copy()
@@ -232,8 +226,8 @@ class DataChunk:
         self.even_cdeg = self.forward_cdeg[self.judged][is_even[self.judged]]
 
 
-_CODES, _PRODUCTS = f"0 .. {AZIMUTH_CODES - 1}", "0x22 or 0x24"
-_SHORTEST_CODE, _FEW = f"0 or at least {MIN_DISTANCE_LSB}", f"at most {_UNEQUAL_REFLECTIVITY_SHARE:.0%}"
+_CODES, _PRODUCTS = f"0 .. {layout.AZIMUTH_CODES - 1}", "0x22 or 0x24"
+_SHORTEST_CODE, _FEW = f"0 or at least {layout.MIN_DISTANCE_LSB}", f"at most {_UNEQUAL_REFLECTIVITY_SHARE:.0%}"
 _WHOLE, _HELD = "all of it, unless a field of view is set", f"a multiple of {_SET_RPM} rpm within {_HELD_RPM:g}, held"
 _USUAL = f"{{usual_deg:+.2f}} deg within {_STEP_TOLERANCE_CDEG / 100:.2f}"
 _FACTORY = "bytes {mode:02x} {product:02x}", "{mode_before:02x} {product_before:02x} as before"
@@ -320,7 +314,7 @@ class OpticsRules:
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
-        self._share = np.zeros(LASERS)
+        self._share = np.zeros(layout.LASERS)
         self._light: NDArray[np.float64] | None = None
         self._dead = frozenset[int]()
 

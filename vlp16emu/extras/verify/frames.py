@@ -11,17 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
+from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
-from vlp16emu.packets.layout import (
-    BLOCK_FLAG,
-    DATA_BYTES,
-    DATA_PAYLOAD,
-    POSITION_BYTES,
-    POSITION_PAYLOAD,
-    RETURN_MODE_BYTE,
-    SEQUENCES_PER_PACKET,
-)
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
@@ -30,24 +22,26 @@ Microseconds = TypeVar("Microseconds", int, NDArray[np.int64])
 
 HOUR_US = HOUR_NS // US_NS
 JITTER_US = 5 * MS_NS // US_NS
-"""By how much a capturing host may be late with a stamp, bursts included; a quiet one stays below 0.1 ms."""
+"""Latest stamp of a capturing host, bursts included; a quiet one stays below 0.1 ms."""
 _DRIFT_PPM = 150
 """Sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off."""
-_LAYOUTS = {PacketKind.DATA: DATA_PAYLOAD, PacketKind.POSITION: POSITION_PAYLOAD}
-_MODE_AT: int = DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
-_PERIODS_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
+_LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
+_MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
+_PERIODS_NS = {
+    layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()
+}
 _HELD = 128
 """Packets among which one is put in its place: those of 0.17 s in single return."""
-_FLAG = BLOCK_FLAG.to_bytes(2, "little")
-SENTENCE_OFFSET: int = POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
+_FLAG = layout.BLOCK_FLAG.to_bytes(2, "little")
+SENTENCE_OFFSET: int = layout.POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
 """First character of the sentence in a position payload."""
 PORT = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
 """Source port of each kind, and destination unless the user has set another (63-9243 Rev D, section 10.2.3.12)."""
-PAYLOAD_BYTES = {PacketKind.DATA: DATA_BYTES, PacketKind.POSITION: POSITION_BYTES}
+PAYLOAD_BYTES = {PacketKind.DATA: layout.DATA_BYTES, PacketKind.POSITION: layout.POSITION_BYTES}
 _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
 _VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
-"""From the source MAC to the source address: the one header of its old versions for all packets. Source: Kitware/VeloView,
+"""Header from source MAC to source address that its old versions give all packets. Source: Kitware/VeloView,
 LidarPlugin/Common/Network/NetworkPacket.cxx; so has a capture of 2014."""
 _HEADER = np.dtype(
     [
@@ -91,15 +85,15 @@ class ClockWatch:
 
 
 def kind_of(datagram: Datagram) -> PacketKind | None:
-    """Say what a datagram is meant to be, by the port that it comes from, or else goes to, or by length and first mark."""
+    """Return the kind of a datagram by its source port, else its destination port, else its length and first bytes."""
     for port in (datagram.source_port, datagram.destination_port):
         for kind, usual in PORT.items():
             if port == usual:
                 return kind
     payload = datagram.payload
-    if len(payload) == DATA_BYTES and payload.startswith(_FLAG):
+    if len(payload) == layout.DATA_BYTES and payload.startswith(_FLAG):
         return PacketKind.DATA
-    has_sentence = len(payload) == POSITION_BYTES and payload.startswith(b"$GPRMC", SENTENCE_OFFSET)
+    has_sentence = len(payload) == layout.POSITION_BYTES and payload.startswith(b"$GPRMC", SENTENCE_OFFSET)
     return PacketKind.POSITION if has_sentence else None
 
 
@@ -128,6 +122,7 @@ class _Frames:
         udp = words[:, 6:].sum(axis=1) + sent.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
         # The words of what holds its own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
         fields = [
+            ("IP version", raw["version"] >> 4, 4),
             ("header bytes", np.array([len(each.ip) + 8 for each in datagrams]), 28),
             ("type of service", raw["tos"], 0),
             ("IP length", raw["total"], 28 + payload_bytes),
@@ -143,6 +138,7 @@ class _Frames:
         self.value = np.stack([np.asarray(column, np.int64) for column in values], axis=1)
         self.field, self.wanted = (np.broadcast_to(of, self.value.shape) for of in (names, wanted))
         self.is_other = (self.value != self.wanted) & ~self.is_rewritten[:, None]
+        self.is_other[:, 1:] &= self.is_other[:, :1] == 0  # the fields of another version lie elsewhere
         self.field_number = np.broadcast_to(self.number[:, None], self.value.shape)
 
 
@@ -172,7 +168,7 @@ class InOrder:
         self._repeats = 0
 
     def take(self, datagram: Datagram) -> Iterator[Datagram]:
-        """Put a packet in its place, and yield those whose turn has come."""
+        """Insert a packet in order, and yield those that no packet can precede any more."""
         for known in reversed(self._held):
             if datagram.payload == known.payload:
                 self._report_again(datagram, known)
@@ -208,7 +204,7 @@ class InOrder:
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
 
     def _is_late(self, datagram: Datagram) -> bool:
-        """Whether it belongs between those that are held: by the period of data packets, or the count of position packets."""
+        """Return whether it belongs between those held: by the period of data packets, or the count of position packets."""
         if self._since_us(datagram, self._held[0]) <= 0:
             return False
         if self._kind is PacketKind.POSITION:

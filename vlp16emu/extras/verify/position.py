@@ -23,7 +23,7 @@ _SHORTEST_INTERVAL_NS = 1_400_000
 _LATEST_S = 2
 """The sentence of a second arrives during the next one, and until then its forerunner is echoed."""
 _UNEVEN_S = 0.25
-"""By which receivers may be later with one sentence than with another."""
+"""Difference between the delays of two sentences of one receiver."""
 _NEXT_NS = 50 * MS_NS
 """Position packets farther apart than this do not show when a sentence came."""
 _SENTENCE_CHARACTERS = 82
@@ -41,7 +41,7 @@ _SENTENCE = re.compile(
 
 
 class _Sentence(NamedTuple):
-    """What one sentence says, and the words of its faults, empty without one."""
+    """Contents of a sentence, and the words of its faults, empty without one."""
 
     second: int = -1
     """Past the hour; -1 unless the sentence names a time."""
@@ -52,7 +52,7 @@ class _Sentence(NamedTuple):
     right: str = ""
     """The checksum that it should have."""
     talker: str = ""
-    """Of a receiver other than GPS alone, whose sentences the manual does not name."""
+    """Talker of a receiver other than GPS alone, whose sentences the manual does not name."""
 
 
 class PositionChunk:

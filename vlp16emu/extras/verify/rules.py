@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 class Level(StrEnum):
-    """How much a finding weighs."""
+    """Weight of a finding."""
 
     ERROR = "error"
     """No sensor sends it."""
@@ -20,7 +20,7 @@ class Level(StrEnum):
 
 
 class Rule(StrEnum):
-    """What real VLP-16 traffic obeys.
+    """Rules of real VLP-16 traffic.
 
     Sources: 63-9243 Rev D, sections 8 (rates) and 9.3 (packets), and captures of real units.
     """
@@ -28,7 +28,7 @@ class Rule(StrEnum):
     FRAMING = "framing"
     """Payloads of 1206 and 512 bytes, whole frames without padding or trailer."""
     PORTS = "ports"
-    """From 2368 to 2368 and from 8308 to 8308; of several units each may send to ports of its own."""
+    """Source ports are 2368 and 8308; destination ports may be set."""
     HEADER = "header"
     """IPv4 and UDP header fields of each stream, checksums included."""
     STAMP_ORDER = "stamp-order"

@@ -1,4 +1,4 @@
-"""From a capture file to the findings."""
+"""Captures checked against the rules of VLP-16 traffic, unit by unit."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +11,8 @@ from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, InOrder, check_fr
 from vlp16emu.extras.verify.position import PositionRules
 from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
 from vlp16emu.packets.capture import Capture, Datagram
-from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET, CapturedUnit, chosen_unit
+from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
+from vlp16emu.packets.units import CapturedUnit, chosen_unit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
@@ -19,7 +20,7 @@ from vlp16emu.units import S_NS, US_NS
 _CHUNK_PACKETS = 512
 """Data packets looked at together: 0.6 MB, 0.7 s of single return."""
 _HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
-"""Of several units their chunks together are so long, but no chunk is shorter than this."""
+"""Length of the chunks of all units together, and of the shortest."""
 _MODE_AT = -2
 """Return mode and product end a data payload."""
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
@@ -34,18 +35,18 @@ _POSITION_RATES_HZ = (146.0, 53.8)
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What a capture holds and which rules it breaks."""
+    """Contents of a capture, and the rules that it breaks."""
 
     data_packets: int
     position_packets: int
     other_frames: int
-    """Of other traffic and of other units, not looked at."""
+    """Frames of other traffic and of other units, which are not checked."""
     lost_packets: int
     """Missing data and position packets."""
     void_sentences: int
     """Seconds for which the GPS receiver had no fix, by the status V of its sentences, as trees make them too."""
     span_s: float
-    """From the first packet to the last, by the capture's stamps."""
+    """Time from the first packet to the last, by the capture's stamps."""
     rpm: float | None
     """Mean rotor speed; None without data packets."""
     is_cut: bool
@@ -68,32 +69,27 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
 
     Parameters
     ----------
-    capture : classic pcap file
-    unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+    capture : file or pattern of files, as `Capture`
+    unit : the sensor, if there are several: its number from 1, or `address:port` with its data port
     limit_per_rule : findings kept of each rule; all are counted
 
     Raises
     ------
     CaptureError
-        where the file cannot be read, or holds no VLP-16 packets at all
+        If the file cannot be read, or holds no VLP-16 packets at all
     InputError
-        where there is no such unit, or there are several and none is named
+        If there is no such unit, or there are several and none is named
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
-    return verify_capture(path, chosen, limit_per_rule=limit_per_rule)
-
-
-def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_rule: int = 10) -> Verification:
-    """Check the packets of one unit, or without one all VLP-16 packets, as `verify`."""
-    return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
+    return verify_units(path, [chosen], limit_per_rule=limit_per_rule)[0]
 
 
 def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10) -> list[Verification]:
-    """Check each of several units by itself against all rules, all of them in one pass and with little memory."""
+    """Check each of several units by itself, all of them in one pass and with little memory; None stands for all packets."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [(unit, _Check(Findings(limit_per_rule), chunk_packets)) for unit in units]
-    with Capture(path) as capture:
+    with Capture(path, repeats=True) as capture:
         for datagram in capture:
             for unit, check in checks:
                 if unit is None or unit.owns(datagram):
@@ -150,7 +146,8 @@ class _Check:
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check what is left, and sum up."""
         if not self._packets:
-            raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
+            found = f"no VLP-16 packets, but {capture.missed}" if capture.missed else "no VLP-16 packets"
+            raise CaptureError(str(path), found, "data packets on UDP port 2368")
         self._finish_data()
         self._collect(PacketKind.POSITION, self._in_order[PacketKind.POSITION].rest())
         self._check_position()

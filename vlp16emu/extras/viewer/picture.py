@@ -1,7 +1,7 @@
 """Pictures and films of what a sensor sees, without a browser."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -15,11 +15,12 @@ import numpy as np
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.canvas import Canvas
-from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
+from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, spare
 from vlp16emu.scan import decode
 from vlp16emu.types import F8, U1
 
@@ -37,24 +38,12 @@ _SENSOR_RGB = (255, 70, 50)
 _MOST_ENTRIES = 12
 _MILLIONS = 100_000
 """Points from which on they are counted in millions."""
+_FROM_DEG = 205.0
+"""Bearing of the eye, unless another is wanted: light falls from the south."""
 _STATIONS = 200
 """Number of places along a path."""
 _FEWEST_COLUMNS = 800
 """Firing sequences of a revolution at 1200 rpm are some 900."""
-
-
-@dataclass(frozen=True, slots=True)
-class PictureLook:
-    """How a picture is made."""
-
-    colour: str
-    """A layer, see `layers_of_scan`."""
-    from_deg: float
-    """Bearing of the eye, clockwise from north; in the view "slant"."""
-    size: tuple[int, int]
-    """In pixels."""
-    view: str = "slant"
-    """slant: points of all sweeps from above; sweep: one revolution from straight above; image: one as rows of lasers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +124,7 @@ def draw_picture(
     rings: int,
     species: Mapping[int, str],
     stop: Event,
+    inputs: Collection[Path] = (),
 ) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
@@ -148,26 +138,30 @@ def draw_picture(
     rings : number of lasers of the sensor
     species : names by number
     stop : ends the picture between two revolutions
+    inputs : files that are read, which the picture may not replace
     """
+    spare(inputs, path)
     check_suffix(path)
     suffix = path.suffix.lower()
     first = next(sweeps, None)
     if first is None:
         raise InputError("picture", "no whole revolution", "at least one in the span")
-    if look.colour not in (known := layers_of_scan(first.scan)):
-        raise InputError("--colour", f"found {look.colour}", ", ".join(known))
-    drawing = _Drawing(_view(look, first, way_m, rings), look.colour, species)
+    known = layers_of_scan(first.scan)
+    colour = look.colour or ("natural" if "natural" in known else "reflectivity")
+    if colour not in known:
+        raise InputError("--colour", f"found {colour}", ", ".join(known))
+    drawing = _Drawing(_view(look, first, way_m, rings), colour, species)
     one_by_one = suffix == ".png" and drawing.view.px_per_m is None
     images = drawing.images(chain([first], islice(sweeps, 0) if one_by_one else sweeps), stop)
     with OutputFile(path) as output, output.writing() as file:
         if suffix == ".png":
             for _ in images:
                 pass
-            _still(file, drawing, entries_of(first.scan, look.colour, species))
+            _still(file, drawing, entries_of(first.scan, colour, species))
         else:
             (_gif if suffix == ".gif" else _mp4)(file, (drawing.marked(sweep) for sweep in images), look.size)
     interrupted = stop.is_set()
-    return PictureRun(str(path), drawing.revolutions, drawing.points, look.colour, path.stat().st_size, interrupted)
+    return PictureRun(str(path), drawing.revolutions, drawing.points, colour, path.stat().st_size, interrupted)
 
 
 def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View:
@@ -187,7 +181,9 @@ def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View
 
 def _slanted(look: PictureLook, box_m: F8) -> View:
     """Return a view of the world from above at a slant; points beside the box would hide what is near the path."""
-    camera = Orthographic.around(box_m, look.from_deg, _ELEVATION_DEG, look.size)
+    camera = Orthographic.around(
+        box_m, _FROM_DEG if look.from_deg is None else look.from_deg, _ELEVATION_DEG, look.size
+    )
 
     def sensor(sweep: Sweep) -> F8 | None:
         pose = sweep.scan.world_T_sensor

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import CaptureError, InputError
-from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, TrajectoryErrors
-from vlp16emu.extras.verify import Finding, Rule, verify_capture
+from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
+from vlp16emu.extras.options import TrajectoryErrors
+from vlp16emu.extras.verify import Finding, Rule, verify_units
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scan import Labels, LabelsOf, Scan, scans_in
@@ -116,7 +117,7 @@ class CaptureSweeps:
         self._path, self._folder, self._number = path, truth, unit
         self._way = None if truth is None else Trajectory(truth, unit, TrajectoryErrors())
         self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
-        found = verify_capture(path, self._unit, limit_per_rule=_MARKED)
+        found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
         """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
         self.species = {} if truth is None else _species(truth)

@@ -1,12 +1,12 @@
 """Ground with relief, or with heights from a file."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
-from vlp16emu.settings import NonNegative, Place, Positive, SceneFile, Section
+from vlp16emu.settings import NonNegative, Place, Positive, Preset, SceneFile, Section
 
-_RELIEFS = {
+_RELIEFS: dict[str, dict[str, object]] = {
     # Smooth and rough micro-relief have 0.05 m and 0.25 m rms over wavelengths of 0.3 m to 60 m (assumption);
     # of a spectrum of the third power, 1 m to 12 m holds sqrt((12 - 1) / (60 - 0.3)) = 0.43 of that.
     "flat": {"hill_rms_m": 0.0, "rough_rms_m": 0.02},
@@ -26,8 +26,11 @@ def _room_for_trails(spacing_m: float) -> float:
     return spacing_m
 
 
-class Terrain(Section):
+class Terrain(Preset):
     """Ground with relief: hills, roughness that a foot would feel, and mounds."""
+
+    presets = _RELIEFS
+    preset_key = "relief"
 
     relief: Literal["flat", "rolling", "hilly", "rough"] = "rolling"
     """Gives those of the next three keys that are not given beside it; `rolling` is as they are by default."""
@@ -49,12 +52,6 @@ class Terrain(Section):
     """Slope of the plane under it all, rising towards `slope_towards_deg`."""
     slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction of that slope, counter-clockwise from east."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_relief(cls, table: Any) -> Any:
-        relief = table.get("relief") if isinstance(table, dict) else None
-        return _RELIEFS.get(relief, {}) | table if isinstance(relief, str) else table
 
 
 class Dem(Section):

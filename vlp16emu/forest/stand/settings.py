@@ -5,14 +5,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
-from vlp16emu.doors import door
 from vlp16emu.forest.ground.settings import Dem, Terrain
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.presets import with_preset
 from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Seed, Size
-from vlp16emu.world.mesh_settings import MeshFile, TreeModelFile
+from vlp16emu.world.mesh_settings import TreeModelFile
 from vlp16emu.world.settings import Texture, WorldSection
-from vlp16emu.world.site import Site
 
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
 """Two measures of how dense a storey is; a scene that gives one does not want the other."""
@@ -308,20 +306,9 @@ class Woods(WorldSection):
     """Heights of the ground in a file; they take the place of `terrain`."""
     origin_m: MapPoint = (0.0, 0.0, 0.0)
     """Easting, northing and height that are (0, 0, 0) in the world, for files in map coordinates."""
-    meshes: list[MeshFile] = Field(default_factory=list)
-    """The user's own things."""
 
     has_trees: ClassVar[bool] = True
-
-    @property
-    def own_seed(self) -> int | None:
-        """Seed that the section names."""
-        return self.seed
-
-    def site(self, seed: int) -> Site:
-        """Return the ground with what stands on it; errors as of `ForestSite`."""
-        site: Site = door("forest_site")(self, seed)
-        return site
+    site_door = "forest_site"
 
 
 class Forest(Woods, Storey):

@@ -1,0 +1,148 @@
+"""How runs end from outside, and what becomes of errors that no verb expects."""
+
+import fcntl
+import json
+import os
+import pty
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+
+from vlp16emu import replay
+
+GAP_S = 5 * 3600
+"""A clock that was set while a capture was written: shared report ouster-sdk#176."""
+ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+@pytest.fixture(scope="session")
+def gap(bench, tmp_path_factory):
+    """The bench capture, whose second half is stamped five hours later (a pcap record begins with its seconds)."""
+    content, at, frames = bytearray(bench.read_bytes()), 24, 0
+    while at < len(content):
+        seconds, _, length = struct.unpack_from("<III", content, at)
+        if frames > 200:
+            struct.pack_into("<I", content, at, seconds + GAP_S)
+        at, frames = at + 16 + length, frames + 1
+    path = tmp_path_factory.mktemp("gap") / "gap.pcap"
+    path.write_bytes(content)
+    return path
+
+
+def test_a_gap_is_reported_and_shortened(gap):
+    """A replay goes on a second or two after a gap of hours, whose length it reports; all packets leave."""
+    began_s = time.monotonic()
+    replayed = replay(gap, data_port=9, position_port=10)
+    assert replayed.gaps_s == (pytest.approx(GAP_S, abs=1),)
+    assert 1 <= time.monotonic() - began_s < GAP_S
+    assert 1.3 < replayed.sent.simulated_s < 2.6
+    whole = replay(gap, data_port=9, position_port=10, speed=1e5, keep_gaps=True)
+    assert (whole.gaps_s, round(whole.sent.simulated_s)) == ((), GAP_S)
+    assert (whole.packets, whole.position_packets) == (replayed.packets, replayed.position_packets)
+
+
+LIVE = "stream static_bench --set motion={{kind='live'}} --pose-in udp://127.0.0.1:0 --data-port 9 --position-port 10"
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize("line", ["replay {gap} --keep-gaps --data-port 9 --position-port 10", LIVE])
+def test_what_waits_ends_with_the_first_signal(program, gap, line, number):
+    """A replay in a gap of hours, and a stream that no pose has come to, end with 130 after one signal, and with a report."""
+    process = program(*line.format(gap=gap).split())
+    says = process.stderr if "live" in line else process.stdout
+    assert says.readline().startswith(("replaying", "waiting for poses"))
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.7)
+    process.send_signal(number)
+    out, _ = process.communicate(timeout=100)
+    assert (process.returncode, [line for line in out.splitlines() if line.startswith("interrupted: ")] != []) == (
+        130,
+        True,
+    )
+
+
+@pytest.mark.parametrize("line", ["record static_bench {tmp}/x.pcap", "stream static_bench --data-port 9"])
+def test_a_terminal_that_goes_ends_a_run_as_ctrl_c(program, heeds_signals, tmp_path, line):
+    """A run that reports to a terminal which is closed ends with 130, and without a word on it that nobody can read."""
+    ours, theirs = pty.openpty()
+    process = program(
+        *line.format(tmp=tmp_path).split(),
+        *("--duration", "3600"),
+        **dict.fromkeys(("stdin", "stdout", "stderr"), theirs),
+        start_new_session=True,
+        preexec_fn=lambda: (heeds_signals(), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
+    )
+    os.close(theirs)
+    drawn = b""
+    while b" of 3600.0 s" not in drawn or b"growing" in drawn.split(b"\r")[-1]:
+        drawn += os.read(ours, 10_000)
+    os.close(ours)
+    assert process.wait(timeout=100) == 130
+
+
+NOISY = """
+import numpy as np
+import vlp16emu.scenario as scenario
+
+load = scenario.load
+
+def noisy(*arguments, **options):
+    np.array(1.0) / np.array(0.0)
+    return load(*arguments, **options)
+
+scenario.load = noisy
+"""
+FULL = """
+import vlp16emu.scenario as scenario
+
+def load(*_, **__):
+    raise OSError(24, "Too many open files")
+
+scenario.load = load
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "code", "said"),
+    [(NOISY, 2, "error: scene 'nope': unknown name; expected "), (FULL, 1, "error: the system: Too many open files\n")],
+)
+def test_one_line_says_what_is_wrong(program, before, code, said):
+    """Warnings of numpy stay away from the line of an error; an error without a file is not one of standard output."""
+    process = program("record", "nope", "x.pcap", before=before)
+    out, err = process.communicate(timeout=100)
+    assert (process.returncode, out) == (code, "")
+    assert err.startswith(said)
+    assert err.count("\n") == 1
+
+
+def test_a_closed_standard_output_takes_no_capture():
+    """`record -` into a closed standard output is refused in one line."""
+    command = f"exec {sys.executable} -m vlp16emu record static_bench - --duration 0.1 >&-"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
+    said = "error: standard output: closed; expected a file or a pipe\n"
+    assert (done.returncode, done.stderr) == (2, said)
+
+
+def test_a_file_does_not_take_the_place_of_a_closed_output(tmp_path):
+    """A capture that is written while standard output is closed holds its packets and nothing else."""
+    path = tmp_path / "x.pcap"
+    command = f"exec {sys.executable} -m vlp16emu record static_bench {path} --duration 0.1 --json 2>/dev/null >&-"
+    assert subprocess.run(["sh", "-c", command], check=False).returncode == 0
+    done = subprocess.run(
+        [sys.executable, "-m", "vlp16emu", "verify", path, "--json"], capture_output=True, text=True, check=True
+    )
+    assert json.loads(done.stdout)["clean"]
+
+
+def test_a_missing_matplotlib_is_named_before_the_work(cli, monkeypatch, tmp_path):
+    """`picture` says at once which extra it lacks, before a scene is read."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr("vlp16emu.scenario.load", lambda *_, **__: 1 / 0)
+    outcome = cli("picture", "birch_walk", tmp_path / "x.png")
+    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+    assert "pip install 'vlp16emu[picture]'" in outcome.err

@@ -1,0 +1,88 @@
+"""Each option is declared once, and Python, help and the page of settings agree on it."""
+
+import inspect
+import re
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+
+import pytest
+
+from vlp16emu import Emulator, replay
+from vlp16emu.cli.verb import leaves_of
+from vlp16emu.doors import DOORS, door
+from vlp16emu.errors import InputError
+from vlp16emu.options import options_of
+from vlp16emu.run import options as runs
+from vlp16emu.scenario import schema
+
+VERBS = list(DOORS["verbs"])
+CLASSES = [one for _, one in inspect.getmembers(runs, is_dataclass) if one.__module__ == runs.__name__]
+METAVARS = {"_s": {"S"}, "_hz": {"HZ"}, "_m": {"M"}, "_deg": {"DEG"}, "_px": {"WxH"}}
+
+
+@cache
+def leaves(verb):
+    """Options of a verb."""
+    return list(leaves_of(door(verb, "verbs")))
+
+
+def test_an_option_is_declared_once():
+    """Two verbs that share a sentence of help share the declaration, and no verb has a name twice."""
+    declared = {}
+    for verb in VERBS:
+        names = [leaf.name for leaf in leaves(verb)]
+        assert len(names) == len(set(names)), verb
+        for leaf in leaves(verb):
+            assert declared.setdefault(leaf.option.help, leaf.option) is leaf.option, (verb, leaf.name)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_has_name_default_and_unit(cli, verb):
+    """Each option stands in the help of its verb with its metavar and default; the metavar is the unit that its field names."""
+    blocks = [" ".join(block.split()) for block in re.split(r"\n  (?=\S)", cli(verb, "--help").out)]
+    for leaf in leaves(verb):
+        words = [leaf.name, *(word for word in (leaf.option.metavar, "|".join(leaf.option.words)) if word)]
+        line = next(block for block in blocks if block.split()[:1] == [leaf.name])
+        assert all(word in line for word in words), line
+        if leaf.option.shown is True and leaf.default not in (None, MISSING, True, False):
+            assert f"[default: {leaf.default}]" in line
+        for unit, metavars in METAVARS.items():
+            assert not leaf.field.endswith(unit) or leaf.option.metavar in metavars, leaf
+
+
+@pytest.mark.parametrize("owner", CLASSES, ids=lambda one: one.__name__)
+def test_python_has_the_names_and_checks_of_the_command_line(owner):
+    """A field outside the limits or the words of its option is refused by Python in the name of the field."""
+    given = {field.name: "1" for field in fields(owner) if field.default is MISSING}
+    for one in options_of(owner):
+        limit = next((limit for limit in (one.option.ge, one.option.gt) if limit is not None), None)
+        wrong = "none of them" if one.option.words else None if limit is None else limit - 1
+        if wrong is not None:
+            with pytest.raises(InputError, match=rf"^{one.field}: found .*; expected "):
+                owner(**given | {one.field: wrong})
+
+
+def test_python_refuses_what_the_command_line_refuses(tmp_path):
+    """A run of no length is no empty file: record, stream and replay refuse it, and names that are none are TypeErrors."""
+    emulator = Emulator("static_bench", threads=1)
+    for call in (lambda **o: emulator.record(tmp_path / "x.pcap", **o), emulator.stream):
+        with pytest.raises(InputError, match=r"^duration_s: found 0; expected a number above 0 and at most 604800$"):
+            call(duration_s=0)
+        with pytest.raises(TypeError, match="unexpected keyword argument 'length_s'"):
+            call(length_s=1)
+    with pytest.raises(InputError, match=r"^speed: found nan; expected a number at least 0\.001$"):
+        replay(tmp_path / "x.pcap", speed=float("nan"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_options_that_are_settings_agree_with_the_page():
+    """What changes a key of a scene has that key's limits; SETTINGS.md is made of the same schema."""
+    keys = schema()["$defs"]["Sensor"]["properties"]
+    for one in options_of(runs.StreamOptions):
+        if one.field.endswith("_port"):
+            key = next(kind for kind in (keys[one.field], *keys[one.field].get("anyOf", ())) if "maximum" in kind)
+            assert (one.option.ge, one.option.le) == (key["minimum"], key["maximum"])
+    duration = next(one for one in options_of(runs.Span) if one.field == "duration_s")
+    key = schema()["properties"]["duration_s"]
+    assert (duration.option.gt, duration.option.le) == (key["exclusiveMinimum"], key["maximum"])
+    assert runs.StreamOptions(to="10.0.0.1:2370").settings == {"sensor.data_port": 2370}

@@ -1,0 +1,210 @@
+"""Options of extras, read by Python and by the command line. They need no library, as help is quick."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from vlp16emu.options import Option, Options
+from vlp16emu.run.options import Span, TruthPlace, WhichUnit
+
+_LONGEST_S = 7 * 86_400
+_FARTHEST = 1e6
+_SHORTEST_S = 0.001
+_LARGEST_PX = 8_192
+_MOUNT, _DRIFT = "X,Y,Z,ROLL,PITCH,YAW", "EAST,NORTH,UP,YAW"
+
+
+def _pixels(text: str) -> tuple[int, int]:
+    words = text.lower().split("x")
+    if len(words) != 2 or not all(word.isascii() and word.isdecimal() for word in words):
+        raise ValueError(text)
+    return int(words[0]), int(words[1])
+
+
+def _film_pixels(text: str) -> tuple[int, int]:
+    size = _pixels(text)
+    if not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in size):
+        raise ValueError(text)
+    return size
+
+
+def _numbers(names: str) -> Callable[[str], tuple[float, ...]]:
+    """Return a parser of as many numbers as there are names."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        numbers = tuple(map(float, text.split(",")))
+        if len(numbers) != len(names.split(",")) or not all(abs(one) <= _FARTHEST for one in numbers):
+            raise ValueError(text)
+        return numbers
+
+    return parse
+
+
+@dataclass(frozen=True)
+class PointOptions(Span):
+    """Points of a scene."""
+
+    unit: WhichUnit = 1
+    truth: Annotated[
+        bool, Option("Label what each point lies on: class, part, leaf or wood, plant, species.", name="--truth")
+    ] = False
+    labels: Annotated[
+        str | None,
+        Option(
+            "Classes as data sets have them: for-instance, digiforests, asprs or semantickitti. Beside them dense numbers of trees, "
+            "height above the ground and the viewpoint.",
+            "SCHEME",
+        ),
+    ] = None
+    truth_to: Annotated[
+        TruthPlace | None,
+        Option(
+            "Of a scene: write beside them what `record --truth` writes: trajectory, IMU, GNSS, rig, scenario. Of a capture: read "
+            "from there what `record --truth-returns` has written, for --truth and --labels; by default from the folder of --trajectory.",
+            "DIR",
+            "--truth-folder",
+            parse=Path,
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class TrajectoryErrors(Options):
+    """Errors between a trajectory and a sensor, known or on purpose."""
+
+    time_offset_s: Annotated[
+        float,
+        Option(
+            "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
+            "S",
+            ge=-_LONGEST_S,
+            le=_LONGEST_S,
+            shown=False,
+        ),
+    ] = 0.0
+    mount: Annotated[
+        Any,
+        Option(
+            "Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
+            "boresight and lever arm.",
+            _MOUNT,
+            parse=_numbers(_MOUNT),
+            expected=f"the numbers {_MOUNT}",
+            shown=False,
+        ),
+    ] = (0.0,) * 6
+    """Place in m and turn in degrees, as `[motion.mount]`."""
+    drift: Annotated[
+        Any,
+        Option(
+            "Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
+            _DRIFT,
+            parse=_numbers(_DRIFT),
+            expected=f"the numbers {_DRIFT}",
+            shown=False,
+        ),
+    ] = (0.0,) * 4
+    """To the east, north and up, and counter-clockwise about the first pose."""
+
+
+@dataclass(frozen=True)
+class ImageOptions(Span):
+    """Images of a scene from the place of a sensor."""
+
+    kind: Annotated[str, Option("panorama, all around; or pinhole, towards azimuth 0.", "KIND")] = "panorama"
+    size: Annotated[
+        Any,
+        Option(
+            "Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out.",
+            "WxH",
+            parse=_pixels,
+            expected="width and height in pixels, such as 2048x512",
+        ),
+    ] = None
+    fov_deg: Annotated[
+        float | None,
+        Option("Field of view of a pinhole camera, from left to right; 90 if left out.", "DEG", ge=1, le=360),
+    ] = None
+    every_s: Annotated[float, Option("Simulated seconds from image to image.", "S", ge=_SHORTEST_S)] = 1.0
+    unit: WhichUnit = 1
+
+
+@dataclass(frozen=True)
+class PictureLook(Options):
+    """Look of a picture."""
+
+    colour: Annotated[
+        str | None,
+        Option(
+            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
+            "LAYER",
+            shown="natural, of a capture reflectivity",
+        ),
+    ] = None
+    from_deg: Annotated[
+        float | None,
+        Option("Bearing of the eye, clockwise from north, of --view slant.", "DEG", ge=0, lt=360, shown="205"),
+    ] = None
+    size: Annotated[
+        Any,
+        Option(
+            "Of the picture, in pixels.",
+            "WxH",
+            parse=_film_pixels,
+            expected=f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}",
+            shown="1280x720",
+        ),
+    ] = (1280, 720)
+    view: Annotated[
+        str,
+        Option(
+            "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
+            " revolution as rows of lasers over azimuth.",
+            words=("slant", "sweep", "image"),
+        ),
+    ] = "slant"
+
+
+@dataclass(frozen=True)
+class DatasetOptions(Options):
+    """Processes that make a dataset."""
+
+    workers: Annotated[
+        int | None,
+        Option(
+            "Processes on this machine, one per core if left out; 0 is this process alone. Never changes a byte.",
+            "N",
+            ge=0,
+            le=1024,
+        ),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        Option(
+            "A Dask scheduler, such as tcp://127.0.0.1:8786, whose workers have this version and see OUT under the same path.",
+            "ADDRESS",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class ScoreInputs(Options):
+    """Files to score and their ground truth."""
+
+    truth: Annotated[Path, Option("Folder that `record --truth` has written.", name="TRUTH_DIR")]
+    trajectory: Annotated[Path | None, Option("Estimated poses, TUM; KITTI with --times.", "FILE")] = None
+    times: Annotated[Path | None, Option("A time in seconds for each pose of KITTI, one to a line.", "FILE")] = None
+    map: Annotated[Path | None, Option("Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")] = None
+    points: Annotated[Path | None, Option("Points with labels `leaf_wood`, `instance` (or `treeID`).", "FILE")] = None
+    stems: Annotated[Path | None, Option("Stems found: x, y, dbh (m) or dbh_cm, number.", "FILE.csv")] = None
+    inventory: Annotated[Path | None, Option("True trees, of `forest --inventory`.", "FILE.csv")] = None
+    truth_points: Annotated[Path | None, Option("True points, of `points --truth`.", "FILE")] = None
+    unit: WhichUnit = 1
+    alignment: Annotated[
+        str,
+        Option(
+            "How the poses are laid on the truth; nothing else is moved.", None, "--align", words=("none", "yaw", "se3")
+        ),
+    ] = "none"
+    radius_m: Annotated[float, Option("Farthest that a found stem is from a true one.", "M", gt=0, le=10)] = 0.5
