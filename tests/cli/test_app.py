@@ -80,7 +80,11 @@ BAD = [
         2,
         "{tmp}/no/x.pcap: No such file or directory; expected a file that can be ",
     ),
-    ("record static_bench /dev/full --duration 1", 1, "/dev/full: No space left on device at packet 1; no file is written"),
+    (
+        "record static_bench /dev/full --duration 1",
+        1,
+        "/dev/full: No space left on device at packet 1; no file is written",
+    ),
     *(
         (f"{line} {option} {found}", 2, f"{option}: found {found}; expected {expected}\n")
         for line, option, found, expected in WRONG
