@@ -56,8 +56,8 @@ def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
 def test_people_get_a_summary(cli, tmp_path):
     """Without --json the same stands in a few lines, models as they are after presets, `--set` and `--ideal`; nothing is on stderr."""
     sets = "noise.preset=datasheet", "beam.model=adaptive", "weather={visibility_m=60.0,rain_mm_h=10.0}"
-    run = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", *(w for s in sets for w in ("--set", s))
-    out, ideal = cli(*run).out, cli(*run, "--ideal")
+    run = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1"
+    out, ideal = cli(*run, *(word for one in sets for word in ("--set", one))).out, cli(*run, "--ideal")
     assert out.startswith(f"wrote {tmp_path}/x.pcap\n  scene             static_bench\n  seed              1\n")
     for line in (
         "beam              adaptive: at most 64 sub-rays, error of ",
