@@ -3,12 +3,10 @@
 import ctypes
 import errno
 import fcntl
-import hashlib
 import json
 import logging
 import os
 import re
-import secrets
 import shutil
 import sys
 import weakref
@@ -23,7 +21,7 @@ STDOUT = Path("-")
 """Stands for standard output, as for tcpdump and tshark."""
 
 _LONGEST_NAME_BYTES = 240
-"""Of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added."""
+"""Of the 255 that Linux allows (NAME_MAX of limits.h), 14 are for what is added."""
 _RIGHTS = 0o777
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 """Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h."""
@@ -43,7 +41,7 @@ class OutputFile:
     path : the file, or `STDOUT`
     where : its name in error lines; `path` if left out
     buffering : as for `open`
-    inputs : files that the run reads, not to be replaced
+    inputs : files that the run reads, and that may not be replaced
 
     Raises
     ------
@@ -143,7 +141,7 @@ class OutputFolder:
     stranger : name of the first entry of a folder of that name that is not of an earlier run, None if there is none; by
         default a folder that has any entry is refused
     expected : what error lines call a folder that may be written
-    inputs : files that the run reads, not to be in the folder
+    inputs : files that the run reads, and that may not be in the folder
 
     Raises
     ------
@@ -162,8 +160,8 @@ class OutputFolder:
         self._where, self._stranger, self._expected = str(path), stranger, expected
         with _opening(self._where, "a folder that can be written"):
             self._final = final_name(path)
-            if self._final.is_mount() or self._final == Path.cwd():  # which cannot be renamed, or not under our feet
-                raise OutputError(self._where, "is a mount point or the working folder", "a folder in it")
+            if self._final.is_mount():
+                raise OutputError(self._where, "is a mount point", "a folder in it")
             self._check()
             for file in self._final.iterdir() if self._final.exists() else ():
                 spare(inputs, file)
@@ -177,8 +175,6 @@ class OutputFolder:
             except OutputError:
                 self.discard()
                 raise
-            if self._final.exists():
-                _take_rights(opened, self._final.stat())
 
     def __enter__(self) -> Self:
         return self
@@ -291,11 +287,15 @@ def _opening(where: str, expected: str) -> Iterator[None]:
 
 def _stem(final: Path) -> str:
     name = os.fsencode(final.name)
-    return final.name if len(name) <= _LONGEST_NAME_BYTES else hashlib.sha256(name).hexdigest()
+    if len(name) <= _LONGEST_NAME_BYTES:
+        return final.name
+    from hashlib import sha256  # here: it loads OpenSSL, which no help needs
+
+    return sha256(name).hexdigest()
 
 
 def _part(final: Path) -> Path:
-    return final.with_name(f"{_stem(final)}.{secrets.token_hex(4)}.part")
+    return final.with_name(f"{_stem(final)}.{os.urandom(4).hex()}.part")
 
 
 def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
@@ -312,16 +312,12 @@ def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
         file.close()
         raise
     if before:
-        _take_rights(file.fileno(), before)
+        for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
+            with suppress(OSError):  # only root may give files away
+                os.fchown(file.fileno(), owner, group)
+        with suppress(OSError):
+            os.fchmod(file.fileno(), before.st_mode & _RIGHTS)
     return file
-
-
-def _take_rights(opened: int, before: os.stat_result) -> None:
-    for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
-        with suppress(OSError):  # only root may give files away
-            os.fchown(opened, owner, group)
-    with suppress(OSError):
-        os.fchmod(opened, before.st_mode & _RIGHTS)
 
 
 def _claim(opened: int, part: Path, final: Path, where: str) -> None:

@@ -80,7 +80,7 @@ BAD = [
         2,
         "{tmp}/no/x.pcap: No such file or directory; expected a file that can be ",
     ),
-    ("record static_bench /dev/full --duration 1", 1, "/dev/full: No space left on device at packet 1; the 0 packets"),
+    ("record static_bench /dev/full --duration 1", 1, "/dev/full: No space left on device at packet 1; no file is written"),
     *(
         (f"{line} {option} {found}", 2, f"{option}: found {found}; expected {expected}\n")
         for line, option, found, expected in WRONG
@@ -113,9 +113,9 @@ BAD = [
     ),
     ("stream birch_walk --as-sensor", 2, "192.168.1.201:"),  # before any forest is grown
     ("stream static_bench --to nobody.invalid", 2, ""),  # RFC 6761, section 6.4: never exists
-    ("decode /dev/null", 2, "/dev/null: no pcap file"),
+    ("decode /dev/null", 2, "/dev/null: no capture, it begins with nothing; expected a pcap or pcapng file"),
     *(
-        (f"{verb} {{tmp}}/x", 2, "{tmp}/x: No such file or directory; expected a readable pcap file")
+        (f"{verb} {{tmp}}/x", 2, "{tmp}/x: No such file or directory; expected a pcap or pcapng file")
         for verb in ("decode", "verify")
     ),
 ]

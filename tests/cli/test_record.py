@@ -95,7 +95,7 @@ def test_a_pipe_that_ends_early_is_reported_once(program):
         run = program("record", "static_bench", "-", "--duration", "0.1", stdout=full)
         _, err = run.communicate(timeout=100)
     assert run.returncode == 1
-    message = "error: standard output: No space left on device at packet 1; the 0 packets before it are kept\n"
+    message = "error: standard output: No space left on device at packet 1; no file is written\n"
     assert err == message
 
 

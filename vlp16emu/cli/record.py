@@ -38,7 +38,7 @@ def record(
 
     The file holds data and position packets in order of sending, in the frames of a real sensor and
     stamped with simulated time. Ctrl-C ends it early and leaves a valid file. Until its end it is
-    OUT.pcap.part, which after kill -9 holds all whole packets.
+    OUT.xxxxxxxx.part, which after kill -9 holds all whole packets.
     """
     if Path(out) == STDOUT and sys.stdout is None:
         raise OutputError("standard output", "closed", "a file or a pipe")

@@ -64,7 +64,7 @@ def _made(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _inner(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
-    """Return the value of a field; None for a dataclass of which nothing is given."""
+    """Return the value of a field; None for a dataclass if none of its options is given."""
     leaves = list(_leaves(name, annotation, MISSING))
     if declared(name, annotation):
         return _made(name, annotation, values)

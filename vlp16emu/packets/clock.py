@@ -86,7 +86,7 @@ class PacketClock:
 
 
 class UnitClock(NamedTuple):
-    """Clock of a unit, as its first packets tell."""
+    """Clock of a unit, by its first packets."""
 
     clock: Clock
     """The chosen one, or the default: the sensor's if it is locked, else the host's."""
