@@ -121,5 +121,5 @@ def _state() -> str:
 
 def _packed(bundle: Bundle) -> memoryview:
     content = io.BytesIO()
-    np.savez(content, **bundle)  # type: ignore[arg-type]  # an array is never taken for `allow_pickle`
+    np.savez(content, **bundle)  # type: ignore[arg-type]  # its stub takes the options for arrays
     return content.getbuffer()
