@@ -59,6 +59,8 @@ EXTRAS_TAKE = {
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
+    "doctor": {"readiness"},
+    "plan": {"readiness"},
     "canvas": {"camera"},
     "images": {"camera", "options", "palette", "truth"},
     "live": {"recorded"},
@@ -75,8 +77,8 @@ LIBRARIES = {
     # third-party or system module: where it may be imported
     "ctypes": ("output.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
-    "serial": ("sinks/", "extras/bench/"),
-    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/viewer/"),
+    "serial": ("extras/bench/",),
+    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/readiness.py", "extras/viewer/"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }

@@ -134,5 +134,5 @@ def test_a_capture_may_be_a_pipe_of_any_length(tmp_path):
     """A device without end is no capture by its first bytes, and nothing more of it is read."""
     from vlp16emu import verify
 
-    with pytest.raises(InputError, match=r"/dev/zero: no pcap file, it begins with 00 00 00 00"):
+    with pytest.raises(InputError, match=r"/dev/zero: no capture, it begins with 00 00 00 00"):
         verify(Path("/dev/zero"))

@@ -159,7 +159,7 @@ def test_each_image_has_its_pose(hall, tmp_path):
         ({"size": (64, 64)}, "--size: found 64x64; expected a panorama at most half as high"),
         ({"fov_deg": 90.0}, "--fov: found 90; expected 360 of a panorama"),
         ({"kind": "pinhole", "fov_deg": 180.0}, "--fov: found 180; expected a number of degrees from 1 to 170"),
-        ({"every_s": 0.0}, "--every: found 0"),
+        ({"every_s": 0.0}, "every_s: found 0"),
     ],
 )
 def test_cameras_that_cannot_be_are_refused(hall, tmp_path, asked, line):

@@ -239,6 +239,21 @@ def test_a_folder_replaces_what_is_ours(tmp_path, monkeypatch, swap):
     assert [path.name for path in place.parent.iterdir()] == ["x"]
 
 
+@pytest.mark.parametrize("place", ["/proc", "."])
+def test_a_folder_that_cannot_be_renamed_is_refused(place):
+    """A mount point, and the folder in which the program runs, are refused before anything is written."""
+    with pytest.raises(OutputError, match="is a mount point or the working folder; expected a folder in it"):
+        OutputFolder(Path(place))
+
+
+def test_a_folder_keeps_its_rights(tmp_path):
+    """An empty folder that only its owner may enter stays so when it is replaced."""
+    (tmp_path / "x").mkdir(mode=0o700)
+    fill(tmp_path / "x", "new")
+    assert (tmp_path / "x").stat().st_mode & 0o777 == 0o700
+    assert (tmp_path / "x" / "a").read_text() == "new"
+
+
 def test_a_folder_that_became_somebody_elses_stays(tmp_path):
     """What others put there while the run lasts is not replaced; the new folder is left beside it."""
     place = tmp_path / "x"

@@ -27,7 +27,7 @@ class CheckedFolder:
     ----------
     folder : None keeps nothing, as does one in which others can write
     suffix : of the names of the files
-    most_bytes : what was not used for longest goes where there is more
+    most_bytes : the least recently used files beyond it are removed
     """
 
     def __init__(self, folder: Path | None, suffix: str, most_bytes: int) -> None:
@@ -49,7 +49,7 @@ class CheckedFolder:
         return None
 
     def read(self, name: str) -> memoryview | None:
-        """Read a file; None where it is not there or is not what was written."""
+        """Read a file; None if it is not there or is not what was written."""
         if self.own is None or (content := read_checked(self.own / name)) is None:
             return None
         with suppress(OSError):
@@ -94,7 +94,7 @@ class CheckedFolder:
 
 
 def read_checked(path: Path) -> memoryview | None:
-    """Read the content of a file, which may be written to; None where it is not there or is not what was written."""
+    """Read the content of a file, which may be written to; None if it is not there or is not what was written."""
     try:
         data = np.fromfile(path, np.uint8)
     except OSError:

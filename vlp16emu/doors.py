@@ -1,4 +1,4 @@
-"""What is loaded by name and only when a scene, a command or an option asks for it, from this package and from others.
+"""Objects that are loaded by name, and only when a scene, a command or an option needs them: ours and those of other packages.
 
 Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds` and `.verbs`.
 Entry points are looked up only for a name that is not ours: reading the metadata of all installed packages takes 20 ms.
@@ -82,7 +82,7 @@ DOORS: dict[str, dict[str, str]] = {
         "web": "vlp16emu.extras.bench.control:web_interfaces",
     },
 }
-"""What stands behind each name of a group, as module:name."""
+"""Groups of names, each name with its object as module:name."""
 
 
 def door(name: str, group: str = "parts") -> Any:

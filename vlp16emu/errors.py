@@ -20,9 +20,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 LARGEST_BYTES = 1_000_000_000
-"""Of a mesh or a grid of heights: some 20 million triangles, 250 million cells."""
+"""Largest mesh or grid of heights: some 20 million triangles, 250 million cells."""
 LARGEST_TEXT_BYTES = 100_000_000
-"""Of a scene, a list or a table: a million lines."""
+"""Largest scene, list or table: a million lines."""
 _KINDS = {
     stat.S_IFDIR: "is a directory",
     stat.S_IFIFO: "is a FIFO",
@@ -48,7 +48,7 @@ class InputError(Vlp16emuError):
     where : file, key path, packet number or argument
     found : what stands there
     expected : what would have been right; left out where the finding says it all
-    at_m : x and y of the place in the world, where it has one
+    at_m : x and y of its place in the world, if it has one
     """
 
     exit_code = 2

@@ -14,11 +14,11 @@ Node = dict[str, Any]
 
 _MISSING = "missing"
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-"""What pydantic calls a key that a model, or a dataclass, has not."""
+"""Pydantic's names of the error "unknown key" of a model and of a dataclass."""
 _MOST_PLACES = 3
-"""Tables that have a key, beyond which it says too little where it was meant to be."""
+"""Most tables with a key that one line names: beyond, it says too little where the key belongs."""
 _MOST_KEYS = 8
-"""Of another kind of table, that one line can name."""
+"""Most keys of another kind of table that one line names."""
 
 
 def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:

@@ -3,12 +3,10 @@
 import ctypes
 import errno
 import fcntl
-import hashlib
 import json
 import logging
 import os
 import re
-import secrets
 import shutil
 import sys
 import weakref
@@ -289,11 +287,15 @@ def _opening(where: str, expected: str) -> Iterator[None]:
 
 def _stem(final: Path) -> str:
     name = os.fsencode(final.name)
-    return final.name if len(name) <= _LONGEST_NAME_BYTES else hashlib.sha256(name).hexdigest()
+    if len(name) <= _LONGEST_NAME_BYTES:
+        return final.name
+    from hashlib import sha256  # here: it loads OpenSSL, which no help needs
+
+    return sha256(name).hexdigest()
 
 
 def _part(final: Path) -> Path:
-    return final.with_name(f"{_stem(final)}.{secrets.token_hex(4)}.part")
+    return final.with_name(f"{_stem(final)}.{os.urandom(4).hex()}.part")
 
 
 def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:

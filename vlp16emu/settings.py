@@ -1,4 +1,4 @@
-"""What all sections of a scene have in common."""
+"""Base classes and types of the sections of a scene."""
 
 import re
 import tomllib
@@ -82,19 +82,19 @@ class Preset(Section):
 
 @dataclass(frozen=True)
 class OneOf:
-    """Annotation of a table that is one of several sections, each selected by a word: ours, a program's own, another package's.
+    """Annotation of a table that is one of several sections, selected by its tag: ours, a program's own, another package's.
 
     Sections of other kinds than the one at hand are neither imported nor looked for.
     """
 
     base: type[Section]
-    """What all of them inherit from; a class that a program defines is known by the word of its tag."""
+    """Base class of the sections; a class that a program defines is known by the value of its tag."""
     group: str
-    """Of `doors.DOORS`."""
+    """Group of `doors.DOORS`."""
     tag: str = "kind"
     """Key that selects the section."""
     default: str | None = None
-    """What a table is that leaves it out."""
+    """Value of the tag in a table without it."""
 
     def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
         return with_info_plain_validator_function(self._validate)

@@ -1,18 +1,17 @@
-"""What is costly to make of a world, kept on disk from run to run.
+"""Costly parts of a world, kept on disk from run to run.
 
 A file holds a bundle of arrays under a name, which says all that decides them; the files of the package that make them
-are part of every name. Files are plain numbers behind a JSON header, so reading one runs no code.
+are part of every name.
 """
 
-import ast
 import hashlib
-import json
+import io
 import os
 import sys
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cache, lru_cache
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
@@ -44,7 +43,6 @@ MAKERS = (
     "world",
 )
 """Files and folders of the package that decide what is kept."""
-_ALIGN = 64
 _MB = 1_000_000
 _DEFAULT_MB = 1_000.0
 
@@ -57,9 +55,12 @@ class Store(CheckedFolder):
         self._writer: ThreadPoolExecutor | None = None
 
     def get(self, name: str) -> dict[str, NDArray[np.generic]] | None:
-        """Read a bundle, as arrays of the caller's own; None where there is none, or none that is whole."""
+        """Read a bundle, as arrays of the caller's own; None if there is none that is whole."""
         content = self.read(_file(name)) if self.folder else None
-        return None if content is None else _unpacked(content)
+        if content is None:
+            return None
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:  # no file of ours may run code
+            return dict(arrays)
 
     def put(self, name: str, bundle: Bundle) -> None:
         """Write a bundle, soon: on a thread of its own, so nobody may change the arrays any more."""
@@ -68,7 +69,7 @@ class Store(CheckedFolder):
         if self._writer is None:
             self._writer = ThreadPoolExecutor(1, "keep")
         with suppress(RuntimeError):  # the program ends
-            self._writer.submit(lambda: self.write(_file(name), *_packed(bundle)))
+            self._writer.submit(lambda: self.write(_file(name), _packed(bundle)))
 
     def flush(self) -> None:
         """Wait until all is written."""
@@ -94,7 +95,7 @@ def recalled(name: str, make: Callable[[], T], pack: Callable[[T], Bundle], unpa
 
     Parameters
     ----------
-    name : of all that decides it; empty where it is not kept
+    name : states all that decides it; empty if it is not kept
     make : makes it
     pack, unpack : put it into arrays, and take it out of them
     """
@@ -118,31 +119,7 @@ def _state() -> str:
     return digest_of(MAKERS, np.__version__, version("scipy"), os.uname().machine, sys.byteorder)
 
 
-def _packed(bundle: Bundle) -> list[bytes | memoryview]:
-    parts, rows = list[bytes | memoryview](), []
-    for key, array in bundle.items():
-        # A view of the bytes; arrays without elements have none.
-        raw = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data if array.size else b""
-        rows.append([key, repr(np.lib.format.dtype_to_descr(array.dtype)), array.shape, len(raw)])
-        parts += [raw, bytes(-len(raw) % _ALIGN)]
-    header = json.dumps(rows).encode()
-    header += b" " * (-(len(header) + 8) % _ALIGN)
-    return [len(header).to_bytes(8), header, *parts]
-
-
-def _unpacked(content: memoryview) -> dict[str, NDArray[np.generic]]:
-    at = 8 + int.from_bytes(content[:8])
-    bundle = {}
-    for key, kind, shape, size in json.loads(bytes(content[8:at])):
-        bundle[key] = np.frombuffer(content[at : at + size], _dtype(kind)).reshape(shape)
-        at += size + -size % _ALIGN
-    return bundle
-
-
-@lru_cache
-def _dtype(text: str) -> np.dtype[np.generic]:
-    """Read a type of numbers; no file of ours asks for objects, which would run code."""
-    kind: np.dtype[np.generic] = np.lib.format.descr_to_dtype(ast.literal_eval(text))
-    if kind.hasobject:
-        raise ValueError(text)
-    return kind
+def _packed(bundle: Bundle) -> memoryview:
+    content = io.BytesIO()
+    np.savez(content, **bundle)  # type: ignore[arg-type]  # its stub takes the options for arrays
+    return content.getbuffer()

@@ -135,7 +135,7 @@ def test_npz_holds_all_arrays(cli, bench, tmp_path):
 def test_csv_names_its_units(cli, bench, tmp_path):
     """A .csv has a header with units and one line per point, true to 0.1 mm and a nanosecond."""
     out = tmp_path / "x.csv"
-    tree = cli("decode", bench, "--out", out, "--json").tree
+    tree = cli("decode", bench, "--out", out, "--clock", "sensor", "--json").tree
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert ",".join(rows[0]) == "t_utc_s,clock_s,x_m,y_m,z_m,distance_m,azimuth_deg,reflectivity,ring,laser,is_last"
@@ -150,7 +150,7 @@ def test_csv_names_its_units(cli, bench, tmp_path):
 def test_ply_opens_elsewhere(cli, bench, tmp_path):
     """Trimesh reads the .ply: the same points, with intensity, ring and time beside them."""
     out = tmp_path / "x.ply"
-    cli("decode", bench, "--out", out)
+    cli("decode", bench, "--out", out, "--clock", "sensor")
     points = decode_data(payloads(bench), keep_no_returns=False)
     cloud = trimesh.load(out)
     np.testing.assert_array_equal(cloud.vertices, points.xyz_m)

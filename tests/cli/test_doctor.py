@@ -4,9 +4,9 @@ import socket
 
 import pytest
 
+from vlp16emu.extras.readiness import Condition
 from vlp16emu.kernels import cache
 from vlp16emu.raycast import embree
-from vlp16emu.sinks import Condition
 
 NAMES = [
     *("cores", "kernel cache", "Embree", "data port", "position port", "sensor address", "interface right"),

@@ -185,7 +185,7 @@ def test_ply_and_csv_say_the_same(cli, tmp_path, points):
     np.testing.assert_allclose(data["time"], own["t_ns"] / 1e9, rtol=0, atol=3e-7)
     with text.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["t_ns"]) for row in rows] == own["t_ns"].tolist()
+    assert [int(row["t_utc_s"].replace(".", "")) for row in rows] == own["t_ns"].tolist()
     columns = {"world_x_m": own["world_m"][:, 0], "z_m": own["sensor_m"][:, 2], "elevation_deg": own["elevation_deg"]}
     for column, values in columns.items():
         np.testing.assert_allclose([float(row[column]) for row in rows], values, rtol=0, atol=0.51e-4)

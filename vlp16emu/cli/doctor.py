@@ -13,7 +13,7 @@ def doctor(*, as_json: AsJson = False) -> None:
     exit code is 1 if there is a problem. Wake-ups are measured now, beside all that this machine is doing.
     """
     from vlp16emu.extras.doctor import all_checks
-    from vlp16emu.sinks import Condition
+    from vlp16emu.extras.readiness import Condition
 
     checks = list(all_checks())
     counts = {finding.value: sum(check.finding is finding for check in checks) for finding in Condition}

@@ -50,7 +50,7 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
     inside = np.broadcast_to(np.repeat(taken, step)[:, None], firings.t_ns.shape)
     points, sequence = points_of(unit, returns, inside, truth=truth)
     # Of dual return, the strongest one is the last one where both are the same.
-    distance_m, is_dual = returns.distance_m[sequence, points["laser"]], unit.section.return_mode == ReturnMode.DUAL
+    distance_m, is_dual = returns.distance_m[sequence, points["laser"]], unit.section.return_mode == "dual"
     is_last = points["return_number"] == 1
     is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
     order = np.lexsort((~is_last, points["laser"], sequence))

@@ -118,7 +118,7 @@ class Windows(Generic[S]):
 
     @contextmanager
     def stopped_by(self, stop: Event) -> Iterator[None]:
-        """Let an event end what waits for windows, and for blocks, that are not made yet."""
+        """End the wait for windows and blocks that are not made yet as soon as an event is set."""
         before, self.stop = self.stop, stop
         try:
             yield

@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from vlp16emu.errors import Vlp16emuError
+from vlp16emu.extras.readiness import Check, Condition, sending_checks
 from vlp16emu.kernels.cache import kernel_names, user_kernels
-from vlp16emu.sinks import Check, Condition, sending_checks
 from vlp16emu.store import user_store
 
 _EXTRAS = {

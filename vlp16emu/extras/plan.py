@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.windows import window_of
+from vlp16emu.extras.readiness import sending_share
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.stem import StemKey
@@ -17,7 +18,6 @@ from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
 from vlp16emu.run.keeping_up import settings_that_keep_up, speed_beside_sender
-from vlp16emu.sinks import sending_share
 from vlp16emu.types import Window
 from vlp16emu.world.furnished import MeshKey
 

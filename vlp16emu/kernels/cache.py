@@ -54,7 +54,7 @@ class KernelCache:
         return str(user_kernels().folder)
 
     def has(self, signature: object) -> bool:
-        """Whether the file of a kernel is there, whole or not."""
+        """Return whether the file of a kernel is there, whole or not."""
         folders = _PACKAGED, user_kernels().own
         return any(folder and (folder / self._file(signature)).exists() for folder in folders)
 
@@ -63,7 +63,7 @@ class KernelCache:
         user_kernels().write(self._file(signature))
 
     def load_overload(self, signature: object, context: Any) -> object:
-        """Load a kernel; None where there is none that is whole."""
+        """Load a kernel; None if there is none that is whole."""
         from numba.core.compiler import CompileResult
 
         context.refresh()

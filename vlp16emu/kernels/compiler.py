@@ -34,7 +34,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     """Dispatcher of a kernel."""
 
     depth = 0
-    """How many kernels are being compiled, one for the sake of the other."""
+    """Depth of kernels that are being compiled, each for the sake of the one before."""
 
     @classmethod
     def take_over(cls, dispatcher: CPUDispatcher) -> None:

@@ -27,7 +27,7 @@ class Live(MotionSection):
     """Time constant with which the body is led to where poses show it. It lags by its square times the acceleration, and
     not at all at constant speed."""
     flown: SceneFile | None = None
-    """What a stream has flown, as its option --flown writes it: the run is repeated byte for byte, and no poses come in."""
+    """Motion that a stream has written by `--flown`: the run is repeated byte for byte, and no poses come in."""
 
     def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
         """Return the motion that follows the poses, and `path_m`."""

@@ -52,7 +52,7 @@ class Mount(Section):
 
 
 class MotionSection(Section):
-    """What carries the sensor: a kind of motion."""
+    """Base class of the kinds of motion."""
 
     mount: Mount = Mount()
     """Mount of the sensor on its carrier."""
@@ -333,7 +333,7 @@ class Gps(Section):
     sentence_delay_s: Annotated[float, Field(gt=0, lt=1)] = 0.35
     """From the second's edge to the arrival of the sentence that names it."""
     pps_window_s: Annotated[float, Field(ge=0, le=65535)] = 5.0
-    """For so long the pulse must be steady before the sensor is locked to it (63-9243 Rev D, appendix G)."""
+    """Time for which the pulse must be steady before the sensor locks to it (63-9243 Rev D, appendix G)."""
     requires_valid: bool = False
     """Whether sentences of status V do not set the sensor's clock; true needs `canopy_loss = false`."""
     antenna_above_m: Annotated[float, Field(ge=0, le=100)] = 0.2
@@ -343,7 +343,7 @@ class Gps(Section):
     wander_m: _Error = 1.2
     """Error to the east and to the north that changes slowly, one sigma. 0 switches it off."""
     wander_s: Annotated[float, Field(ge=1, le=1_000_000)] = 300.0
-    """After this time 37 % of the wandering error is left."""
+    """Correlation time of the wandering error: 37 % of it is left then."""
     velocity_noise_m_s: Annotated[float, Field(ge=0, le=100)] = 0.05
     """Error of the velocity to the east and to the north, one sigma. 0 switches it off."""
     canopy_loss: bool = True
@@ -353,7 +353,7 @@ class Gps(Section):
     canopy_half_cover: Annotated[float, Field(gt=0, le=1)] = 0.88
     """Cover, as a share of the sky, at which every second fix fails."""
     canopy_cover_width: Annotated[float, Field(gt=0, le=1)] = 0.05
-    """That much more or less cover makes 73 % or 27 % of it (a logistic curve)."""
+    """Width of the logistic curve: with so much more or less cover 73 % or 27 % of the fixes fail."""
 
     @model_validator(mode="after")
     def _is_known_beforehand(self) -> Self:

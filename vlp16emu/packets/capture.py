@@ -29,7 +29,7 @@ class Datagram(NamedTuple):
     """One UDP datagram, as captured; one that came in fragments is put together."""
 
     number: int
-    """Of its frame in the file, of its last fragment, from 1, as Wireshark counts; files of one capture count on."""
+    """Number of its frame (of its last fragment) in the file, from 1, as Wireshark counts; files of one capture count on."""
     stamp_ns: int
     """UTC."""
     captured_bytes: int
@@ -37,13 +37,13 @@ class Datagram(NamedTuple):
     wire_bytes: int
     """Length of the frame on the wire."""
     ip_offset: int
-    """Where the IP header begins in `header`; 14 on Ethernet without VLAN tag."""
+    """Offset of the IP header in `header`; 14 on Ethernet without VLAN tag."""
     source_port: int
     destination_port: int
     header: bytes
     """Headers of link, IP and UDP."""
     payload: bytes
-    """As long as the UDP header says, or shorter if the frame was captured in part."""
+    """Payload as long as the UDP header says, or shorter if the frame was captured in part."""
     link_type: int
     """LINKTYPE_ value of tcpdump.org; 1 is Ethernet."""
 
@@ -60,7 +60,7 @@ class Datagram(NamedTuple):
 
     @property
     def udp_checksum(self) -> int:
-        """As sent; 0 stands for none."""
+        """UDP checksum as sent; 0 stands for none."""
         return int.from_bytes(self.header[-2:])
 
     @property
@@ -75,7 +75,7 @@ class Datagram(NamedTuple):
 
 
 def is_capture_name(name: str | Path) -> bool:
-    """Whether a name ends as captures do: .pcap, .pcapng or .cap, with a number of rotation, compressed."""
+    """Return whether a name ends as captures do: .pcap, .pcapng or .cap, also with a number of rotation or compressed."""
     return _ENDING.search(str(name)) is not None
 
 
@@ -129,7 +129,7 @@ class Capture:
 
     @property
     def missed(self) -> str:
-        """What is known of packets that could not be had, with the remedy; empty if there were none."""
+        """Why packets could not be read, with the remedy; empty if there is nothing to say."""
         if self._fragments.incomplete:
             self._missed[_NO_FRAGMENTS] = self._fragments.incomplete
         return "; ".join(f"{number} {what}" for what, number in self._missed.items())

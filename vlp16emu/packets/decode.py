@@ -24,13 +24,13 @@ from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
+"""Rotation from the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
 
 _MODEL = MappingProxyType(
     {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
 )
 PRODUCT_BEFORE_RELEASE = 0x21
-"""Of a VLP-16 of 2014; else that of an HDL-32E (63-9243 Rev D, table 9-2), so the byte alone does not say."""
+"""Product byte of a VLP-16 of 2014; else of an HDL-32E (63-9243 Rev D, table 9-2), so the byte alone does not say."""
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
 
@@ -77,9 +77,9 @@ class Points:
     azimuth_deg: F8
     """(n,) at the instant of the pulse, [0, 360)."""
     distance_m: F4
-    """(n,) from the centre of the sensor; 0 where there is no return."""
+    """(n,) from the centre of the sensor; 0 without return."""
     xyz_m: F4
-    """(n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN where there is no return."""
+    """(n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN without return."""
     reflectivity: U1
     """(n,) 0..100 diffuse, 101..255 retroreflective."""
     is_last: NDArray[np.bool_]
@@ -89,13 +89,13 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class PositionFields:
-    """What a position packet says."""
+    """Fields of a position packet."""
 
     time_ns: int
     """The sensor's clock, ns past its hour, whole microseconds."""
     pps: PpsState
     sentence: bytes
-    """With CR LF; empty where none ever came."""
+    """Sentence with CR LF; empty if none ever came."""
 
 
 def data_fields(payloads: U1) -> NDArray[np.void]:
@@ -218,7 +218,7 @@ def frame_named(name: str, *, where: str = "frame") -> PointFrame:
 
     Raises
     ------
-    InputError : where there is none of that name
+    InputError : If there is none of that name
     """
     if name not in tuple(PointFrame):
         raise InputError(where, f"found {name}", " or ".join(PointFrame))
@@ -245,7 +245,7 @@ def decode_position(payload: bytes) -> PositionFields:
 
 
 def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
-    """Give the model, by the product byte or, where that is of before release, as given; refuse what is not a VLP-16's."""
+    """Return the model of the product byte, or `model` for one from before release; refuse other sensors."""
     if faults := faults_in(fields, None, model):
         raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
     return _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16) if len(fields) else SensorModel.VLP_16
@@ -281,7 +281,7 @@ def _steps_cdeg(fields: NDArray[np.void]) -> F8:
 
 @numba.njit(cache=True, nogil=True)
 def _fill_xyz(xyz_m: F4, distance_m: F8, azimuth_deg: F8, laser: I8, elevation_rad: F8, correction_m: F8) -> None:
-    """Fill (n, 3) by the manual's formulas, turned to the sensor's frame; NaN where there is no return."""
+    """Fill (n, 3) by the manual's formulas, turned to the sensor's frame; NaN without return."""
     for i in range(len(distance_m)):
         r, j = distance_m[i], laser[i]
         if r == 0.0:

@@ -29,7 +29,7 @@ IMU_FRAME = np.dtype(
 )
 _MAGIC, _VERSION = b"IMU", 1
 _CHECKED = 8
-"""Where the bytes begin that the checksum is of."""
+"""Offset of the bytes that the checksum covers."""
 
 
 def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[bytes]:

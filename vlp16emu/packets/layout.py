@@ -30,7 +30,7 @@ SEQUENCES_PER_PACKET = MappingProxyType({ReturnMode.STRONGEST: 24, ReturnMode.LA
 """In dual return two blocks share their firing sequences. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
 
 BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_NS
-"""From the azimuth of one block to that of the next, the twin block of dual return left out."""
+"""Time between the azimuths of two blocks, without the twin block of dual return."""
 
 DISTANCE_LSB_M = 0.002
 """Source: 63-9243 Rev D, section 9.3.1."""

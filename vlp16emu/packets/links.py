@@ -4,14 +4,14 @@ from typing import NamedTuple
 
 _ETHERNET = 1
 _ETHERTYPE_AT = {_ETHERNET: 12, 113: 14, 276: 0, 104: 2, 138: 16}
-"""Where the EtherType is, by link type: Ethernet, Linux cooked (SLL, SLL2), Cisco HDLC, IP over FireWire.
+"""Offset of the EtherType by link type: Ethernet, Linux cooked (SLL, SLL2), Cisco HDLC, IP over FireWire.
 Source of all link types: www.tcpdump.org/linktypes.html."""
 _BODY_AT = {_ETHERNET: 14, 113: 16, 276: 20, 104: 4, 138: 18}
 _MAC_AT = {_ETHERNET: 6, 113: 6, 276: 12}
 _BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
-"""Where the IP header is at once: raw IP, BSD loopback, OpenBSD's encapsulation."""
+"""Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
 _PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
-"""Where PPP begins: serial, with a byte of direction, behind PPPoE."""
+"""Offset of PPP by link type: serial, with a byte of direction, behind PPPoE."""
 LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT})
 """Link types that are read."""
 
@@ -26,7 +26,7 @@ _FRAGMENT6, _AUTHENTICATION, _EXTENSIONS6 = 44, 51, (0, 43, 60, 51, 44)
 _VXLAN = (4789).to_bytes(2)
 """UDP port of RFC 7348."""
 PLAIN_AT, PLAIN_BODY, _UNFRAGMENTED = 14, 34, (b"\x40\0", b"\0\0")
-"""Where IP header and UDP header of a plain frame begin, and its flags: don't fragment, or none."""
+"""Offsets of IP and UDP header of a plain frame, and its flags: don't fragment, or none."""
 _MOST_LAYERS = 8
 
 
@@ -34,11 +34,11 @@ class Ip(NamedTuple):
     """An IP packet in a frame."""
 
     at: int
-    """Of its header in the frame."""
+    """Offset of its header in the frame."""
     body: int
-    """Of what follows the header, extensions included."""
+    """Offset of its content, behind header and extensions."""
     end: int
-    """Of the packet as its length says; what is behind is padding."""
+    """Offset of its end by its own length; what is behind is padding."""
     protocol: int
     fragment: int
     """Offset in the datagram, bytes."""
@@ -49,7 +49,7 @@ class Ip(NamedTuple):
 
 
 def is_plain(link_type: int, frame: bytes) -> bool:
-    """Whether a frame is one of nearly all: whole UDP over IPv4 without options, on Ethernet without tags, in no tunnel."""
+    """Return whether a frame is whole UDP over IPv4 without options, on Ethernet without tags, in no tunnel: nearly all are."""
     return (
         link_type == _ETHERNET
         and frame[12:15] == b"\x08\x00\x45"

@@ -16,7 +16,7 @@ _KNOT_M_S = 1852 / 3600
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, which no receiver passes (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
 _MINUTE_DECIMALS = 7
-"""As real units echo; 0.2 mm on the ground."""
+"""Decimals that real units echo; 0.2 mm on the ground."""
 
 
 def rmc(fix: GnssFix) -> bytes:

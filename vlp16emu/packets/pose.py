@@ -20,7 +20,7 @@ class PosePacket:
     quaternion: tuple[float, ...]
     """x, y, z, w, body to world; the body's x axis is forward, z up."""
     t_ns: int | None = None
-    """When it was true, on the sender's clock, of any epoch; None for when it arrives."""
+    """Time of the pose on the sender's clock, of any epoch; None stands for its arrival."""
 
 
 def pack_pose(position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bytes:
@@ -30,11 +30,11 @@ def pack_pose(position_m: Sequence[float], quaternion: Sequence[float], t_ns: in
 
 
 def unpack_pose(payload: bytes) -> PosePacket:
-    """Read the datagram of a pose; whether its numbers are a pose is left to whoever takes it.
+    """Read the datagram of a pose; its numbers are not checked.
 
     Raises
     ------
-    PacketError : where it is none
+    PacketError : If it is none
     """
     if len(payload) != POSE_BYTES:
         raise PacketError("pose packet", f"found {len(payload)} bytes", f"{POSE_BYTES}")

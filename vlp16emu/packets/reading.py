@@ -82,20 +82,20 @@ class PacketChunk(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a capture holds."""
+    """Contents of a capture in numbers."""
 
     packets: int
     position_packets: int
     other_datagrams: int
     model: SensorModel
     return_mode: str
-    """One, or several with commas where it changes."""
+    """One mode, or several with commas if it changes."""
     points: int
     no_returns: int
     scans: int
     """Turns of the head, begun ones at both ends included."""
     records_per_scan: int | None
-    """Median of the whole turns, no-returns counted; None where there is no whole turn."""
+    """Median of the whole turns, no-returns counted; None without a whole turn."""
     rpm: float
     first_stamp_ns: int
     """UTC, of the capture, at the first data packet."""
@@ -106,7 +106,7 @@ class Summary:
     host_ahead_s: float
     """Capture stamps less the sensor's clock, in the hour nearest to them, at the first data packet."""
     range_m: tuple[float, float, float] | None
-    """Minimum, median and maximum of the returns; None where there are none."""
+    """Minimum, median and maximum of the returns; None without returns."""
     gps: PositionFields | None
     """The last position packet."""
     cut: bool
@@ -129,7 +129,7 @@ class CaptureReader:
 
     Raises
     ------
-    CaptureError : where it is none
+    CaptureError : If it is none
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class CaptureReader:
 
     @property
     def summary(self) -> Summary:
-        """What has been read, once all points have been taken."""
+        """Summary of what has been read, once all points have been taken."""
         azimuth_cdeg = np.concatenate(self._azimuth_cdeg)
         packet_ns = np.concatenate(self._packet_ns)
         block_ns = np.arange(BLOCKS_PER_PACKET) * BLOCK_PERIOD_NS

@@ -44,12 +44,12 @@ _SENTENCE = slice(_offset(POSITION_PAYLOAD, "sentence"), _offset(POSITION_PAYLOA
 
 
 def has_stamp(packet: Packet) -> bool:
-    """Whether a packet is long enough to hold its time stamp; one that is cut may not be."""
+    """Return whether a packet is long enough to hold its time stamp; one that is cut may not be."""
     return packet.kind in _STAMP_AT and len(packet.payload) >= _STAMP_AT[packet.kind] + _STAMP.size
 
 
 def stamp_ns(packet: Packet) -> int:
-    """Time stamp of a data or position packet, ns past the hour of the sensor's clock; of others that of UTC."""
+    """Time stamp of a data or position packet, ns past the hour of the sensor's clock; of other packets ns past the hour of UTC."""
     if packet.kind not in _STAMP_AT:
         return packet.due_ns % HOUR_NS
     (stamp_us,) = _STAMP.unpack_from(packet.payload, _STAMP_AT[packet.kind])

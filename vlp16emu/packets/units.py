@@ -11,7 +11,7 @@ from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
 
 _STRAY = 0.02
-"""Less than this share of the data packets of the busiest unit is no unit but an accident."""
+"""Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
 _NAMED = 16
 """Units listed in an error line; as many as a rig may have."""
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
@@ -32,7 +32,7 @@ class CapturedUnit(NamedTuple):
         return f"{ip_address(self.source)}:{self.data_port}{'@' + self.mac.hex(':') if self.mac else ''}"
 
     def owns(self, datagram: Datagram) -> bool:
-        """Whether this unit has sent a datagram."""
+        """Return whether this unit has sent a datagram."""
         port = datagram.destination_port
         is_ours = datagram.source == self.source and (port == self.data_port or port in self.position_ports)
         return is_ours and (not self.mac or datagram.mac == self.mac)

@@ -57,7 +57,7 @@ def worth_of_ray_m(target_m: float) -> float:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8) -> bool:
-    """Return True if n sub-rays give the strongest echo well enough for the target, and whether it is seen.
+    """Return True if n sub-rays decide on the strongest echo, and on whether it is seen, well enough for the target.
 
     Parameters
     ----------

@@ -117,15 +117,15 @@ def _detect(
     exact_m : output, ranges before errors; may be empty
     """
     nodes, peaks, chosen, noise = room
-    stop, keeps_exact, lasers = ZERO, exact_m.shape[0] > 0, rays.count.shape[1]
+    stop, keeps_exact, lasers = ZERO, exact_m.shape[0] > 0, rays.counts.shape[1]
     columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
-    for i in range(rays.count.shape[0]):
+    for i in range(rays.counts.shape[0]):
         n = first + i
         slot = 24 * n % 5
         if constants.range_noise_m > 0.0 or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0:
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(lasers):
-            start, stop = stop, stop + int(rays.count[i, j])
+            start, stop = stop, stop + int(rays.counts[i, j])
             error_m, gain = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5], errors.gain[j]
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:

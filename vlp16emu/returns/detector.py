@@ -1,7 +1,7 @@
 """The receiver of a unit, made once per run."""
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -102,7 +102,7 @@ class UnitDetector:
     def without_chance(self) -> Self:
         """Return a receiver of the same threshold in the same air that detects all echoes, without chance and without errors."""
         errors = "amplitude_noise", "clutter", "range_noise", "reflectivity_"
-        nothing = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
+        nothing: dict[str, Any] = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
         constants = self.constants._replace(strongest_only=False, **nothing)
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
         return type(self)(constants, none, one, np.zeros(5), None, None, Noise(preset="ideal"), self.power_up_ns)

@@ -50,7 +50,7 @@ _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over s
 class SubRays(NamedTuple):
     """Hits of sub-rays, as in `Hits`."""
 
-    count: U2
+    counts: U2
     range_m: F4
     surface: U4
     cos_incidence: F4

@@ -73,9 +73,9 @@ class Noise(Preset):
     range_bias_m: _Metres = 0.010
     """Constant error per laser, one sigma; assumption within the 3 cm of the data sheet, at which it is cut."""
     elevation_error_deg: _Degrees = 0.02
-    """By how much each laser of a unit looks too high or low, one sigma; assumption."""
+    """Elevation error of each laser of a unit, one sigma; assumption."""
     azimuth_error_deg: _Degrees = 0.02
-    """The same to the side, one sigma; assumption."""
+    """Azimuth error of each laser of a unit, one sigma; assumption."""
     warm_up_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
     """How much too long ranges are at power-up; no measurement is known."""
     warm_up_s: Positive = 900.0
@@ -91,9 +91,9 @@ class Noise(Preset):
     """Whether white errors of range and reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real
     units, instead of Gaussian."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """By how much the white errors of a unit differ from these, one sigma of the logarithm. 0 for exactly these."""
+    """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly these."""
     odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
-    """By how much the share of odd distance codes differs between lasers, one sigma; 0.08 to 0.17 on real units."""
+    """Spread of the share of odd distance codes over the lasers, one sigma; 0.08 to 0.17 on real units."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
     """Relative error of reflectivity per laser, one sigma; assumption."""
     weak_echoes_lost: bool = True
@@ -159,7 +159,7 @@ class DetectorConstants(NamedTuple):
     min_range_m: float
     max_range_m: float
     sigma_m: float
-    """Of a pulse, in range."""
+    """Standard deviation of a pulse, in range."""
     resolution_m: float
     threshold: float
     """Amplitude that is seen with probability one half; 0 where every echo is seen."""

@@ -1,4 +1,4 @@
-"""What the user wrote: the scene file as a frozen, strict tree."""
+"""The scene file as a frozen, strict tree of sections."""
 
 from vlp16emu.scenario.find import find, scene_files
 from vlp16emu.scenario.load import load

@@ -31,5 +31,5 @@ class CaptureClock(Preset):
     late_us: Annotated[float, Field(ge=0, le=3000)] = 0.0
     """Mean of that delay, exponential, up to 4.5 ms."""
     host_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """By how much a host's own jitter, share and delay differ from these, one sigma of the logarithm; it is drawn from the
+    """Host-to-host spread of jitter, share and delay, one sigma of the logarithm; drawn from the
     seed. 0 for exactly these."""

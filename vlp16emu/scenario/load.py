@@ -37,14 +37,14 @@ class _Setting(NamedTuple):
     key: str
     value: object
     where: str
-    """What error lines call it."""
+    """Its name in errors."""
 
 
 class _Source(NamedTuple):
     """A scene as a tree, before it is checked."""
 
     where: str
-    """What error lines call it."""
+    """Its name in errors."""
     tree: dict[str, Any]
     folder: Path
     """From which its files are found."""

@@ -71,7 +71,7 @@ class Lidar(Preset):
     """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
     encoder."""
     encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.24
-    """By which share the speed of the reading between two lines is too low, in some readings; in the others it is too high by
+    """Share by which the speed of the reading between two lines is too low, in some readings; in the others it is too high by
     0.85 of it. 0.24 on real units."""
     twice_per_turn_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Amplitude of the encoder's twice-per-revolution error; real units show 0.006 to 0.010. 0 switches it off."""
@@ -79,7 +79,7 @@ class Lidar(Preset):
     """Amplitude of an error of the reading that repeats every 12.5 firing sequences, 1447 Hz, at all speeds; real units show
     0.001 to 0.003."""
     rotation_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """By how much the amplitudes of these three errors are a unit's own, as a share of them; with it, so are their phases."""
+    """Unit-to-unit spread of the amplitudes of these three errors, as a share of them; with it their phases are drawn too."""
     speed_error_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
     """How far the mean speed is off at 600 rpm, one sigma, in proportion at others. It swings over minutes; with a phase lock it is
     held."""
@@ -143,13 +143,13 @@ class FreeSensor(Lidar):
     model: Literal["free"]
     """Selects a sensor of any beam table, without packets."""
     elevations_deg: Annotated[tuple[Elevation, ...], Field(strict=False)] = ()
-    """Where each laser looks, in order of firing; instead of `beams` and `vertical_fov_deg`."""
+    """Elevation of each laser in order of firing; instead of `beams` and `vertical_fov_deg`."""
     beams: Annotated[int, Field(ge=1, le=1024)] = 16
     """Number of lasers, spread evenly over the field of view, lowest first; a single one looks at its middle."""
     vertical_fov_deg: Annotated[tuple[Elevation, Elevation], Field(strict=False)] = (-15.0, 15.0)
     """Elevations of the lowest and the highest laser."""
     azimuth_resolution_deg: Annotated[float, Field(ge=0.05, le=2)] = 0.2
-    """What the rotor turns from one firing sequence to the next."""
+    """Rotor angle from one firing sequence to the next."""
     rpm: Annotated[int, Field(ge=60, le=3600)] = 600
     """Rotor speed."""
     lens_radius_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0

@@ -11,12 +11,12 @@ from typing import Self
 from vlp16emu.types import Packet
 
 _POLL_S = 0.05
-"""How often a thread that waits looks whether it shall stop."""
+"""Interval at which a waiting thread looks whether to stop."""
 _REFILLS = 8
 """Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
 packet would cost the one that sends as much as the sending."""
 _NICE = 3
-"""By how much threads that compute are nicer. A driver that shares a core with one of them gets two thirds of it; at equal
+"""Niceness added to threads that compute. A driver that shares a core with one of them gets two thirds of it; at equal
 priority it gets half, and one that needs half loses packets. More would cost speed where other programs are at work, and the
 thread that sends would be late more often: it waits for the interpreter, which a thread without a core holds."""
 
@@ -65,7 +65,7 @@ class LookAhead:
 
     @property
     def is_empty(self) -> bool:
-        """Whether `take` would have to wait."""
+        """True if `take` would have to wait."""
         return not self._ready
 
     @property
@@ -110,7 +110,7 @@ class LookAhead:
         return None
 
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
-        """Compute anew what is due from a time on and not taken yet; from any thread. At the end of all packets nothing is.
+        """Compute again the packets due from `due_ns` on that are not taken yet; from any thread. After the last packet, do nothing.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class LookAhead:
     def _wait_for_room(self, packet: Packet | None) -> None:
         """Wait until a share of the full buffer has been taken, after the last packet all of it; holds the lock.
 
-        It ends too where nobody wants more, or what is in the buffer is to be computed anew.
+        It also ends if nobody wants more, or if the buffer is to be computed again.
         """
         most = self._room_at
         if packet is None:

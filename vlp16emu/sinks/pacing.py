@@ -53,7 +53,7 @@ _SETTLED_NS = 5 * S_NS
 
 
 class Late(StrEnum):
-    """What happens to a packet that is late by more than the tolerance."""
+    """Treatment of a packet that is late by more than the tolerance."""
 
     PACE = "pace"
     """It leaves, and the deadlines of all later ones move by as much: the delay stays."""
@@ -137,7 +137,7 @@ _BIN_BITS = 6
 
 @dataclass(frozen=True, slots=True)
 class Lateness:
-    """By how much packets missed their deadlines."""
+    """Lateness of packets against their deadlines."""
 
     packets: int
     median_ns: int
@@ -207,7 +207,7 @@ class Pacer:
         self.delay_ns = 0
         """Time by which deadlines have been moved in all."""
         self.late_ns = 0
-        """By how much the packet that was waited for last missed its deadline."""
+        """Lateness of the packet that was waited for last."""
         self.elapsed_ns = (0, 0)
         """Simulated time and clock time from the first packet that left to the last one."""
 
@@ -225,7 +225,7 @@ class Pacer:
 
     @property
     def has_begun(self) -> bool:
-        """Whether the clock runs."""
+        """True if the clock runs."""
         return self._first_due_ns is not None
 
     def due_in_ns(self, ahead_ns: int) -> int:
@@ -235,11 +235,11 @@ class Pacer:
         return self._first_due_ns + round((ran_ns + ahead_ns) * self.speed)
 
     def left_ns(self, due_ns: int) -> int:
-        """Time until a packet shall leave that is due at a time; negative where it should have left."""
+        """Return the time until a packet due at `due_ns` leaves; negative if it should have left."""
         return self.deadline_ns(due_ns) - self._clock_ns()
 
     def behind_ns(self, deadline_ns: int) -> int:
-        """Time since a deadline, 0 where it is still to come."""
+        """Return the time since a deadline, 0 before it."""
         return max(self._clock_ns() - deadline_ns, 0)
 
     def since_start_ns(self, instant_ns: int) -> int:
@@ -251,7 +251,7 @@ class Pacer:
         self.delay_ns += by_ns
 
     def break_off(self) -> None:
-        """Begin anew with spacing, as where packets are left out: the next one leaves at its deadline."""
+        """Forget the spacing after packets were dropped: the next one leaves at its deadline."""
         self._last.clear()
 
     def wait(self, packet: Packet, deadline_ns: int, *, is_over: Callable[[], bool] = lambda: False) -> int:

@@ -17,7 +17,7 @@ from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
 _ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
-"""Of names of classic pcap files; a name may have none."""
+"""Endings of classic pcap files; a name may have none."""
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
     ".db3": "; a name that ends in / is a bag of ROS 2, a folder with SQLite",
@@ -28,16 +28,16 @@ _RECORD_HEADER = struct.Struct("<4I")
 
 @dataclass(frozen=True, slots=True)
 class PcapResult:
-    """What stands in the file."""
+    """Contents of a file."""
 
     data_packets: int
     position_packets: int
     bytes: int
     """Size of the file."""
     sha256: str
-    """Of the whole file, hexadecimal."""
+    """SHA-256 of the whole file, hexadecimal."""
     messages: Mapping[str, int] | None = None
-    """Of a bag, by topic."""
+    """Messages of a bag by topic."""
 
 
 class PcapSink(PacketSink):
@@ -99,7 +99,7 @@ class PcapSink(PacketSink):
 
     @property
     def result(self) -> PcapResult:
-        """What has been written so far."""
+        """Contents so far."""
         return PcapResult(
             data_packets=self._sent[PacketKind.DATA],
             position_packets=self._sent[PacketKind.POSITION],
@@ -131,11 +131,11 @@ class PcapSink(PacketSink):
 
 
 def check_ending(path: Path) -> None:
-    """Refuse a name whose ending is that of another format than classic pcap.
+    """Refuse the ending of another format than classic pcap.
 
     Raises
     ------
-    OutputError : with what makes the other format, where that is known
+    OutputError : It names the program that writes the other format, if known.
     """
     ending = path.suffix.lower()
     if ending not in _ENDINGS:

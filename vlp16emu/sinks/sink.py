@@ -1,4 +1,4 @@
-"""What a sink is; the simplest one, a list of packets; and one that parts packets by their kind."""
+"""The protocol of sinks, a list of packets as the simplest one, and a switch by kind of packet."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from vlp16emu.types import Packet, PacketKind
 
 
 class PacketSink(Protocol):
-    """Where packets leave: a context manager that is open from the moment it is made.
+    """A destination of packets: a context manager that is open from the moment it is made.
 
     Classes derived from it have nothing to close unless they say so.
     """
@@ -40,14 +40,14 @@ class Away:
     """One time that a device was not there."""
 
     at_s: float
-    """From the opening of the port."""
+    """Time since the port was opened."""
     away_s: float
     """Until it was there again, or the stream ended."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutletResult:
-    """What has left by an outlet."""
+    """Messages that left by an outlet."""
 
     to: str
     messages: int
@@ -57,9 +57,9 @@ class OutletResult:
     """Messages that were too late: the device was away, or took no more."""
     away: tuple[Away, ...] = ()
     line: str | None = None
-    """On which pulses were to be, rts or dtr."""
+    """Line of the pulses, rts or dtr."""
     pulses: int | None = None
-    """On that line; None where the port has none."""
+    """Pulses on that line; None if the port has no such line."""
 
 
 class Outlet(PacketSink, Protocol):
@@ -67,7 +67,7 @@ class Outlet(PacketSink, Protocol):
 
     @property
     def result(self) -> OutletResult:
-        """What has left so far."""
+        """Messages that left so far."""
 
 
 class SinkByKind(PacketSink):

@@ -1,11 +1,10 @@
-"""Packets in real time: computed ahead by one thread, sent at their deadlines by another; and what sending takes of a core."""
+"""Packets in real time: computed ahead by one thread, sent at their deadlines by another."""
 
-import socket
 import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -23,7 +22,6 @@ from vlp16emu.sinks.pacing import (
     prompt_sleeps,
 )
 from vlp16emu.sinks.sink import PacketSink
-from vlp16emu.sinks.udp import LOOPBACK, UdpSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import HOUR_NS, S_NS
 
@@ -31,16 +29,16 @@ LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
 
 _SWITCH_INTERVAL_S = 0.000_2
-"""For how long the thread that computes may keep the interpreter from the one that sends. Python's own
+"""Longest time for which the thread that computes may keep the interpreter from the one that sends. Python's own
 5 ms would be four packets late."""
 _SPACING_NS = 1_327_104
-"""Of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
+"""Spacing of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
 _PATIENCE_NS = 250_000_000
-"""For how long packets are computed only to be dropped, before the engine is asked to go on further ahead."""
+"""Time of computing packets that are dropped, before the engine is asked to go on further ahead."""
 _LEAD_NS = 1_000_000_000
-"""How far ahead of now that is at first: longer than the blocks under way take to end and new ones to begin."""
+"""First lead of the engine: longer than the blocks under way take to end and new ones to begin."""
 _ASLEEP_NS = 20_000_000
-"""How long before its instant the clock is looked at by this thread alone, and no longer the stop event."""
+"""Last part of the wait for an instant, in which only the clock is looked at and no longer the stop event."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +61,25 @@ class UnderWay:
         return self._ahead.made_until_ns
 
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
-        """As of `LookAhead`."""
+        """Compute packets again, as `LookAhead.redo`."""
         self._ahead.redo(due_ns, restart)
 
 
 @dataclass(frozen=True, slots=True)
 class FirstPacket:
-    """When the first packet of a stream left, by each clock in UTC ns since 1970."""
+    """Times at which the first packet of a stream left, by each clock in UTC ns since 1970."""
 
     truth_ns: int
-    """In the scene or the capture; the time of the truth."""
+    """Time in the scene or the capture: the time of the ground truth."""
     sensor_ns: int | None
-    """By the sensor's clock, as its stamp and its age have it in the present; None where it was not moved there."""
+    """Time by the sensor's clock, as moved into the present; None if it was not moved."""
     host_ns: int
-    """By the clock of this system, read as soon as it had left."""
+    """Time by the clock of this system, read as soon as it had left."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamReport:
-    """How a stream went."""
+    """Punctuality and extent of a stream."""
 
     lateness: Lateness
     """Against deadlines as they were when each packet came to its turn."""
@@ -98,7 +96,7 @@ class StreamReport:
     moved_s: int
     """Whole seconds by which packets were moved into the present; 0 where they were not."""
     first: FirstPacket | None
-    """None where no packet left."""
+    """None if no packet left."""
     interrupted: bool
     """Ended by Ctrl-C or the stop event, not by the last packet."""
 
@@ -223,7 +221,7 @@ class Sender:
         self._pacer.left(packet)
 
     def watch(self, engine_speed: float | None) -> None:
-        """Notify while the next packet is waited for, where it is late by more than the tolerance already."""
+        """Notify if the next packet, which is waited for, is late by more than the tolerance already."""
         if self._next_due_ns is None:
             return
         deadline_ns = self._pacer.deadline_ns(self._next_due_ns)
@@ -264,25 +262,6 @@ class Sender:
             self._skipping_since_ns = now_ns
 
 
-def sending_share(packets: Sequence[Packet]) -> float:
-    """Processor seconds per second of the thread that sends packets in real time, measured by doing so.
-
-    They go to a socket of this process that nobody reads, so no other program is sent anything.
-
-    Parameters
-    ----------
-    packets : in order of sending
-    """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind((LOOPBACK, 0))
-        port = receiver.getsockname()[1]
-        with UdpSink(data_port=port, position_port=port) as sink:
-            before_s = time.thread_time()
-            report = stream(packets, sink, Pacer(1.0))
-            took_s = time.thread_time() - before_s
-    return took_s / report.simulated_s if report.simulated_s > 0 else 0.0
-
-
 class NowSink(PacketSink):
     """Passes packets on, moved by a whole number of seconds into the present of the system's clock.
 
@@ -306,7 +285,7 @@ class NowSink(PacketSink):
         self._sink, self._clock_ns, self._sleep = sink, clock_ns, sleep
         self._ahead_ns = 0
         self.moved_s = 0
-        """By how much, from the time of the packets; known when the first one leaves, as the next."""
+        """Whole seconds from the time of the packets to the present; known when the first one leaves, as `began_ns`."""
         self.began_ns = 0
         """UTC at which that is by the sensor's clock."""
 
@@ -315,7 +294,7 @@ class NowSink(PacketSink):
 
         Returns
         -------
-        How long ago the instant is, in ns; negative where it has not come
+        Time since the instant, in ns; negative before it
         """
         sent_ns, now_ns = self._sent_ns(first), self._clock_ns()
         at_ns = now_ns + (sent_ns - now_ns) % S_NS
@@ -332,7 +311,7 @@ class NowSink(PacketSink):
         self._start(first, sent_ns, sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS)
 
     def _sent_ns(self, first: Packet) -> int:
-        """UTC at which a packet leaves by its own stamp, where it has one."""
+        """Return the UTC at which a packet leaves by its own stamp, or is due without one."""
         if not has_stamp(first):
             return first.due_ns
         moved(first, 0, first.due_ns)  # Python loads what parses dates in the first one's time, 3 ms

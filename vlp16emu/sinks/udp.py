@@ -14,7 +14,7 @@ from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 
 LOOPBACK = "127.0.0.1"
-"""Where packets go unless an address is given: nowhere but this machine."""
+"""Default destination of packets: this machine."""
 
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
 _SO_NO_CHECK, _IP_MTU_DISCOVER = 11, 10
@@ -39,12 +39,12 @@ _OF_SENSOR = {
 
 @dataclass(frozen=True, slots=True)
 class UdpResult:
-    """What has been sent."""
+    """Packets that were sent."""
 
     data_packets: int
     position_packets: int
     bytes: int
-    """Of payload."""
+    """Bytes of payload."""
 
 
 class UdpSink(PacketSink):
@@ -136,7 +136,7 @@ class UdpSink(PacketSink):
 
     @property
     def result(self) -> UdpResult:
-        """What has been sent so far."""
+        """Packets sent so far."""
         return UdpResult(self._sent[PacketKind.DATA], self._sent[PacketKind.POSITION], self._bytes)
 
 
@@ -274,5 +274,5 @@ class RigSink(PacketSink):
 
     @property
     def results(self) -> list[UdpResult]:
-        """What each unit has sent so far."""
+        """Packets that each unit has sent so far."""
         return [sink.result for sink in self._sinks]

@@ -13,7 +13,7 @@ Texture = Annotated[float, Field(ge=0, le=0.3)]
 
 
 class WorldSection(Section):
-    """What the sensor sees: a kind of world."""
+    """Base class of the kinds of world."""
 
     has_trees: ClassVar[bool] = False
     """Whether wind moves something in it."""

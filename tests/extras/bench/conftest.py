@@ -73,7 +73,7 @@ class Client:
     """Asks as Python's own client does, on one connection that is kept."""
 
     def __init__(self, address):
-        self._line = http.client.HTTPConnection(*address, timeout=5)
+        self._line = http.client.HTTPConnection(*address, timeout=60)
 
     def ask(self, method, path, body=None, headers=None):
         """Ask anything."""
@@ -111,7 +111,7 @@ def web(make, tmp_path):
 
 def _spoken(address, sent, *, shut=False):
     """Send bytes, and receive all that comes until the line is closed; the segments as they arrive."""
-    with socket.create_connection(address, timeout=10) as line:
+    with socket.create_connection(address, timeout=60) as line:
         line.sendall(sent)
         if shut:
             line.shutdown(socket.SHUT_WR)

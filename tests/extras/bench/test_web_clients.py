@@ -29,16 +29,20 @@ PATHS = {
     "config.fov": "/cgi/setting/fov",
     "config.host": "/cgi/setting/host",
 }
+LONGEST_S = 10.0
 
 
 class Nebula:
-    """The client of tier4/nebula (http_client.hpp, velodyne_hw_interface.cpp): made by hand, with its ways and limits."""
+    """The client of tier4/nebula (http_client.hpp, velodyne_hw_interface.cpp): made by hand, with its ways.
+
+    Of its limits only the time is another, 10 s in place of 500 ms: the machine may be busy.
+    """
 
     def __init__(self, address):
         self._address, self.asked = address, []
 
     def request(self, method, endpoint, body=""):
-        """Ask up to three times, 100 ms apart, for 500 ms each; the status is not looked at."""
+        """Ask up to three times, 100 ms apart, for `LONGEST_S` each; the status is not looked at."""
         self.asked.append((endpoint, body))
         for _ in range(3):
             if (answer := self._once(method, endpoint, body)) is not None:
@@ -50,9 +54,9 @@ class Nebula:
         form = f"Content-Type: application/x-www-form-urlencoded\r\nContent-Length: {len(body)}\r\n"
         head = f"{method} {endpoint} HTTP/1.1\r\nHost: {self._address[0]}\r\n{form if method == 'POST' else ''}"
         text = ""
-        with socket.create_connection(self._address, timeout=0.5) as line:
+        with socket.create_connection(self._address, timeout=LONGEST_S) as line:
             line.sendall(f"{head}Connection: close\r\n\r\n{body}".encode())
-            end_s = time.perf_counter() + 0.5
+            end_s = time.perf_counter() + LONGEST_S
             while (left_s := end_s - time.perf_counter()) > 0:
                 line.settimeout(left_s)
                 try:

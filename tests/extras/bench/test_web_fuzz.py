@@ -14,8 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-LONGEST_S = 4.0
-"""Before the server hangs up on those who wait."""
+LONGEST_S = 60.0
+"""Far more than the 5 s after which the server hangs up, on a machine that may be busy."""
 MANY = settings(
     max_examples=max(200, settings.default.max_examples),
     deadline=None,

@@ -39,7 +39,7 @@ class Beside:
         self._rate_hz = scenario.imu.rate_hz if scenario.imu else 0
 
     def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-        """Return packets of a span since the first pulse with what is due in it; of what is due at once they leave first."""
+        """Merge the packets of a span since the first pulse with what is due beside them; of those due at once, packets are first."""
         if not self._kinds:
             return packets
         made = {PacketKind.NMEA: self._sentences, PacketKind.PPS: self._pulses, PacketKind.IMU: self._samples}

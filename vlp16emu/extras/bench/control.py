@@ -111,7 +111,7 @@ class Control:
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Let the stream follow what is set; what was saved, sensors have from their first moment on."""
+        """Make the stream follow what is set; saved settings hold from the first packets on."""
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
         if self._take_up() is None:

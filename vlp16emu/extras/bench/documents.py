@@ -185,4 +185,5 @@ def _status(status: DeviceStatus) -> dict[str, object]:
 
 def _info(info: DeviceInfo) -> dict[str, object]:
     own = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
-    return own | json.loads(_FIRMWARE.read_text(encoding="utf-8"))
+    firmware: dict[str, object] = json.loads(_FIRMWARE.read_text(encoding="utf-8"))
+    return own | firmware

@@ -6,10 +6,10 @@ from contextlib import ExitStack, contextmanager
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.extras.bench.serial_port import SerialPort, SerialSink
 from vlp16emu.motion import Imu
 from vlp16emu.packets import IMU_FRAME
 from vlp16emu.run.options import Outlets
-from vlp16emu.sinks.serial_port import SerialPort, SerialSink
 from vlp16emu.sinks.sink import Outlet, OutletResult
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind

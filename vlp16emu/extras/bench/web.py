@@ -161,8 +161,10 @@ class WebServer:
                         break
                 await asyncio.sleep(0)  # others come to their turn, however many requests wait on this line
             line.close()
-        except (OSError, TimeoutError):  # the client has gone, or takes too long
+        except BaseException as error:
             line.transport.abort()
+            if not isinstance(error, OSError):  # the client has gone, or takes too long
+                raise
         finally:
             del self._lines[line]
 

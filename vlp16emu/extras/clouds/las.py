@@ -5,7 +5,8 @@ dimensions by the names of .ply.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import IO, Any
@@ -60,10 +61,11 @@ class LasFile(PointWriter):
             import laspy
 
             if compressed:
-                import lazrs  # noqa: F401  # laspy looks for it too late
+                import lazrs  # laspy looks for it too late
         except ImportError:
             raise MissingExtraError("laspy[lazrs]", "cloud", "writing LAS and LAZ") from None
         self._laspy, self._file, self._compressed = laspy, file, compressed
+        self._failures: type[Exception] = lazrs.LazrsError if compressed else OSError
         self._about = about
         self._writer: Any = None
         names = {column.name for column in columns}
@@ -100,14 +102,24 @@ class LasFile(PointWriter):
             record["classification"] = values.get("label", _asprs(block))
         for name in self._extra:
             record[name] = values[name]
-        self._writer.write_points(record)
+        with self._writing():
+            self._writer.write_points(record)
         self.points += n
 
     def finish(self) -> None:
         """Write the number of points and their bounds into the header."""
         if self._writer is None:
             self._begin(np.zeros(3))
-        self._writer.close()
+        with self._writing():
+            self._writer.close()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Report a full disk as such: lazrs has an error of its own for it."""
+        try:
+            yield
+        except self._failures as error:
+            raise OSError(getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)) from error
 
     def _begin(self, offset_m: NDArray[np.float64]) -> None:
         """Write the header."""

@@ -101,7 +101,7 @@ class LiveWindows(CellWindows):
 
     @staticmethod
     def yielding() -> None:
-        """Let threads that open windows give way to those that cast: the next window has time."""
+        """Lower the priority of a thread that opens windows: the next window has time, casting has none."""
         if sys.platform == "linux":
             os.nice(_NICE)
 
@@ -118,12 +118,12 @@ class LiveWindows(CellWindows):
         return super().at_block(block)
 
     def is_here(self) -> bool:
-        """Whether the window that is in use serves for where the body is."""
+        """Whether the window in use serves the present position of the body."""
         state = self._motion.state
         return _serves(self.cells[-1][1], state[:3], state[7:10])
 
     def begin_again(self) -> None:
-        """Settle anew where the run begins."""
+        """Forget which windows were in use, for a run that begins again."""
         self.cells.clear()
         self.decided, self.left_out = -1, 0
 

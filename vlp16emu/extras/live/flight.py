@@ -130,7 +130,7 @@ class Flight(PacketSink):
         return Late.SKIP
 
     def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> Self:
-        """Let the first pulse be fired in a moment, and packets leave by the same clock, through this to `sink`.
+        """Start the clock: the first pulse is fired in a moment, and packets leave by the same clock, through this to `sink`.
 
         With `now` it is fired where the clock of the system has the fraction of a second that the scene begins with.
         """
@@ -144,7 +144,7 @@ class Flight(PacketSink):
         return self
 
     def going_on(self, go_on_from: Callable[[int], None], pacer: Pacer) -> Callable[[int], None]:
-        """Let an engine that is too slow go on in a moment, and not further ahead: nothing is computed ahead here."""
+        """Return what lets an engine that is too slow go on in a moment, and not further ahead: nothing is computed ahead here."""
         return lambda _due_ns: go_on_from(pacer.due_in_ns(_START_NS))
 
     def send(self, packet: Packet) -> None:

@@ -93,7 +93,7 @@ class PoseInput:
         """Arrivals before and after each time without poses for more than a second, since the run began."""
 
     def put(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
-        """Take a pose, and say whether it is later than the one before; others are left out.
+        """Take a pose, and return whether it is later than the one before; others are left out.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class PoseInput:
         return True
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the first pose, and say whether it is there."""
+        """Wait for the first pose, and return whether it has come."""
         return self._came.wait(seconds)
 
     def _offset(self, offset_ns: int, now_ns: int) -> int:

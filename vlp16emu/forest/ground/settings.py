@@ -14,7 +14,7 @@ _RELIEFS: dict[str, dict[str, object]] = {
     "hilly": {"hill_rms_m": 4.0, "mounds_per_ha": 100.0},
     "rough": {"hill_rms_m": 1.5, "rough_rms_m": 0.11, "mounds_per_ha": 800.0},
 }
-"""What each kind of relief gives. Hills and mounds are assumptions: hills of 1 m rms slope by 4 degrees rms,
+"""Keys that each kind of relief gives. Hills and mounds are assumptions: hills of 1 m rms slope by 4 degrees rms,
 of 4 m by 15."""
 
 _NARROWEST_M = 10.0  # least distance between trails

@@ -22,7 +22,7 @@ LeMay 1998, "Relationships between tree slenderness coefficients and tree or sta
 _SHARE_ERROR = 0.015  # by which shares may fail to sum to 1: three of 0.33 do
 
 MOST_STEMS_PER_HA = 5000
-"""Of a storey, whichever key gives its density."""
+"""Greatest density of a storey, whichever key gives it."""
 
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
@@ -164,7 +164,7 @@ class Logs(Section):
     per_ha: Annotated[float, Field(ge=0, le=2000)] = 0.0
     """Density of logs."""
     species: list[str] = Field(default_factory=list)
-    """What trees they were, each as often; if none is named, those of the canopy."""
+    """Species of the trees, each as often; if none is named, those of the canopy."""
     diameter_m: Range = (0.1, 0.5)
     """Minimum and maximum mean diameter."""
     length_m: Range = (3.0, 15.0)
@@ -178,12 +178,12 @@ class Logs(Section):
 
 
 class Stumps(Section):
-    """What trees left that were felled or broke."""
+    """Stumps of trees that were felled or broke."""
 
     per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
     """Density of stumps."""
     species: list[str] = Field(default_factory=list)
-    """What trees they were, each as often; if none is named, those of the canopy."""
+    """Species of the trees, each as often; if none is named, those of the canopy."""
     diameter_m: Range = (0.2, 0.6)
     """Minimum and maximum diameter at the top."""
     height_m: Range = (0.1, 0.4)
@@ -202,7 +202,7 @@ class Grass(Section):
 
 
 class Cover(Section):
-    """What covers a share of the ground near the path."""
+    """Low plants that cover a share of the ground near the path."""
 
     cover: Annotated[float, Field(ge=0, le=0.8)] = 0.0
     """Share of the ground under their outlines, seen from above."""

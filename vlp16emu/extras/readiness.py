@@ -1,8 +1,8 @@
-"""Whether this machine can send as a sensor does: ports, rights, clock, wake-ups and buffers."""
+"""Checks of whether this machine can send as a sensor does (ports, rights, clock, wake-ups, buffers), and the cost of sending."""
 
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
-from vlp16emu.sinks.pacing import TOLERANCE_NS, prompt_sleeps
+from vlp16emu.sinks import LOOPBACK, TOLERANCE_NS, Pacer, UdpSink, stream
+from vlp16emu.sinks.pacing import prompt_sleeps
+from vlp16emu.types import Packet
 
 _SLEEPS = 200
 _SLEEP_S = 0.001_327
@@ -130,3 +132,22 @@ def _buffer() -> Check:
         return Check(name, Condition.OK, found)
     mend = f"sudo sysctl -w {key}={needed}, and SO_RCVBUF in the receiver"
     return Check(name, Condition.WARNING, found, mend)
+
+
+def sending_share(packets: Sequence[Packet]) -> float:
+    """Processor seconds per second of the thread that sends packets in real time, measured by doing so.
+
+    They go to a socket of this process that nobody reads, so no other program is sent anything.
+
+    Parameters
+    ----------
+    packets : in order of sending
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind((LOOPBACK, 0))
+        port = receiver.getsockname()[1]
+        with UdpSink(data_port=port, position_port=port) as sink:
+            before_s = time.thread_time()
+            report = stream(packets, sink, Pacer(1.0))
+            took_s = time.thread_time() - before_s
+    return took_s / report.simulated_s if report.simulated_s > 0 else 0.0
