@@ -11,7 +11,6 @@ from vlp16emu.cli.printer import count, print_files, print_json, print_table, tr
 from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import Progress, make_folder
 from vlp16emu.options import Option
-from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -41,6 +40,7 @@ def accuracy(
     distances is held against the explicit one by means, with 8 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
+    from vlp16emu.output import OutputFile
     from vlp16emu.scenario import load
 
     scenario = load(scene, settings or [])
