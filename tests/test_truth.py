@@ -211,11 +211,12 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
     held = []
     tracemalloc.start()
     try:
-        with Truth(TruthTo(tmp_path, 20, per_packet=True), walk, (0.0, 120.0)) as truth:
+        with Truth(TruthTo(tmp_path / "t", 20, per_packet=True), walk, (0.0, 120.0)) as truth:
+            (growing,) = tmp_path.glob("t.*.part/trajectory.tum")
             for number, packet in enumerate(truth.beside(empty())):
                 if number in {300, 1199}:
                     held.append(tracemalloc.get_traced_memory()[0])
-                    t_ns, _ = tum(tmp_path / "trajectory.tum")
+                    t_ns, _ = tum(growing)
                     assert packet.due_ns - t_ns[-1] < 1.1 * S_NS
     finally:
         tracemalloc.stop()

@@ -21,7 +21,7 @@ STDOUT = Path("-")
 """Stands for standard output, as for tcpdump and tshark."""
 
 _LONGEST_NAME_BYTES = 240
-"""Of the 255 that Linux allows (NAME_MAX of limits.h), 14 are for what is added."""
+"""Of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added."""
 _RIGHTS = 0o777
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 """Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h."""
@@ -160,8 +160,8 @@ class OutputFolder:
         self._where, self._stranger, self._expected = str(path), stranger, expected
         with _opening(self._where, "a folder that can be written"):
             self._final = final_name(path)
-            if self._final.is_mount():
-                raise OutputError(self._where, "is a mount point", "a folder in it")
+            if self._final.is_mount() or self._final == Path.cwd():  # which cannot be renamed, or not under our feet
+                raise OutputError(self._where, "is a mount point or the working folder", "a folder in it")
             self._check()
             for file in self._final.iterdir() if self._final.exists() else ():
                 spare(inputs, file)
@@ -175,6 +175,8 @@ class OutputFolder:
             except OutputError:
                 self.discard()
                 raise
+            if self._final.exists():
+                _take_rights(opened, self._final.stat())
 
     def __enter__(self) -> Self:
         return self
@@ -312,12 +314,16 @@ def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
         file.close()
         raise
     if before:
-        for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
-            with suppress(OSError):  # only root may give files away
-                os.fchown(file.fileno(), owner, group)
-        with suppress(OSError):
-            os.fchmod(file.fileno(), before.st_mode & _RIGHTS)
+        _take_rights(file.fileno(), before)
     return file
+
+
+def _take_rights(opened: int, before: os.stat_result) -> None:
+    for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
+        with suppress(OSError):  # only root may give files away
+            os.fchown(opened, owner, group)
+    with suppress(OSError):
+        os.fchmod(opened, before.st_mode & _RIGHTS)
 
 
 def _claim(opened: int, part: Path, final: Path, where: str) -> None:

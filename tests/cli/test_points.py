@@ -83,7 +83,7 @@ def test_a_free_table_is_what_is_seen(points, beams):
     np.testing.assert_allclose(elevation_deg, np.linspace(-25, 15, beams)[own["ring"]], atol=1e-4)
     assert (own["ring"] == own["laser"]).all()
     assert report["beams"] == beams
-    assert report["sequences_per_revolution"] == pytest.approx(720, rel=1e-5)
+    assert report["turn"]["sequences_per_revolution"] == pytest.approx(720, rel=1e-5)
     assert report["pulses_per_s"] == pytest.approx(720 * 10 * beams, rel=1e-5)
     assert len(own["ring"]) == report["points"] == 360 * beams
     first = own["laser"] == 0
@@ -231,9 +231,9 @@ def test_points_have_the_truth_of_their_run(cli, tmp_path):
 def test_people_get_a_summary(cli, tmp_path):
     """Without --json the beams, the sequences of a turn and the pulses of a second stand in a few lines."""
     out = cli("points", "static_bench", tmp_path / "x.ply", "--duration", "0.02", *FREE).out
-    assert "\n  beams             16\n  elevation         -15, 15 deg\n" in out
+    assert "\n  beams      16\n  elevation  -15, 15 deg\n" in out
     assert " of 1 800 firing sequences, 0.2 deg apart\n" in out
-    assert "\n  pulses            287998." in out
+    assert "\n  pulses     287997." in out
 
 
 @pytest.mark.parametrize("verb", ["record static_bench {tmp}/x.pcap", "stream static_bench --duration 1"])

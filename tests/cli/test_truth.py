@@ -14,6 +14,16 @@ def rows(path):
     return [line for line in path.read_text().splitlines() if not line.startswith("#")]
 
 
+def wait_for_growth(folder, size):
+    """Wait until the trajectory of a run that goes on, in its folder without the final name, has some bytes."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        if any(path.stat().st_size > size for path in folder.glob("t.*.part/trajectory.tum")):
+            return
+        time.sleep(0.05)
+    pytest.fail("no trajectory grows")
+
+
 def test_record_writes_truth_on_request(cli, tmp_path):
     """Files appear with --truth; the recording is the same as without."""
     plain = cli("record", "static_bench", tmp_path / "a.pcap", "--duration", "0.2", "--json").tree
@@ -55,9 +65,7 @@ def test_ctrl_c_ends_the_truth_alone(program, tmp_path):
     """Ctrl-C exits with 130, and the files end where the report says."""
     process = program("truth", "static_bench", tmp_path / "t", "--duration", "600000", "--json")
     path = tmp_path / "t" / "trajectory.tum"
-    deadline = time.monotonic() + 60
-    while not (path.exists() and path.stat().st_size > 100_000) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_for_growth(tmp_path, 100_000)
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=100)
     assert process.returncode == 130
@@ -116,9 +124,7 @@ def test_ctrl_c_leaves_whole_truth(program, tmp_path):
     """After Ctrl-C the trajectory ends with a whole line, at or after the last packet that was written."""
     process = program("record", "static_bench", tmp_path / "x.pcap", "--duration", "3600", "--truth", tmp_path / "t")
     path = tmp_path / "t" / "trajectory.tum"
-    deadline = time.monotonic() + 60
-    while not (path.exists() and path.stat().st_size > 1000) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_for_growth(tmp_path, 1000)
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=100)
     assert process.returncode == 130
