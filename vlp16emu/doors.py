@@ -107,7 +107,7 @@ def door(name: str, group: str = "parts") -> Any:
 
 
 def has_door(name: str, group: str = "parts") -> bool:
-    """Whether a group has a name, and its module is installed."""
+    """Return whether a group has a name, and its module is installed."""
     if name not in DOORS[group]:
         return name in _added(group)
     try:

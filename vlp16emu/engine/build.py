@@ -39,7 +39,7 @@ _STRAY_M = 1.0
 
 
 class Optics(Protocol):
-    """What is between the lasers of a sensor and the world, and disturbs their light."""
+    """Dirt and dead lasers between a sensor and the world, which dim its light."""
 
     def dimmed(self, firings: Firings, hits: Hits) -> Hits:
         """Take from the light of each pulse what does not pass."""
@@ -91,7 +91,7 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What an emulator is made of."""
+    """Parts of an emulator: sensors, carrier and world."""
 
     units: tuple[Unit, ...]
     """At least one."""
@@ -117,12 +117,12 @@ class Parts:
 
     @property
     def moves(self) -> bool:
-        """Whether a sensor, or what it sees, moves."""
+        """True if a sensor, or what it sees, moves."""
         return self.wind is not None or any(unit.motion.moves for unit in self.units)
 
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
-    """Whether runs go the same way through the same world, so that only their sensors may differ."""
+    """Return whether runs go the same way through the same world, so that only their sensors may differ."""
     return not takes_poses(one.motion) and _way(one) == _way(other)
 
 

@@ -48,7 +48,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """What a unit sends over a run."""
+    """Transmission of a unit over a run."""
 
     head: Head
     spans: tuple[Stretch, ...]

@@ -69,7 +69,7 @@ class Batching:
 
     @property
     def block_ns(self) -> int:
-        """How long a block lasts."""
+        """Duration of a block."""
         return self.block * self.sequence_ns
 
     @property

@@ -21,7 +21,7 @@ _ALL_ROUND_DEG = 360.0
 
 
 class CameraKind(StrEnum):
-    """How directions become pixels."""
+    """Projection of directions to pixels."""
 
     PANORAMA = "panorama"
     """All around, the same angle for each column and row (equirectangular)."""
@@ -123,7 +123,7 @@ class Orthographic:
 
 
 class Seen(NamedTuple):
-    """What n rays meet."""
+    """Surfaces that n rays meet."""
 
     is_met: NDArray[np.bool_]
     """(n,)."""

@@ -63,7 +63,7 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True)
 class StreamOutlook:
-    """Whether a stream keeps up in real time."""
+    """Forecast of whether a stream keeps up in real time."""
 
     keeps_up: bool
     real_time_factor: float
@@ -75,7 +75,7 @@ class StreamOutlook:
 
     @property
     def verdict(self) -> str:
-        """Whether it keeps up, in words."""
+        """Forecast in words."""
         if not self.keeps_up:
             return "no, packets will be late"
         return "yes" if self.real_time_factor >= _SCARCE else "yes, with next to nothing left for other programs"

@@ -29,7 +29,7 @@ _HELD_BYTES = 2304
 
 
 class Condition(StrEnum):
-    """How a check ended."""
+    """Outcome of a check."""
 
     OK = "ok"
     WARNING = "warning"
@@ -103,7 +103,7 @@ def _clock() -> Check:
 
 
 def _wake_ups() -> Check:
-    """How late sleeps end, measured as streams sleep."""
+    """Measure how late sleeps end, as streams sleep."""
     late_ns = []
     with prompt_sleeps():
         for _ in range(_SLEEPS):
@@ -119,7 +119,7 @@ def _wake_ups() -> Check:
 
 
 def _buffer() -> Check:
-    """Whether a receiver here may have a buffer that holds two sensors in dual return for a revolution."""
+    """Return whether a receiver here may have a buffer that holds two sensors in dual return for a revolution."""
     needed = round(_PAUSE_S * _RIG_PACKETS_HZ * _HELD_BYTES)
     name, key = "receive buffer", "net.core.rmem_max"
     try:

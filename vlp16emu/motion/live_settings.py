@@ -37,5 +37,5 @@ class Live(MotionSection):
 
 
 def takes_poses(motion: Section) -> bool:
-    """Whether poses come in, and nothing is repeated."""
+    """Return whether poses come in, and nothing is repeated."""
     return isinstance(motion, Live) and motion.flown is None

@@ -47,7 +47,7 @@ class Mount(Section):
 
     @property
     def trivial(self) -> bool:
-        """Whether device and carrier are one frame."""
+        """True if device and carrier are one frame."""
         return not any((*self.lever_arm_m, self.yaw_deg, self.pitch_deg, self.roll_deg, self.spin_hz))
 
 
@@ -185,7 +185,7 @@ class Gait(Preset):
 
     @property
     def moves(self) -> bool:
-        """Whether any amplitude is above zero."""
+        """True if any amplitude is above zero."""
         return any(getattr(self, name) for name in self.amplitudes)
 
 

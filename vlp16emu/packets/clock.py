@@ -29,7 +29,7 @@ _PERIOD_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQ
 
 
 class Clock(StrEnum):
-    """Where the time of packets comes from."""
+    """Source of the time of packets."""
 
     SENSOR = "sensor"
     """The sensor's clock, in the hour that is nearest to the capture's stamp."""

@@ -34,7 +34,7 @@ _IPV4, _VERSION_AND_LENGTH, _DONT_FRAGMENT, _UDP = 0x0800, 0x45, 0x4000, 17
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Who sends to whom."""
+    """Addresses and ports of a sensor's frames."""
 
     source_mac: bytes
     """6 bytes."""

@@ -67,7 +67,7 @@ _SCHEDULES: dict[PositionRate, _Schedule] = {
 
 
 def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, count: int) -> I8:
-    """When position packets leave; the return mode does not matter (63-9243 Rev D, section 8.2.3).
+    """Return the times (n,) at which position packets leave; the return mode does not matter (63-9243 Rev D, section 8.2.3).
 
     Parameters
     ----------

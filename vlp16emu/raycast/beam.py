@@ -65,7 +65,7 @@ class Footprint:
 
     @property
     def has_width(self) -> bool:
-        """Whether casting needs `Firings.beam_axis`."""
+        """True if casting needs `Firings.beam_axis`."""
         return self.section.model in ("fixed", "adaptive", "angle")
 
     @property
@@ -76,7 +76,7 @@ class Footprint:
 
     @property
     def budget(self) -> RayBudget:
-        """How many sub-rays its pulses want."""
+        """Number of sub-rays that its pulses want."""
         return RayBudget(
             most=1 if self.section.model == "angle" else self.rays,
             adaptive=self.section.model == "adaptive",

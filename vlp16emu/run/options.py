@@ -76,7 +76,7 @@ TruthPlace = str | Path | TruthTo
 
 @dataclass(frozen=True)
 class RecordOptions(Span):
-    """What is recorded."""
+    """Options of a recording."""
 
     split: Annotated[bool, Option("Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")] = False
     truth: TruthPlace | None = None
@@ -84,7 +84,7 @@ class RecordOptions(Span):
 
 @dataclass(frozen=True)
 class SendOptions(Options):
-    """How packets are sent over UDP."""
+    """Options of sending packets over UDP."""
 
     to: Annotated[
         str | None,
@@ -152,7 +152,7 @@ class SendOptions(Options):
 
 @dataclass(frozen=True)
 class ReplayOptions(SendOptions):
-    """How a capture is sent again."""
+    """Options of a replay."""
 
     loop: Annotated[bool, Option("Begin again at the end, until Ctrl-C; time stamps and sentences go on.")] = False
     keep_gaps: Annotated[bool, Option("Wait through gaps of more than a minute instead of shortening them.")] = False
@@ -217,7 +217,7 @@ class PosesIn(Options):
 
 @dataclass(frozen=True)
 class Outlets(Options):
-    """What a stream sends beside the packets of the sensors."""
+    """Outputs of a stream beside the packets of the sensors."""
 
     gps_out: Annotated[
         str | None,
@@ -266,7 +266,7 @@ class GpsIn(Options):
 
 @dataclass(frozen=True)
 class StreamOptions(SendOptions):
-    """How a run is streamed."""
+    """Options of a stream."""
 
     duration_s: Duration = None
     truth: TruthPlace | None = None

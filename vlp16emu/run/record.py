@@ -102,7 +102,7 @@ def _paths_of_units(path: Path, units: int) -> list[Path]:
 
 
 def _is_bag(name: str | Path) -> bool:
-    """Whether a name is that of a bag: by its ending, of a folder a slash."""
+    """Return whether a name is that of a bag: by its ending, of a folder a slash."""
     return Path(name).suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
 
 

@@ -88,7 +88,7 @@ class Replay:
 
 @dataclass(frozen=True, slots=True)
 class Replayed(OfUnits):
-    """What was sent of a capture, and how punctual it was."""
+    """Result of a replay: packets sent, and how punctual they were."""
 
     file: str
     to: str

@@ -54,7 +54,7 @@ class AuditFinding:
 
 @dataclass(frozen=True, slots=True)
 class UnitSent:
-    """What one sensor sent, and how far it turned."""
+    """Packets that one sensor sent, and its revolutions."""
 
     unit: int
     """From 1."""
@@ -99,7 +99,7 @@ class OfUnits:
 
 @dataclass(frozen=True, slots=True)
 class Recording(OfUnits):
-    """What a recording holds, and what it took."""
+    """Result of a recording: its content, and its cost."""
 
     file: str
     about: About
@@ -131,7 +131,7 @@ class Recording(OfUnits):
 
 @dataclass(frozen=True, slots=True)
 class Streamed(OfUnits):
-    """What a stream sent, and how it went."""
+    """Result of a stream: packets sent, and how punctual they were."""
 
     about: About
     to: str

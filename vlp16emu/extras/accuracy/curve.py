@@ -56,7 +56,7 @@ class Mean:
 
     @property
     def departs(self) -> bool:
-        """Whether the difference exceeds chance."""
+        """True if the difference exceeds chance."""
         return abs(self.off) > self.half
 
 

@@ -100,7 +100,7 @@ def _shown(span: ClockSpan, t_ns: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """What is set on a rotor."""
+    """Settings of a rotor in force from an instant on."""
 
     rpm: int
     phase_deg: float | None
@@ -172,7 +172,7 @@ def _angle_deg(spin: Spin, t_ns: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
-    """What is set on what is sent."""
+    """Settings of the packets in force from an instant on."""
 
     mode: ReturnMode
     fov_deg: tuple[int, int] = ALL_AROUND

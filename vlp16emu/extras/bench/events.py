@@ -30,7 +30,7 @@ class Event(Section):
 
     @property
     def effect(self) -> str:
-        """What it changes, as in `KINDS`."""
+        """Effect of the event, as in `KINDS`."""
         return KINDS[self.kind].effect
 
     @property
@@ -46,7 +46,7 @@ class Event(Section):
 
     @property
     def is_random(self) -> bool:
-        """Whether it happens to each packet with a probability below one."""
+        """True if it happens to each packet with a probability below one."""
         return bool(getattr(self, "share", 1.0) < 1.0)
 
     @model_validator(mode="after")

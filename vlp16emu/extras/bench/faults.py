@@ -51,7 +51,7 @@ class PacketFault:
     """Numbers of the packets that it may befall, where they are counted."""
 
     def befalls(self, packet: Packet, number: int) -> bool:
-        """Whether it befalls a packet with a number among those of its unit and kind, by what that was before all faults."""
+        """Return whether it befalls a packet with a number among those of its unit and kind, by what that was before all faults."""
         event, since_ns = self.event, packet.due_ns - self.start_ns
         if packet.kind not in kinds_of(event):
             return False

@@ -29,7 +29,7 @@ _AWAY_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class GpsInResult:
-    """What came from a receiver, and what it made of the clock."""
+    """Input from a receiver, and the clock that it set."""
 
     port: str
     heard: Heard
@@ -83,7 +83,7 @@ class GpsReader:
 
     @property
     def result(self) -> GpsInResult:
-        """What came so far."""
+        """Result so far."""
         state = self.line.state_at(time.monotonic_ns())
         return GpsInResult(self._port.name, self.line.heard, state, self._port.away)
 

@@ -25,7 +25,7 @@ _SHARE = 8
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What a receiver has sent so far."""
+    """Input of a receiver so far."""
 
     pulses: int
     sentences: int
@@ -104,7 +104,7 @@ class GpsLine:
 
     @property
     def heard(self) -> Heard:
-        """What came so far."""
+        """Result so far."""
         with self._lock:
             return Heard(self._pulses, self._sentences, self._refused)
 

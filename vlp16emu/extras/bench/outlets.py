@@ -103,6 +103,6 @@ class ImuUdpSink(Outlet):
 
     @property
     def result(self) -> OutletResult:
-        """What has left so far."""
+        """Result so far."""
         host, port = self._to
         return OutletResult(f"udp://{host}:{port}", self._samples, self._bytes, 0)

@@ -171,7 +171,7 @@ class SerialSink(Outlet):
 
     @property
     def result(self) -> OutletResult:
-        """What has left so far."""
+        """Result so far."""
         port, counts = self._port, (self._messages, self._bytes, self._dropped)
         pulses = self._pulses if port.has_line else None
         return OutletResult(port.name, *counts, port.away, port.line, pulses)

@@ -51,7 +51,7 @@ _WholeDegree = Annotated[int, Field(ge=0, le=359)]
 
 @checked_dataclass(frozen=True, slots=True, config=ConfigDict(strict=True, extra="forbid"))
 class DeviceSettings:
-    """What the web interface sets; the defaults are those of the factory (63-9243 Rev D, section 10.2).
+    """Settings of the web interface, with the defaults of the factory (63-9243 Rev D, section 10.2).
 
     Raises
     ------
@@ -92,7 +92,7 @@ _SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """What does not change from power-up to power-up."""
+    """Constants of a unit: names, versions, serial number."""
 
     serial: str
     """Digits, as on the label."""
@@ -159,12 +159,12 @@ class Device:
 
     @property
     def settings(self) -> DeviceSettings:
-        """What is set now."""
+        """Present settings."""
         return self._settings
 
     @property
     def power_up(self) -> DeviceSettings:
-        """What will be set after the next power-up: what was saved last, otherwise what the factory has set."""
+        """Settings after the next power-up: those that were saved last, otherwise those of the factory."""
         return self._power_up
 
     def change(self, made: Callable[[DeviceSettings], DeviceSettings], *, restarts: bool = False) -> None:

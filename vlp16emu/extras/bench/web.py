@@ -43,7 +43,7 @@ _PAGE_POLICY = (
 
 @dataclass(frozen=True, slots=True)
 class HttpFault:
-    """What is wrong with the web interface."""
+    """Fault of the web interface."""
 
     status: int | None
     """Status of every answer; None for no answer at all."""
@@ -83,7 +83,7 @@ class _Answer:
 
 
 class _BadRequestError(Exception):
-    """What comes is no request, or too long: the status that says so, and why."""
+    """A request that is malformed or too long: the status that says so, and why."""
 
 
 class WebServer:
@@ -229,7 +229,7 @@ def _submitted(request: _Request, device: Device) -> _Answer:
 
 
 def _is_foreign(request: _Request, *, is_private: bool) -> bool:
-    """Whether a browser sends it for a page that is not the sensor's own.
+    """Return whether a browser sends it for a page that is not the sensor's own.
 
     Pages of other sites may send forms anywhere, and a name of theirs may lead to this machine: so the origin of a
     form must be the host that is asked, and on an interface that is for this machine alone a host has no name.
@@ -320,7 +320,7 @@ def _json(made: object) -> bytes:
 
 
 def _is_unnamed(host: str) -> bool:
-    """Whether a Host header holds an address, or the name that is this machine's everywhere."""
+    """Return whether a Host header holds an address, or the name that is this machine's everywhere."""
     try:
         name = urlsplit(f"//{host}").hostname or ""
         ip_address("127.0.0.1" if name == "localhost" else name)

@@ -44,7 +44,7 @@ _LABELS = ("semantic", "part", "species", "instance")
 
 @dataclass(frozen=True, slots=True)
 class ImageRun:
-    """What a folder of images holds."""
+    """Content of a folder of images."""
 
     folder: str
     scene: str

@@ -118,7 +118,7 @@ class LiveWindows(CellWindows):
         return super().at_block(block)
 
     def is_here(self) -> bool:
-        """Whether the window in use serves the present position of the body."""
+        """Return whether the window in use serves the present position of the body."""
         state = self._motion.state
         return _serves(self.cells[-1][1], state[:3], state[7:10])
 

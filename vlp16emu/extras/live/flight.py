@@ -37,7 +37,7 @@ _ROWS_NS = S_NS
 
 @dataclass(frozen=True, slots=True)
 class LiveReport:
-    """What poses came in, and how soon packets followed."""
+    """Poses that came in, and how soon packets followed."""
 
     poses: int
     refused: int

@@ -61,7 +61,7 @@ class Knots:
 
     @property
     def last_ns(self) -> int:
-        """Its time since the first one."""
+        """Time of the last knot since the first one."""
         return self.last * STEP_NS
 
     def states(self, first: int, stop: int) -> Array:

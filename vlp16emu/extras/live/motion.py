@@ -162,7 +162,7 @@ class PoseInput:
         return state
 
     def _is_jump(self, at_ns: int, pose: Array) -> bool:
-        """Whether no body gets from the last pose to a pose (7,) in time: then the step says nothing of its rates."""
+        """Return whether no body gets from the last pose to a pose (7,) in time: then the step says nothing of its rates."""
         if self.last is None:
             return False
         last, since_s = self.last.state, (at_ns - self.last.at_ns) / S_NS

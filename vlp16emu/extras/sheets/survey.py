@@ -33,7 +33,7 @@ _STEPS_PER_S = 10
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What stands near the path."""
+    """Trees and ground near the path."""
 
     world: World
     bare: ForestWorld | HallWorld

@@ -49,7 +49,7 @@ _PERSON_RADIUS_M, _PERSON_RGB = 0.2, (40, 70, 160)
 
 
 class Backdrop(NamedTuple):
-    """What the page knows before the first packet is sent."""
+    """Content of the page before the first packet is sent."""
 
     pieces: list[Piece]
     path_m: F8
@@ -64,7 +64,7 @@ class Backdrop(NamedTuple):
 
 
 class Glimpse(NamedTuple):
-    """What a sensor sent in some 50 ms, and how punctual the stream is."""
+    """Points that a sensor sent in some 50 ms, and how punctual the stream is."""
 
     payloads: bytes
     """(n, 1206) bytes of its data packets."""

@@ -48,7 +48,7 @@ _FEWEST_COLUMNS = 800
 
 @dataclass(frozen=True, slots=True)
 class PictureRun:
-    """What a picture holds."""
+    """Content of a picture."""
 
     file: str
     revolutions: int
@@ -60,7 +60,7 @@ class PictureRun:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Where the points of a sweep lie in a picture, and what is written beside them."""
+    """Layout of a picture: the places of a sweep's points, and the words beside them."""
 
     size: tuple[int, int]
     pixels: Callable[[F8], Pixels]

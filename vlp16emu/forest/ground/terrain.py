@@ -76,7 +76,7 @@ class Trails:
         self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # on which trees may stand
 
     def are_free(self, xy_m: Array) -> NDArray[np.bool_]:
-        """Which of points (n, 2) are off all trails."""
+        """Return a mask (n,) of the points (n, 2) off all trails."""
         if not self._spacing_m:
             return np.ones(len(xy_m), np.bool_)
         first = _first_m(*self._seed, self._spacing_m)

@@ -93,7 +93,7 @@ def _around(squares: Mask, edge: int) -> Mask:
 
 
 def _is_anti(side: int, step: int) -> Mask:
-    """Whether a square of `step` is cut from south-east to north-west: those that meet in the middle of a larger one in turn."""
+    """Return whether a square of `step` is cut from south-east to north-west: those that meet in the middle of a larger one in turn."""
     n = np.arange(side // step)
     return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
 

@@ -174,7 +174,7 @@ def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]
 
 
 def hull_m(points_m: Array) -> Array:
-    """Those of the points (n, 2 or 3) that span their convex hull; all, where they span no area or volume."""
+    """Return the points (n, 2 or 3) that span their convex hull; all if they span no area or volume."""
     from scipy.spatial import ConvexHull, QhullError  # here: it takes a while to load
 
     try:
@@ -203,7 +203,7 @@ class Models:
         self._species = np.array(sorted({model.species.number for model in models}), np.uint16)
 
     def has(self, trees: Trees) -> NDArray[np.bool_]:
-        """Which trees (n,) look like one of the models."""
+        """Return a mask (n,) of the trees that look like one of the models."""
         return np.isin(trees["species"], self._species)
 
     def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:

@@ -106,7 +106,7 @@ def cut_out(
 def _kept(
     window: Window, wanted: NDArray[np.bool_], inside: Callable[[Array], NDArray[np.bool_]]
 ) -> tuple[NDArray[np.bool_], dict[TileKey, int]]:
-    """Which placements (n,) show a wanted surface or ground of the place; and the placement of each tile."""
+    """Return a mask (n,) of placements that show a wanted surface or ground of the place, and the placement of each tile."""
     keys = (window.shapes[which] for which in window.shape)
     tile_at = {key: i for i, key in enumerate(keys) if isinstance(key, TileKey)}
     keep = wanted[window.first_surface]

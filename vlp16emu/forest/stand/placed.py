@@ -49,7 +49,7 @@ class Site:
         return tile_distance_m((self.ix, self.iy), self.path)
 
     def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
-        """Which points (n, 2) keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
+        """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
         free = np.asarray(self.path.distance_m(xy_m) - reach_m >= self.path.clearance_m)
         dx, dy = (xy_m[:, None, axis] - self.trunks[:, axis] for axis in (0, 1))
         gap_m = foot_m[:, None] + self.trunks[:, 2]

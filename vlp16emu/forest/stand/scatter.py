@@ -325,7 +325,7 @@ def _free(pieces: _Pieces, site: Site) -> Mask:
 
 
 def _free_plates(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
-    """Which pieces (n,) have a root plate that keeps clear of the path and of trunks, or none."""
+    """Return a mask (n,) of pieces whose root plate keeps clear of the path and of trunks, or that have none."""
     clear = np.ones(len(pieces.log), np.bool_)
     own = np.flatnonzero(~pieces.is_top & (plate_m[pieces.log] > 0))
     wide_m = plate_m[pieces.log[own]]
