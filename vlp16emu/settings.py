@@ -109,8 +109,10 @@ class OneOf:
         return {**dict(added(self.group)), **dict(self._defined(self.base)), **own}
 
     def _section(self, word: object) -> type[Section] | None:
+        if not isinstance(word, str):
+            return None
         defined = {} if word in DOORS[self.group] else dict(self._defined(self.base))
-        if isinstance(word, str) and word not in defined and has_door(word, self.group):
+        if word not in defined and has_door(word, self.group):
             section: type[Section] = door(word, self.group)
             return section
         return defined.get(word)

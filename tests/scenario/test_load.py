@@ -278,6 +278,10 @@ BAD_SETTINGS = [
     ("=3", "--set =3: no assignment; expected key.path=value"),
     ("title.short=x", "--set title.short=x: title is no table; expected table names before the last dot"),
     ("duration_s=-1", "--set duration_s=-1: found -1; expected a number above 0 and at most 604800"),
+    (
+        'motion.kind=["walk"]',
+        '--set motion.kind=["walk"]: found a list of 1; expected "live", "recorded", "static" or "walk"',
+    ),
     ("gps.wander_s=0.9", "--set gps.wander_s=0.9: found 0.9; expected a number from 1 to 1000000"),
     (
         "motion.way_points_m=[[0, 0], [nan, 1]]",
