@@ -12,7 +12,6 @@ from vlp16emu.cli.printer import finish
 from vlp16emu.cli.start import make_emulator, running
 from vlp16emu.errors import OutputError
 from vlp16emu.options import Option
-from vlp16emu.output import STDOUT
 from vlp16emu.run.options import RecordOptions
 
 
@@ -40,6 +39,8 @@ def record(
     stamped with simulated time. Ctrl-C ends it early and leaves a valid file. Until its end it is
     OUT.xxxxxxxx.part, which after kill -9 holds all whole packets.
     """
+    from vlp16emu.output import STDOUT
+
     if Path(out) == STDOUT and sys.stdout is None:
         raise OutputError("standard output", "closed", "a file or a pipe")
     began_s = time.perf_counter()

@@ -11,7 +11,6 @@ from vlp16emu.cli.printer import print_json, print_rows
 from vlp16emu.cli.terminal import make_folder
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.options import Option
-from vlp16emu.output import OutputFile
 
 
 def score(
@@ -30,6 +29,7 @@ def score(
     from vlp16emu.extras.plots import check_matplotlib
     from vlp16emu.extras.score.card import limits_of, make_card
     from vlp16emu.extras.score.page import page
+    from vlp16emu.output import OutputFile
 
     limits = limits_of(require or ())
     if out is not None:

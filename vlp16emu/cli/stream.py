@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -165,6 +164,8 @@ def _prepared(path: Path | None, *, wanted: bool) -> Iterator[Path | None]:
     if path is not None or not wanted:
         yield path
         return
+    from tempfile import TemporaryDirectory
+
     with TemporaryDirectory(prefix="vlp16emu-") as folder:
         yield Path(folder) / "prepared.pcap"
 
