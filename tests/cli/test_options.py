@@ -79,7 +79,7 @@ def test_python_refuses_what_the_command_line_refuses(tmp_path):
 
 
 def test_options_that_are_settings_agree_with_the_page():
-    """What changes a key of a scene has that key's limits; SETTINGS.md is made of the same schema."""
+    """An option that changes a key of a scene has that key's limits; SETTINGS.md is made of the same schema."""
     keys = schema()["$defs"]["Sensor"]["properties"]
     for one in options_of(runs.StreamOptions):
         if one.field.endswith("_port"):

@@ -115,7 +115,7 @@ def test_no_error_of_the_receiver_ends_a_run(settings):
 @pytest.mark.parametrize("rate", ["measured", "manual"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_position_packet_is_older_than_its_sensor(rate, seed):
-    """Without GPS the first stamp, told 350 us before its packet leaves, is not before power-up, and stamps grow from there; there is no sentence."""
+    """Without GPS the first stamp, written 350 us before its packet leaves, is not before power-up, and stamps grow from there; there is no sentence."""
     settings = [f"seed={seed}", f"sensor.position_rate={rate}", "gps.connected=false"]
     scenario = load("static_bench", settings)
     emulator = Emulator(scenario)

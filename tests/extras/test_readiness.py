@@ -1,4 +1,4 @@
-"""What sending takes of a core."""
+"""The share of a core that sending takes."""
 
 import pytest
 

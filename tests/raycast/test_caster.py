@@ -73,7 +73,7 @@ def test_what_fails_on_a_worker_is_raised_there(workers, monkeypatch):
 
 
 def test_a_window_that_fails_leaves_nothing_behind(workers, monkeypatch):
-    """Where Embree cannot build a window, the scene that was begun is given back before the error is told."""
+    """Where Embree cannot build a window, the scene that was begun is given back before the error is raised."""
     real, released = embree.library(), []
 
     class Watched:

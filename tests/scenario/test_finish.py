@@ -39,7 +39,7 @@ def test_a_finish_that_cannot_be_is_refused(finish, words):
 
 
 def test_a_part_that_tells_nothing_takes_the_finish_of_the_whole():
-    """Parts of a mesh have no brightness of their own unless it is told."""
+    """Parts of a mesh have no brightness of their own unless the file has one."""
     assert MeshPart(name="stem").brightness is None
     assert MeshPart(name="tag", retroreflection_cd_lx_m2=100.0).brightness == 100 * math.pi
 

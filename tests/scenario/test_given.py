@@ -62,7 +62,7 @@ def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
     ],
 )  # fmt: skip
 def test_a_wrong_key_is_named(scene, old, new, message):
-    """What is wrong in a section of the user's files is told by its key path, also where the section may be left out."""
+    """What is wrong in a section of the user's files is reported by its key path, also where the section may be left out."""
     with pytest.raises(ScenarioError) as caught:
         load(scene(old, new))
     assert f": {message}" in str(caught.value)

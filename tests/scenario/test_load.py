@@ -63,7 +63,7 @@ def test_a_file_is_read_as_it_is_meant(tmp_path):
     ],
 )
 def test_a_setting_takes_the_place_of_what_it_rules_out(settings, own_keys):
-    """A scene that is told another way or pace by `--set` forgets its own."""
+    """A path or pace given by `--set` takes the place of the scene's own."""
     motion = load("reference_forest", settings).motion
     assert motion.model_fields_set == own_keys | {"kind"}
 

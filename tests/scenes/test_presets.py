@@ -140,7 +140,7 @@ SPECIES = "species = [{ species = 'silver_birch', share = 1, dbh_cm = 18, height
     ],
 )
 def test_a_forest_that_makes_no_sense_is_reported_in_one_line(tmp_path, world, message):
-    """Unknown presets, densities told twice or never, and ranges that run backwards are named with their key."""
+    """Unknown presets, densities given twice or never, and ranges that run backwards are named with their key."""
     with pytest.raises(ScenarioError, match=message):
         scene(tmp_path, world)
 

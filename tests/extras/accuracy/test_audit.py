@@ -39,7 +39,7 @@ def test_an_audit_changes_no_byte_and_depends_on_no_thread(hall):
 
 
 def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
-    """A scene that chose one ray per pulse gets no answers, and is told to be exact."""
+    """A scene that chose one ray per pulse has no audit answers, and its report calls it exact."""
     scenario = load("static_bench")
     audit = Audit.of(scenario)
     list(Engine.of(scenario, taps=[audit]).packets(0.0, 0.01))

@@ -80,7 +80,7 @@ def test_a_restart_among_settings_loses_those_before_it(bench):
 
 
 def test_a_flood_of_poses_is_one_pose():
-    """Of 100 datagrams that have come, every second of them noise, the last pose is handed on, and the noise is counted."""
+    """If 100 datagrams wait, every second of them noise, only the last pose is handed on, and the noise is counted."""
     put, there = [], threading.Event()
 
     def take(*pose):

@@ -74,7 +74,7 @@ def test_equal_azimuths_at_the_head_of_a_single_packet_are_found(traffic):
 
 @pytest.mark.parametrize("rpm", [240, 1320])
 def test_speed_outside_the_range_is_found(traffic, rpm):
-    """Rotor speeds that no VLP-16 can be set to are told from the first packet on."""
+    """Rotor speeds that no VLP-16 can be set to are reported from the first packet on."""
     result = traffic(0.5, rpm).verified()
     assert rules(result) == {Rule.RPM}
     assert result.findings[0].packet == 1
@@ -166,7 +166,7 @@ def test_change_of_mode_is_found_once(traffic):
 
 
 def test_all_findings_are_counted_and_the_first_ones_kept(traffic):
-    """Of 50 broken packets the first three are told, and 50 are counted."""
+    """Of 50 broken packets the first three are reported, and 50 are counted."""
     made = traffic()
     broken = [made.data(k) for k in range(300, 350)]
     for i in broken:

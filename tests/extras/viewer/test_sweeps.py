@@ -49,7 +49,7 @@ def written(path, frames):
 
 
 def test_points_of_a_capture_are_where_the_scene_has_them(run):
-    """By the truth beside it a sweep is placed in the world to the steps of the wire, with the labels of the scene; ranges too near are blue, too far red."""
+    """A sweep with ground truth is placed in the world to the steps of the wire, with the labels of the scene; ranges too near are blue, too far red."""
     folder, emulator = run
     with closing(CaptureSweeps(folder / "walk.pcap", folder / "truth")) as sweeps:
         sweep = sweeps.at(0.1)

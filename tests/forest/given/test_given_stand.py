@@ -119,7 +119,7 @@ GOOD = "1,2,silver_birch,20,18,9\n"
     ],
 )  # fmt: skip
 def test_a_bad_list_is_refused_in_one_line(tmp_path, text, message):
-    """What is wrong with a list is told with file, line and column, what was found and what was expected."""
+    """An error in a stem list names file, line and column, what was found and what was expected."""
     with pytest.raises(GeometryError, match=f"stems.csv[:,] {message}"):
         read(tmp_path, text)
 
