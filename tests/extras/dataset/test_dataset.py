@@ -220,7 +220,7 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
 
 def test_workers_that_are_killed_lose_nothing(tmp_path):
     """Two workers, with two killed on the way, make the manifest of one process."""
-    text = SPEC.replace("0.25", "1.0")  # long enough to be seen
+    text = PUCK_ALONE.replace("0.25", "1.0")  # long enough to be seen
     first = make_dataset(walks_in(tmp_path, text), tmp_path / "alone", workers=0)
     spec, out = tmp_path / "spec.toml", tmp_path / "out"
     command = [sys.executable, "-m", "vlp16emu", "dataset", spec, out, "--workers", "2", "--json"]
