@@ -360,6 +360,7 @@ def scene(path):
     return str(path.with_name("plot.toml"))
 
 
+@pytest.mark.usefixtures("kept_woods")
 def test_returns_name_the_trees_of_the_user(scene):
     """Points on stem, bough and crown have the species and numbers of trees of the list, near ones and those beyond 15 m."""
     survey_rows = Emulator(load(scene)).returns(0.0, 0.2, truth=True)
