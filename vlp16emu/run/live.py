@@ -98,7 +98,8 @@ class _Tap(PacketSink):
 class Live:
     """A stream that is under way; a context manager that stops it.
 
-    It sends on a thread of its own. What goes wrong there is raised by the next method that waits for packets, and by `stop`.
+    It sends on a thread of its own. What goes wrong there is raised by the method that waits for packets,
+    at the end of the block if there is none, and by `stop`.
 
     Parameters
     ----------
@@ -118,6 +119,7 @@ class Live:
         self._truth, self._stop, self._over = truth, Event(), False
         self._result: Streamed | None = None
         self._error: BaseException | None = None
+        self._has_raised = False
         self._control: Any = None
         self._changed = Condition()
         self._lanes = {(n, kind): _Lane() for n in range(len(run.engine.parts.units)) for kind in PacketKind}
@@ -139,7 +141,7 @@ class Live:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._end()
-        if kind is None:
+        if kind is None and not self._has_raised:
             self._raise()
 
     @property
@@ -324,6 +326,7 @@ class Live:
 
     def _raise(self) -> None:
         if self._error is not None:
+            self._has_raised = True
             raise self._error
 
     def _lane(self, unit: int, kind: str) -> _Lane:
