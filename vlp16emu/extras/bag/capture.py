@@ -16,6 +16,7 @@ from vlp16emu.errors import InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages
 from vlp16emu.extras.bag.sink import BagSink, TrueSamples
+from vlp16emu.extras.truth.truth import ATTITUDE
 from vlp16emu.output import spare
 from vlp16emu.packets import DATA_BYTES, Capture, check_stamps, chosen_unit, unit_clocks, units_in
 from vlp16emu.types import Packet, PacketKind
@@ -55,6 +56,8 @@ def write_bag(
     *,
     unit: str | None = None,
     clock: str | None = None,
+    tf: str = "slam",
+    slam: str | None = None,
     stop: Event | None = None,
 ) -> BagResult:
     """Write the bag of a capture; memory does not grow with its length.
@@ -66,6 +69,8 @@ def write_bag(
     truth : folder with the truth of the run: true odometry, transforms, inertial unit and receiver
     unit : the one sensor of several to write, as `chosen_unit` takes it; without it all of them
     clock : of all stamps, as `unit_clocks` takes it
+    tf : what the true pose moves, as `TrueMessages` takes it
+    slam : program whose configuration for this bag is written beside it
     stop : ends the bag between two packets; it is valid
 
     Raises
@@ -85,7 +90,7 @@ def write_bag(
     check_stamps(capture, clocks, LATEST_NS)
     made = [one.make() for one in clocks]
     taken = [every.index(one) for one in units], len(every)
-    truth_of = partial(_truth, truth, taken) if truth else None
+    truth_of = partial(_truth, truth, taken, tf) if truth else None
     with (
         _named(capture),
         BagSink(out, len(units), lambda number, _: made[number], truth_of) as sink,
@@ -133,7 +138,7 @@ class _Rows:
 
 
 def _truth(
-    folder: Path, taken: tuple[Sequence[int], int], bag: BagFile, frames: Sequence[str], begin_ns: int
+    folder: Path, taken: tuple[Sequence[int], int], tf: str, bag: BagFile, frames: Sequence[str], begin_ns: int
 ) -> list[tuple[TrueSamples, int]]:
     """Open the files of a folder of truth from an instant UTC on, for the units `taken` of so many in the capture."""
     rig, scenario = (_json(folder / name) for name in ("rig.json", "scenario.json"))
@@ -141,13 +146,11 @@ def _truth(
     if len(rig["units"]) != several:
         raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{several}, as in the capture")
     rig["units"] = [rig["units"][number] for number in numbers]
-    to = TrueMessages(bag, scenario.get("imu"), scenario["gps"])
-    to.fixed(begin_ns, rig, frames[0])
-    files = [
-        _Rows(_poses(folder / unit["trajectory"], begin_ns), partial(to.odometry, frame))
-        for unit, frame in zip(rig["units"], frames, strict=True)
-    ]
-    for name, columns, take in (("imu.csv", _AXES, to.inertial), ("gnss.csv", _SAID, to.fix)):
+    to = TrueMessages(bag, rig, frames, imu := scenario.get("imu"), scenario["gps"], tf)
+    to.fixed(begin_ns)
+    files = [_Rows(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
+    read = (*_AXES, *(ATTITUDE if imu and imu.get("attitude") else ()))
+    for name, columns, take in (("imu.csv", read, to.inertial), ("gnss.csv", _SAID, to.fix)):
         if (folder / name).exists():
             rows = (row for row in _table(folder / name, columns) if row[0] >= begin_ns)
             files.append(_Rows(rows, take))
