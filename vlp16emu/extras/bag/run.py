@@ -10,26 +10,36 @@ import numpy as np
 from vlp16emu.engine import Engine
 from vlp16emu.extras.bag.bag_file import BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages
-from vlp16emu.extras.bag.sink import BagSink, TrueSamples
+from vlp16emu.extras.bag.sink import BagSink, TrueSamples, frames_of
+from vlp16emu.extras.slam import Rig, write_beside
 from vlp16emu.extras.truth.truth import Samples, attitude_of, rig_of, true_motion
 from vlp16emu.motion.imu import Inertial
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.packets import Clock, PacketClock
+from vlp16emu.run.options import BagOptions
 from vlp16emu.types import PpsState
 from vlp16emu.units import S_NS
 
 
 @contextmanager
-def bag_of_run(path: Path, engine: Engine, rate_hz: int, tf: str = "slam") -> Iterator[list[BagSink]]:
-    """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile`, `tf` as of `TrueMessages`."""
+def bag_of_run(
+    path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None
+) -> Iterator[list[BagSink]]:
+    """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile` and `write_beside`."""
     check_bag(path)
+    wanted, scenario, write = options or BagOptions(), engine.scenario, list[Path]
+    if wanted.slam is not None:
+        tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+        frame = frames_of(len(engine.parts.units))[0]
+        write = write_beside(path, wanted.slam, Rig.of(rig_of(scenario, engine.parts), tree, frame))
 
     def clock_of(number: int, due_ns: int) -> PacketClock:
         is_locked = engine.parts.units[number].gps.pps_at(due_ns) is PpsState.LOCKED
         return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
 
-    with BagSink(path, len(engine.parts.units), clock_of, partial(_truth, engine, rate_hz, tf)) as sink:
+    with BagSink(path, len(engine.parts.units), clock_of, partial(_truth, engine, rate_hz, wanted.tf)) as sink:
         yield [sink]
+    write()
 
 
 def _truth(

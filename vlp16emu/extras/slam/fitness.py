@@ -30,12 +30,12 @@ class Unfit:
     program: str
     rule: str
     found: str
-    to_set: str
-    """The parameter to set, or what the bag must have; and what happens otherwise."""
+    needs: str
+    """The parameter to set, or what the bag must have; and behind a semicolon what happens otherwise."""
 
     def __str__(self) -> str:
-        remedy, _, otherwise = self.to_set.partition("; ")
-        return f"{self.program}: {self.rule}: {self.found}; set {remedy}, otherwise {otherwise}"
+        remedy, _, otherwise = self.needs.partition("; ")
+        return f"{self.program}: {self.rule}: {self.found}; needs {remedy}, otherwise {otherwise}"
 
 
 @dataclass(frozen=True, slots=True)
