@@ -179,7 +179,7 @@ class Control:
         of, since_ns = self._feed.engine.parts.units[unit], self._since_ns()
         now_ns = self._scenario.start_ns + since_ns
         ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
-        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
+        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s or 0.0)
         settings, rpm = self.devices[unit].settings, of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
         payload = self._sink.latest_position(unit)
