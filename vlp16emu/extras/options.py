@@ -214,7 +214,11 @@ class ScoreInputs(Options):
     alignment: Annotated[
         str,
         Option(
-            "How the poses are laid on the truth; nothing else is moved.", None, "--align", words=("none", "yaw", "se3")
+            "How the poses are laid on the truth, nothing else is moved: by the first pose (start), as odometry begins anywhere; as a "
+            "whole (se3), or level (yaw); or not at all.",
+            None,
+            "--align",
+            words=("start", "none", "yaw", "se3"),
         ),
-    ] = "none"
+    ] = "start"
     radius_m: Annotated[float, Option("Farthest that a found stem is from a true one.", "M", gt=0, le=10)] = 0.5
