@@ -167,7 +167,7 @@ class Emulator:
         as_due : stamp packets when they are due, whatever `[capture]` says
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid
-        options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`
+        options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
         Raises
         ------

@@ -75,11 +75,35 @@ TruthPlace = str | Path | TruthTo
 
 
 @dataclass(frozen=True)
+class BagOptions(Options):
+    """Options of a bag."""
+
+    slam: Annotated[
+        str | None,
+        Option(
+            "Write beside a bag the configuration that a SLAM program reads for it, such as fast-lio2 or kiss-icp, or all of them.",
+            "NAME",
+            "--for",
+        ),
+    ] = None
+    tf: Annotated[
+        str,
+        Option(
+            "What the true pose in /tf of a bag moves: a frame of its own, so that a SLAM program can move base_link (slam), or "
+            "base_link, to look at clouds without one (truth).",
+            words=("slam", "truth"),
+        ),
+    ] = "slam"
+
+
+@dataclass(frozen=True)
 class RecordOptions(Span):
     """Options of a recording."""
 
     split: Annotated[bool, Option("Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")] = False
     truth: TruthPlace | None = None
+    bag: BagOptions | None = None
+    """None for a bag with the defaults, or no bag."""
 
 
 @dataclass(frozen=True)

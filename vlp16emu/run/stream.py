@@ -75,7 +75,9 @@ def stream_run(run: Run, options: StreamOptions, hooks: StreamHooks) -> Streamed
         hooks.opened(parts.units)
         packets = _packets(run, options, hooks, feed, span_s, stack, stop)
         way = hooks.watched(SinkByKind(sink, ways) if ways else sink, pacer)
-        clock = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, scenario.sensor.powered_for_s)
+        clock = options.gps_in and door("gps_in")(
+            options.gps_in, scenario.gps, parts.units[0].section.powered_for_s or 0.0
+        )
         way = stack.enter_context(clock).sink(way) if clock else way
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(parts.units) * (flight.look_ahead if flight else hooks.look_ahead)
