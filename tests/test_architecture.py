@@ -18,7 +18,7 @@ FLOORS = (
     {"__main__"},
     {"cli"},
     {"extras"},
-    {"emulator"},
+    {"emulator", "pytest"},
     {"run"},
     {"engine"},
     {"scan", "scenario"},
@@ -77,6 +77,7 @@ LIBRARIES = {
     # third-party or system module: where it may be imported
     "ctypes": ("output.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
+    "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
     "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/readiness.py", "extras/viewer/"),
     "typer": ("cli/",),
