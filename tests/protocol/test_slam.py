@@ -91,14 +91,13 @@ def test_lua_reads_as_written(tmp_path):
     tshark = shutil.which("tshark")
     if not tshark:
         pytest.skip("tshark, which brings Lua, is not installed")
-    (tmp_path / "cartographer.lua").write_text(configurations(programs()["cartographer"], Rig())["cartographer.lua"])
+    text = configurations(programs()["cartographer"], Rig())["cartographer.lua"]
     (tmp_path / "probe.lua").write_text(
         "included = 0; function include(name) included = included + 1 end\n"
         "function tables() return setmetatable({}, {__index = function(t, k) rawset(t, k, tables()); return rawget(t, k) end}) end\n"
         "MAP_BUILDER, TRAJECTORY_BUILDER, TRAJECTORY_BUILDER_3D, POSE_GRAPH = {}, {}, {}, tables()\n"
-        # Wireshark gives each script globals of its own: those of Lua 5.1 and of later ones are handed on in two ways.
-        f"local chunk = loadfile('{tmp_path / 'cartographer.lua'}', 't', _ENV or nil)\n"
-        "local options = (setfenv and setfenv(chunk, getfenv(1)) or chunk)()\n"
+        f"local function configuration()\n{text}end\n"
+        "local options = configuration()\n"
         "print('found', included, options.tracking_frame, options.num_point_clouds, options.map_builder == MAP_BUILDER,\n"
         "      TRAJECTORY_BUILDER_3D.num_accumulated_range_data, POSE_GRAPH.constraint_builder.min_score)\n"
     )
