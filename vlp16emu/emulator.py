@@ -207,7 +207,7 @@ class Emulator:
         names = options.keys() & {field.name for field in fields(StreamHooks)}
         hooks = StreamHooks(**{name: options.pop(name) for name in names})
         asked = StreamOptions(**options)
-        return stream_run(self.run.with_settings(asked.settings), asked, hooks)
+        return stream_run(self.run, asked, hooks)
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
         """Bring a pose into a live scene, from any thread; parameters, result and errors as `PoseInput.put`.
