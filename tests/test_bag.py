@@ -153,18 +153,29 @@ def root_of(frame: str, parents: dict[str, str]) -> str:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_frames_are_a_tree_as_tf2_wants_it(walk, name):
-    """One parent each, fixed or moving but not both; all frames of messages hang on base_link, so that a SLAM program connects
-    them with map by one edge; and transforms are in the bag before what needs them, on a topic that is latched."""
+    """Each frame has one parent, fixed or moving but not both.
+
+    All frames of messages hang on base_link, so that a SLAM program connects them with map by one edge; and transforms are in the bag
+    before what needs them.
+    """
     found = messages(walk / name)
     fixed, moving = frames(found)
     assert fixed == {"velodyne": "base_link", "imu": "base_link", "gps": "base_link"}
     assert moving == {"base_link_truth": "map"}
-    used = {one.header.frame_id for topic in ("/velodyne_points", "/imu/data", "/fix", "/nmea_sentence") for one in found[topic]}
+    used = {
+        one.header.frame_id
+        for topic in ("/velodyne_points", "/imu/data", "/fix", "/nmea_sentence")
+        for one in found[topic]
+    }
     slam = fixed | moving | {"odom": "map", "base_link": "odom"}
     assert {root_of(frame, fixed) for frame in used} == {"base_link"}
     assert {root_of(frame, slam) for frame in used} == {"map"}
     with AnyReader([walk / name]) as reader:
-        first = next(connection.topic for connection, *_ in reader.messages() if connection.topic in ("/tf_static", "/velodyne_points", "/tf"))
+        first = next(
+            connection.topic
+            for connection, *_ in reader.messages()
+            if connection.topic in ("/tf_static", "/velodyne_points", "/tf")
+        )
     assert first == "/tf_static"
 
 
@@ -184,8 +195,10 @@ MOUNTS = {
 
 
 def test_units_have_topics_of_their_own(tmp_path):
-    """Each of two sensors has its topics and its frame, whose fixed pose on base_link is that of the rig; the truth is that of the body,
-    from a run and from its files alike, and with the fixed transform it is the trajectory of the sensor."""
+    """Each of two sensors has its topics and its frame, whose fixed pose on base_link is that of the rig.
+
+    The truth is that of the body, from a run and from its files alike, and with the fixed transform it is the trajectory of the sensor.
+    """
     rig = {"rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 1.0]}}]}
     emulator = Emulator("static_bench", SETTINGS | MOUNTS | rig)
     emulator.record(tmp_path / "rig.pcap", duration_s=0.3, truth=tmp_path / "truth")
@@ -198,7 +211,9 @@ def test_units_have_topics_of_their_own(tmp_path):
     assert fixed.keys() == {"unit_1/velodyne", "unit_2/velodyne", "imu", "gps"}
     devices = json.loads((tmp_path / "truth" / "rig.json").read_text())
     for n in (1, 2):
-        np.testing.assert_allclose(fixed[f"unit_{n}/velodyne"], devices["units"][n - 1]["body_T_sensor"]["matrix"], atol=1e-12)
+        np.testing.assert_allclose(
+            fixed[f"unit_{n}/velodyne"], devices["units"][n - 1]["body_T_sensor"]["matrix"], atol=1e-12
+        )
     np.testing.assert_allclose(fixed["imu"], devices["imu"]["body_T_imu"]["matrix"], atol=1e-12)
     np.testing.assert_allclose(fixed["gps"][:3, 3], fixed["unit_1/velodyne"][:3, 3] + [0, 0, 0.2], atol=1e-12)
     for bag in (found, ran):
@@ -213,7 +228,10 @@ def matrix(pose, quaternion=None):
     """Pose (4, 4) of a message, or of numbers."""
     T = np.eye(4)
     if quaternion is None:
-        place, turn = (getattr(pose, one, None) or getattr(pose, other) for one, other in (("translation", "position"), ("rotation", "orientation")))
+        place, turn = (
+            getattr(pose, one, None) or getattr(pose, other)
+            for one, other in (("translation", "position"), ("rotation", "orientation"))
+        )
         pose, quaternion = [place.x, place.y, place.z], [turn.x, turn.y, turn.z, turn.w]
     T[:3, 3], T[:3, :3] = pose, Rotation.from_quat(quaternion).as_matrix()
     return T

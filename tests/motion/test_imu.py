@@ -131,7 +131,9 @@ def test_an_attitude_without_errors_is_the_true_one(unit):
     """An ideal unit that reports its attitude is levelled and turned as it hangs; one that does not has none."""
     tilted = StaticMotion(np.zeros(3), 50.0, 20.0, -10.0)
     read = unit(motion=tilted, attitude=True).read(0, 3)
-    np.testing.assert_allclose(read.world_R_imu, np.broadcast_to(tilted.poses_at(np.zeros(1, np.int64)).world_R_body, (3, 3, 3)), atol=1e-15)
+    np.testing.assert_allclose(
+        read.world_R_imu, np.broadcast_to(tilted.poses_at(np.zeros(1, np.int64)).world_R_body, (3, 3, 3)), atol=1e-15
+    )
     assert unit().read(0, 3).world_R_imu is None
 
 
