@@ -168,7 +168,7 @@ class Emulator:
         as_due : stamp packets when they are due, whatever `[capture]` says
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid
-        options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`
+        options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
         Raises
         ------
@@ -208,7 +208,7 @@ class Emulator:
         names = options.keys() & {field.name for field in fields(StreamHooks)}
         hooks = StreamHooks(**{name: options.pop(name) for name in names})
         asked = StreamOptions(**options)
-        return stream_run(self.run.with_settings(asked.settings), asked, hooks)
+        return stream_run(self.run, asked, hooks)
 
     def keep_up(self, speed: float = 1.0) -> KeptUp:
         """Measure this machine for some seconds, and set the beam and the reach so that a stream leaves a fifth of its time free.

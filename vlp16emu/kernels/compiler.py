@@ -163,7 +163,8 @@ def _compile(rows: list[dict[str, Any]]) -> int:
 
 
 def _leave_signals() -> None:
-    """Let the parent decide when a child ends: Ctrl-C in a terminal reaches all of them."""
+    """Let the parent decide when a child ends: Ctrl-C in a terminal reaches all of them. A child has nothing to say."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # once the parent is gone, a result has no taker
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
 

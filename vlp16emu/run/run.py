@@ -117,7 +117,8 @@ class Run:
     def _changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
         engine, is_audited = self.engine, self.audit is not None
         changed = type(self).of(self.scenario, settings, threads=engine.threads, audit=is_audited, like=engine)
-        return replace(changed, name=self.name, files=self.files)
+        engine = replace(changed.engine, truth_of=engine.truth_of)
+        return replace(changed, engine=engine, name=self.name, files=self.files)
 
     def with_truth_in(self, to: TruthTo | None) -> Self:
         """Return a run whose packets carry the ground truth of their records, if `to` asks for it."""
