@@ -55,7 +55,7 @@ FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "g
 
 EXTRAS_TAKE = {
     "accuracy": {"plots"},
-    "bag": {"truth"},
+    "bag": {"slam", "truth"},
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
@@ -66,6 +66,7 @@ EXTRAS_TAKE = {
     "live": {"recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
+    "slam": {"truth"},
     "truth": {"bench"},
     "viewer": {"camera", "canvas", "clouds", "options", "palette", "plots", "sheets", "verify"},
 }

@@ -99,10 +99,12 @@ def test_every_script_of_the_course_is_run():
 
 
 ON_THE_SINE = """
-import runpy, numpy as np
+import runpy, sys, numpy as np
 from vlp16emu import Emulator
 own = runpy.run_path({!r})
 scene = {{"schema": 1, "motion": {{"kind": "static"}}, "world": {{"kind": "dunes", "height_m": 3.0}}}}
+sys.argv[1:] = ["0.1"]
+runpy.run_path({!r}, run_name="__main__")
 for returns in Emulator(scene, ideal=True).returns(0.0, 0.1):
     hit = returns.distance_m[..., 0] > 0
     x_m, y_m, z_m = (returns.firings.origin_m[hit] + returns.firings.direction[hit] * returns.distance_m[hit][:, :1]).T
@@ -112,8 +114,10 @@ for returns in Emulator(scene, ideal=True).returns(0.0, 0.1):
 
 def test_a_world_of_ones_own_is_scanned(tmp_path):
     """Returns lie on the sine that the dunes are, but for the chords of 0.5 m: 1.5 m x (2 pi / 40 m)^2 x (0.5 m)^2 / 8."""
-    assert int(run_python(tmp_path, EXAMPLES / "own_world.py", "0.1").split()[0]) > 10_000
-    for line in run_python(tmp_path, "-c", ON_THE_SINE.format(str(EXAMPLES / "own_world.py"))).splitlines():
+    own = str(EXAMPLES / "own_world.py")
+    said, *lines = run_python(tmp_path, "-c", ON_THE_SINE.format(own, own)).splitlines()
+    assert int(said.split()[0]) > 10_000
+    for line in lines:
         count, off_m = line.split()
         assert int(count) > 100
         assert float(off_m) < 0.0013
@@ -121,9 +125,11 @@ def test_a_world_of_ones_own_is_scanned(tmp_path):
 
 def test_a_beam_table_of_ones_own_gives_its_elevations(tmp_path):
     """A cloud of the sensor of 32 lasers has 32 rings, at the elevations of its table: a row of a list, no formula."""
-    code = "import runpy; print(len(runpy.run_path('{}')['Dense32'](model='dense-32').beam_elevations_deg))"
-    assert run_python(tmp_path, "-c", code.format(EXAMPLES / "own_sensor.py")) == "32\n"
-    run_python(tmp_path, EXAMPLES / "own_sensor.py", "0.1")
+    code = (
+        "import runpy, sys; sys.argv[1:] = ['0.1']; own = runpy.run_path('{}', run_name='__main__');"
+        " print(len(own['Dense32'](model='dense-32').beam_elevations_deg))"
+    )
+    assert run_python(tmp_path, "-c", code.format(EXAMPLES / "own_sensor.py")).endswith("\n32\n")
     head, _, _ = (tmp_path / "dense.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 1152" in head  # of 1 000 sequences x 32 pulses in a closed hall none is lost
 
@@ -136,6 +142,10 @@ def test_a_motion_of_ones_own_has_the_derivatives_of_its_poses(tmp_path):
     rate = np.abs(table["true_wy_rad_s"])
     assert along[rate.argmax()] == pytest.approx(9.80665 + 2.0 * rate.max() ** 2, rel=1e-4)
     assert rate.max() == pytest.approx(0.3 * np.sqrt(9.81 / 2.0), rel=1e-4)
+
+
+LINES = "import sys; from vlp16emu.cli.app import run; sys.exit(max(run(line.split()) for line in sys.argv[1:]))"
+"""A program that carries out command lines."""
 
 
 @pytest.fixture(scope="module")
@@ -167,21 +177,22 @@ def outside(tmp_path_factory):
 
 def test_another_package_adds_a_world_that_is_recorded_and_listed(outside, tmp_path):
     """`record` finds the scene of another package and its world, `scenes` lists it, and `schema` has its keys."""
-    run_python(outside, "-m", "vlp16emu", "record", "dune_walk", tmp_path / "dunes.pcap", "--duration=0.2")
+    said = run_python(
+        outside, "-c", LINES, f"record dune_walk {tmp_path}/dunes.pcap --duration=0.2", "scenes", "schema"
+    )
     assert sum(len(scan.xyz_m) for scan in decode(tmp_path / "dunes.pcap")) > 5_000
-    assert "dune_walk" in run_python(outside, "-m", "vlp16emu", "scenes")
-    schema = json.loads(run_python(outside, "-m", "vlp16emu", "schema"))
+    before, _, tree = said.partition("\n{")
+    assert "\n  dune_walk " in before
+    schema = json.loads("{" + tree)
     assert set(schema["properties"]["world"]["discriminator"]["mapping"]) == {"dunes", "forest", "hall", "plot"}
 
 
 def test_another_package_adds_a_sensor_and_a_verb(outside):
     """A scene names the sensor by its word, and the command line has the verb."""
     cloud = outside / "d.ply"
-    run_python(
-        outside, "-m", "vlp16emu", "points", "static_bench", cloud, "--duration=0.1", "--set=sensor.model=dense-32"
-    )
+    points = f"points static_bench {cloud} --duration=0.1 --set=sensor.model=dense-32"
+    assert run_python(outside, "-c", LINES, points, "greet you").endswith("hello you\n")
     assert b"element vertex" in cloud.read_bytes()[:2000]
-    assert run_python(outside, "-m", "vlp16emu", "greet", "you") == "hello you\n"
 
 
 @pytest.mark.parametrize(

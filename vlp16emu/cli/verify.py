@@ -42,7 +42,8 @@ def verify(
     broken, whatever the notes, else with 1.
     """
     if slam is not None:
-        return _verify_bag(file, unit, slam, as_json=as_json)
+        _verify_bag(file, unit, slam, as_json=as_json)
+        return
     if file.suffix.lower() in (".mcap", ".bag") or (file / "metadata.yaml").is_file():
         raise InputError(str(file), "a bag", "a capture, or --for with the name of a SLAM program, or all")
     from vlp16emu.extras.verify import verify_units

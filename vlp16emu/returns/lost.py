@@ -17,17 +17,10 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, U1, U4
 
 _LOSS, _EDGE = ZERO + Purpose.LOSS, ZERO + Purpose.NO_RETURN
-_SPANS = (
-    (
-        0.25,
-        0.75,
-    ),  # of pulses that meet two surfaces, half of the light each: 8 to 29 % of records at a step of 0.3 to 1.4 m
-    (0.10, 1.00),  # up by 100 codes: 0.9 to 8 % of records at 20 or more on one surface
-    (0.01, 0.20),  # down by as much: 0 to 3 %
-    (0.003, 0.03),  # of black pulses nearer than 4 m: 0.2 to 1.2 % at codes 1 to 3
-    (0.0002, 0.001),  # of all others: 0.03 to 0.12 % at codes from 50 on
-    (35.0, 120.0),  # code of a return beside which half of the no-returns are raised
-)
+# Of pulses that meet two surfaces, half of the light each: 8 to 29 % of records at a step of 0.3 to 1.4 m on real units; up and down by
+# 100 codes: 1.2 to 5.2 % at 20 codes or more on one surface; of black pulses nearer than 4 m: 0.2 to 1.2 % at codes 1 to 3; of all: 0.03 to
+# 0.12 % at codes from 50 on; and the code of a return beside which half of the no-returns are raised.
+_SPANS = (0.2, 0.6), (0.25, 2.0), (0.01, 0.2), (0.003, 0.03), (0.0002, 0.001), (35.0, 120.0)
 _STEP_M = 0.25
 """Difference of ranges from which on two surfaces of one pulse are a step: 0 to 12 % of records are lost at 0.12 to 0.2 m."""
 _BLACK, _NEAR_M = 9.0, 4.0
