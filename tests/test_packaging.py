@@ -61,7 +61,7 @@ def test_a_wheel_has_the_command_and_the_licence(wheel):
         "[console_scripts]",
         "vlp16emu",
         "=",
-        "vlp16emu.cli:main",
+        "vlp16emu.__main__:main",
     ]
     metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
     assert (metadata["License-Expression"], metadata["Requires-Python"]) == ("MIT", ">=3.11")
@@ -136,5 +136,5 @@ def test_the_set_up_refuses_an_extra_that_is_none(set_up):
     assert (done.returncode, calls) == (2, [])
     assert (
         done.stderr
-        == "error: nope: no such extra; expected one of cloud, cluster, data, dem, images, picture, ros, score, viewer, dev\n"
+        == "error: nope: no such extra; expected one of cloud, data, dem, images, picture, ros, score, viewer, dev\n"
     )

@@ -57,6 +57,8 @@ class Purpose(IntEnum):
     UNIT_NOISE = 107
     CAPTURE_HOST = 110
     TEXTURE = 116
+    POWER_UP = 117
+    LOSS = 118
     SCORE_DISK = 92
 
 

@@ -23,10 +23,13 @@ from vlp16emu.errors import InputError, Vlp16emuError
 _LEFT_S = 0.8
 """How long a command that is interrupted may take to remove what it has not finished."""
 
+_was_interrupted = threading.Event()
+
 _EXAMPLES = {
     "record": (
         "birch_walk walk.pcap --duration 10",
         "birch_walk dual.pcap --set sensor.return_mode=dual --set seed=7",
+        "birch_walk walk.mcap --for rko-lio --set imu.preset=consumer --set motion.stand_s=3",
         "my_forest.toml walk.pcap --json > walk.json",
     ),
     "stream": (
@@ -36,7 +39,7 @@ _EXAMPLES = {
     ),
     "replay": ("walk.pcap", "field_day.pcap --loop --now --to 192.168.1.10"),
     "decode": ("walk.pcap", "walk.pcap --out walk.ply"),
-    "bag": ("walk.pcap walk.mcap --truth truth", "field_day.pcap field_day.bag"),
+    "bag": ("walk.pcap walk.mcap --truth truth --for fast-lio2", "field_day.pcap field_day.bag"),
     "points": (
         "birch_walk walk.ply --duration 5 --truth",
         "walk.pcap walk.laz --trajectory truth",
@@ -56,7 +59,7 @@ _EXAMPLES = {
         'truth --trajectory estimate.tum --align se3 --out report --require "ate_m<0.3"',
         "truth --stems stems.csv --inventory trees.csv --truth-points labelled.npz",
     ),
-    "verify": ("walk.pcap", "walk.pcap --json"),
+    "verify": ("walk.pcap", "walk.pcap --json", "walk.mcap --for all"),
     "compare": ("walk.pcap field_day.pcap", "walk.pcap field_day.pcap --picture units.png --json"),
     "fit": ("field_day.pcap --out unit.toml",),
     "forest": (
@@ -164,8 +167,13 @@ def main() -> None:
         code = run(sys.argv[1:])
         gc.freeze()  # Python need not look through all of it at the end
         print(end="", flush=True)
-    except OSError as error:
-        code = _code_of(error, code)
+    except Exception as error:
+        if _was_interrupted.is_set():  # Python raises another error where a class is being made
+            code = INTERRUPTED
+        elif isinstance(error, OSError):
+            code = _code_of(error, code)
+        else:
+            raise
     if code == INTERRUPTED:
         os._exit(code)  # Python would wait for threads that grow and cast what nobody wants any more
     sys.exit(code)
@@ -191,6 +199,7 @@ def _code_of(error: OSError, code: int | None) -> int:
 
 def _interrupt(_signal: int, _frame: object) -> None:
     """End the command, within a second whatever it does; the next signal ends the process at once."""
+    _was_interrupted.set()
     for number in ENDINGS:
         signal.signal(number, lambda *_: os._exit(INTERRUPTED))
     timer = threading.Timer(_LEFT_S, os._exit, [INTERRUPTED])

@@ -18,15 +18,16 @@ from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import Motion
-from vlp16emu.packets import FACTORY_LINK, Link
+from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import beams_of, with_angle_errors
 from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
-from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
+from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
 from vlp16emu.types import Firings, Hits, ReturnMode, Returns, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.site import Sway
@@ -36,6 +37,10 @@ if TYPE_CHECKING:
 
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
+
+
+_LEFT_PPM = 1.0
+"""Rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt."""
 
 
 class Optics(Protocol):
@@ -72,21 +77,28 @@ class Unit:
 
     @property
     def link(self) -> Link:
-        """Addresses and ports of its frames; the factory numbers MAC addresses on.
+        """Addresses, ports and counters of its frames.
 
         Raises
         ------
         ScenarioError
             If it has no packets
         """
-        section = on_the_wire(self.section)
+        section, counters = on_the_wire(self.section), counters_of(self.section, self.seed, self.number)
         return replace(
             FACTORY_LINK,
-            source_mac=FACTORY_LINK.source_mac[:-1] + bytes([FACTORY_LINK.source_mac[-1] + self.number]),
+            source_mac=counters.mac,
             source=section.address,
             data_port=section.data_port,
             position_port=section.position_port,
+            identification=counters.identification,
         )
+
+    @property
+    def positions_from_ns(self) -> int:
+        """UTC from which its position packets are counted; not after the first pulse."""
+        phase = counters_of(self.section, self.seed, self.number).position_phase
+        return positions_from_ns(on_the_wire(self.section).position_rate, self.head.start_ns, phase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +228,8 @@ def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
 
 
 def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
-    section, mount = _sensors(scenario)[number]
-    seed = seed_of(scenario, number)
+    (given, mount), seed = _sensors(scenario)[number], seed_of(scenario, number)
+    section = powered_up(given, seed)
     head = _head(scenario, section, seed)
     mode = ReturnMode(section.return_mode)
     unit = Unit(
@@ -237,7 +249,7 @@ def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
             min_range_m=section.min_range_m,
             max_range_m=section.max_range_m,
             lasers=len(head.beams.elevation_deg),
-            power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s),
+            power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0),
         ),
         timeline=Timeline(head, (Stretch(0, None, mode, None),)),
         gps=_gps(scenario),
@@ -252,10 +264,18 @@ def _gps(scenario: Scenario) -> GpsInput:
     return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
 
 
+def clock_at(t_ns: int, section: Lidar, reading_ns: int = 0, *, locked: bool) -> ClockSpan:
+    """Return the clock of a unit from an instant on: locked to GPS, or free from a reading on."""
+    error_ppm = section.clock_error_ppm or 0.0
+    if locked:
+        return ClockSpan(t_ns, None, min(max(error_ppm, -_LEFT_PPM), _LEFT_PPM))
+    return ClockSpan(t_ns, reading_ns, error_ppm)
+
+
 def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
-    start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s)
+    start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0)
     phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
-    angle_deg, error_rpm = section.start_azimuth_deg, section.speed_error_rpm
+    angle_deg, error_rpm = section.start_azimuth_deg or 0.0, section.speed_error_rpm
     if phase_deg is not None:
         angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
     swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm)
@@ -266,5 +286,4 @@ def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
-    free_clock = ClockSpan(power_up_ns, 0, section.clock_error_ppm)
-    return Head(beams, rotor, Clock((ClockSpan(power_up_ns) if scenario.gps.connected else free_clock,)), start_ns)
+    return Head(beams, rotor, Clock((clock_at(power_up_ns, section, locked=scenario.gps.connected),)), start_ns)

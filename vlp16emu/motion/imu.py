@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from vlp16emu.elementary import matvec
-from vlp16emu.motion.pose import Motion
+from vlp16emu.elementary import matmul, matvec, norm
+from vlp16emu.motion.pose import Motion, rotations
 from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair
 from vlp16emu.types import Array, IntArray
@@ -17,6 +17,7 @@ GRAVITY_M_S2 = 9.80665
 """Standard gravity, downwards (3rd CGPM, 1901)."""
 _CHUNK = 4096  # samples of a random walk that are drawn together
 _HORIZON = 1 << 32  # chunks that the walk is long: centuries
+_HEADING = 6  # lane of the heading's random walk, behind those of the six axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,8 @@ class Inertial:
     gyro_bias_rad_s: Array
     """(n, 3) at switch-on, with what it has wandered since, as the next; what is left of an error is white noise."""
     accel_bias_m_s2: Array
+    world_R_imu: Array | None = None
+    """(n, 3, 3) the attitude that the unit reports, with its drift; None without `attitude`."""
 
 
 class ImuSampler:
@@ -54,7 +57,25 @@ class ImuSampler:
         accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
         w_errors, w_bias = self._errors_of(gyro, first, count, 0)
         force_errors, force_bias = self._errors_of(accel, first, count, 3)
-        return Inertial(t_ns, w + w_errors, force + force_errors, w, force, w_bias, force_bias)
+        attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
+        return Inertial(t_ns, w + w_errors, force + force_errors, w, force, w_bias, force_bias, attitude)
+
+    def _attitude(self, world_R_imu: Array, w_bias: Array, force_bias: Array, first: int) -> Array:
+        """Return the reported attitude (n, 3, 3) of samples from `first` on.
+
+        Levelled by gravity, it is tilted by what the accelerometers' bias adds to 1 g, and its heading drifts with the bias of
+        the gyroscopes about the vertical since the start, and with the random walk that their white noise adds up to.
+        """
+        up = matvec(world_R_imu, force_bias) + np.array([0.0, 0.0, GRAVITY_M_S2])
+        up /= norm(up)[:, None]
+        tilt = np.zeros((len(up), 3, 3))  # the shortest turn of `up` to the vertical, by Rodrigues' formula
+        tilt[:, 2, 0], tilt[:, 2, 1], tilt[:, 0, 2], tilt[:, 1, 2] = up[:, 0], up[:, 1], -up[:, 0], -up[:, 1]
+        turn = np.eye(3) + tilt + matmul(tilt, tilt) / (1.0 + up[:, 2])[:, None, None]
+        since_s = np.arange(first, first + len(up)) / self._imu.rate_hz
+        drift_rad = matvec(world_R_imu, w_bias)[:, 2] * since_s
+        if noise := self._imu.gyro_noise_rad_s_sqrt_hz:
+            drift_rad += noise / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, len(up), _HEADING)
+        return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
 
     def _errors_of(
         self, sizes: tuple[float, float, float], first: int, count: int, first_axis: int

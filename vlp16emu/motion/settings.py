@@ -300,6 +300,9 @@ class Imu(Preset):
     """Samples per second."""
     mount: Mount = Mount()
     """Mount on the pack, not on a spinning stage."""
+    attitude: bool = False
+    """Whether the unit reports its attitude too, as programs for nine axes want: levelled by gravity, with the bias of its
+    accelerometers, and with a heading that drifts with the bias of its gyroscopes."""
     gyro_bias_rad_s: _Error = 0.0
     """At switch-on, one sigma."""
     gyro_noise_rad_s_sqrt_hz: _Error = 0.0

@@ -156,7 +156,7 @@ def _take_errors(tree: dict[str, Any]) -> None:
     units = rig if isinstance(rig := tree.get("rig"), list) else []
     for unit in (tree.setdefault("sensor", {}), *units):
         if isinstance(unit, dict):  # what is no table is found when the scene is checked
-            unit.update(dict.fromkeys(_UNIT_ERRORS, 0.0))
+            unit.update({"preset": "steady"} | dict.fromkeys(_UNIT_ERRORS, 0.0))
 
 
 def _changes(settings: Mapping[str, object] | Sequence[str]) -> Iterable[_Setting]:

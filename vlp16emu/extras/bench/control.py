@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from vlp16emu.engine import Unit
-from vlp16emu.errors import OutputError, PacketError
-from vlp16emu.extras.bench.events import Event, event
+from vlp16emu.errors import InputError, OutputError, PacketError
+from vlp16emu.explain import explain
+from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.motion.live_settings import takes_poses
@@ -34,6 +36,10 @@ _LEAD_NS = 150_000_000
 _MOST_LEAD_NS = 1_000_000_000
 _MERGED_S = 5.0
 """For so long at most what is set waits until the packets of the settings before are made ahead again."""
+_CALM_S = 2.0
+"""For so long after a change the next one begins where the packets that are made already end."""
+_APART_S, _APART = 1.0, 20.0
+"""Least time from a change to the next one, at least so many times what making it took: each change makes the next one dearer."""
 _POLL_S, _WARM_S = 0.01, 0.01
 _STEP_S = 0.001
 """Times of events are rounded up to that."""
@@ -51,6 +57,7 @@ def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: H
             servers.append(WebServer(device, host, port, fault=fault))
             stack.enter_context(servers[-1])
         stack.enter_context(control.following())
+        http.controlled(control)
         http.serving([server.address for server in servers])
         yield
 
@@ -73,8 +80,8 @@ def _settings_of(unit: Unit, host: str) -> DeviceSettings:
 class Control:
     """Makes a stream follow settings that come from other threads, and reports the state of its sensors.
 
-    Whatever is set while the packets of earlier settings are being made ahead is one change: so no client, however
-    busy, keeps the engine from its work.
+    What is set after a calm has packets made anew from a moment ahead. Whatever is set soon after that is one change, or few, and
+    takes effect where the packets that are made already end: so no client, however busy, keeps the engine from its work.
 
     Parameters
     ----------
@@ -94,8 +101,14 @@ class Control:
         self._events: list[Event] = list(feed.engine.scenario.events)
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
+        self._errors = [event for event in self._events if event.effect == "web"]
+        self._wanted = list[dict[str, Any]]()
+        """Events that are to happen with the next change, without their times."""
+        self._at_ns = 0
+        """UTC, ns, from which on packets follow the latest change."""
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
-        self._lead_ns, self._ahead_ns = _LEAD_NS, 0
+        self._taking_up = threading.Lock()
+        self._lead_ns, self._ahead_ns, self._calm_s = _LEAD_NS, 0, 0.0
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
         """What the web interface of each sensor shows and sets."""
 
@@ -104,6 +117,7 @@ class Control:
         return Device(
             self._factory[n],
             status=partial(self.status, n),
+            is_up=lambda: not self._feed.engine.parts.units[n].timeline.is_silent(self._since_ns()),
             changed=partial(self._changed, n),
             info=DeviceInfo(sensor.serial_number, SensorModel(sensor.model), unit.link.source_mac),
             saved=saved.with_stem(f"{saved.stem}_{n + 1}") if saved and n else saved,
@@ -125,11 +139,37 @@ class Control:
             self._asked.set()
             thread.join()
 
+    def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
+        """Let an event happen to a unit, from 1, a moment from now, and return its UTC in ns; from any thread.
+
+        Raises
+        ------
+        InputError
+            If it is no event, or cannot happen in this scene
+        """
+        table: dict[str, Any] = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
+        scene = {key: getattr(self._scenario, key) for key in ("sensor", "rig", "gps")}
+        try:
+            checked([table], scene)
+        except ValidationError as error:
+            where, found, expected = explain(error, tables().json_schema())
+            raise InputError(f"event {kind}{where.removeprefix('[0]')}", found, expected) from None
+        except ValueError as error:
+            raise InputError(f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)) from None
+        with self._lock:
+            self._wanted.append(table)
+        self._take_up()
+        return self._at_ns
+
+    def due_in_ns(self, at_ns: int) -> int:
+        """Time until a packet due at a UTC leaves, in ns of the scene; negative if that is past."""
+        return at_ns - self._under_way.due_in_ns(0)
+
     def fault(self, unit: int) -> HttpFault | None:
         """Find what is wrong with the web interface of a unit now."""
         since_ns = self._since_ns()
-        for error in self._scenario.events:
-            if error.effect == "web" and error.unit == unit + 1 and error.begin_ns <= since_ns < error.end_ns:
+        for error in self._errors:
+            if error.unit == unit + 1 and error.begin_ns <= since_ns < error.end_ns:
                 return HttpFault(error.status)
         return None
 
@@ -139,7 +179,7 @@ class Control:
         of, since_ns = self._feed.engine.parts.units[unit], self._since_ns()
         now_ns = self._scenario.start_ns + since_ns
         ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
-        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
+        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s or 0.0)
         settings, rpm = self.devices[unit].settings, of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
         payload = self._sink.latest_position(unit)
@@ -215,13 +255,23 @@ class Control:
         """Body of the thread."""
         while self._asked.wait() and not self._over.is_set():
             self._asked.clear()
+            begin_s = time.monotonic()
             if (from_ns := self._take_up()) is not None:
+                next_s = begin_s + max(_APART_S, _APART * (time.monotonic() - begin_s))
                 self._settle(from_ns)
+                self._over.wait(max(next_s - time.monotonic(), 0.0))
 
     def _take_up(self) -> int | None:
         """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
-        self._ahead_ns = max(self._ahead_ns, self._under_way.made_until_ns - self._under_way.due_in_ns(0))
+        with self._taking_up:
+            return self._take_up_alone()
+
+    def _take_up_alone(self) -> int | None:
+        until_ns, is_calm = self._under_way.made_until_ns, time.monotonic() >= self._calm_s
+        self._ahead_ns = max(self._ahead_ns, until_ns - self._under_way.due_in_ns(0))
         from_ns = self._since_ns(self._lead_ns)
+        if not is_calm and until_ns < FOREVER_NS:  # some packets are still to be made
+            from_ns = max(from_ns, until_ns - self._scenario.start_ns)
         at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
         with self._lock:
             made = list[Event]()
@@ -234,9 +284,15 @@ class Control:
                     made.append(event("setting", at_s + (lost[0].off_s if lost else 0.0), unit + 1, **keys))
                 self._made[unit] = new
             self._restarts.clear()
-            self._events = self._events + made
-        if not made:
+            happening = [event(**wanted | {"at_s": at_s}) for wanted in self._wanted]
+            self._wanted.clear()
+            self._to_come += happening
+            self._events = self._events + made + happening
+        if not made and not happening:
             return None
+        self._errors += [event for event in happening if event.effect == "web"]
+        self._calm_s = time.monotonic() + _CALM_S
+        self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
         engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
         self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
         return due_ns

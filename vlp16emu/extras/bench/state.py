@@ -131,6 +131,7 @@ class Device:
     ----------
     factory : what is set where nothing has been saved
     status : gives the sensor as it is now; called from the thread of the web server, and must not wait
+    is_up : returns whether the sensor answers; for a `status` that costs more
     changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` where the sensor starts
         again; must not wait; if it raises, nothing changes
     info : serial number and the like
@@ -149,9 +150,10 @@ class Device:
         status: Callable[[], DeviceStatus],
         changed: Callable[..., None],
         info: DeviceInfo,
+        is_up: Callable[[], bool] | None = None,
         saved: Path | None = None,
     ) -> None:
-        self.status, self.info = status, info
+        self.status, self.info, self.is_up = status, info, is_up or (lambda: status().is_up)
         self._changed, self._file = changed, saved
         self._lock = Lock()
         self._power_up = _read(saved, factory) if saved is not None and saved.exists() else factory

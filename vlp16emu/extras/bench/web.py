@@ -155,7 +155,7 @@ class WebServer:
             return
         self._lines[line] = asyncio.current_task()
         try:
-            while self.device.status().is_up:
+            while self.device.is_up():
                 async with asyncio.timeout(LONGEST_S):
                     if not await self._answers(reader, line):
                         break
@@ -176,7 +176,7 @@ class WebServer:
             status, text = error.args
             line.write(_said(status, "error", text).packed(is_last=True))
             return await _listen_out(reader, line)
-        if request is None or not self.device.status().is_up:
+        if request is None or not self.device.is_up():
             return False
         fault = self.fault()
         if fault is None:

@@ -5,16 +5,11 @@ import math
 import numpy as np
 
 from vlp16emu.errors import InputError
+from vlp16emu.extras.compare.losses import commonest
+from vlp16emu.extras.compare.rotation import hum_cdeg, local, turning_of
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import (
-    Statistics,
-    beat_of,
-    hum_cdeg,
-    local,
-    smooth_of,
-    statistics_of,
-    turning_of,
-)
+from vlp16emu.extras.compare.statistics import statistics_of
+from vlp16emu.extras.compare.surfaces import Statistics, beat_of, stretches_of
 from vlp16emu.returns import Noise
 from vlp16emu.sensor import Sensor
 
@@ -42,8 +37,8 @@ def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
 
 def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
-    if (smooth := smooth_of(sequences)) is not None:
-        sine, _ = beat_of(smooth)
+    if (stretches := stretches_of(sequences)) is not None:
+        sine, _ = beat_of(stretches)
         out["range_noise_m"] = round(found["range.white_at_20_mm"] * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
@@ -64,9 +59,9 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
 def _silent_level(sequences: Sequences) -> float:
     """Find the middle over the lasers of what no-returns carry most often, 0 where there are too few; codes are cut."""
     silent = sequences.distance_lsb == 0
-    codes = [column[rows] for column, rows in zip(sequences.reflectivity.T, silent.T, strict=True)]
-    commonest = [np.bincount(column).argmax() for column in codes if len(column) >= _LEAST_SILENT]
-    return float(np.median(commonest)) + 0.5 if commonest else 0.0
+    enough = silent.sum(axis=0) >= _LEAST_SILENT
+    codes = commonest(silent, sequences.reflectivity)[enough]
+    return float(np.median(codes)) + 0.5 if enough.any() else 0.0
 
 
 def _rotor(sequences: Sequences) -> dict[str, object]:

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Self
 
-from vlp16emu.errors import InputError, OutputError, PacketError
-from vlp16emu.packets.pose import POSE_BYTES, unpack_pose
+from vlp16emu.errors import InputError, OutputError
+from vlp16emu.packets.pose import POSE_BYTES, is_pose, unpack_pose
 
 _POLL_S = 0.1
 """How often the thread looks whether it shall end."""
-_MERGED_S = 0.001
+_MERGED_S = 0.002
 """Poses that come within this time are one; knots are 5 ms apart."""
 _MOST = 1000
 """Datagrams that are looked at before a pose is handed on."""
@@ -80,14 +80,15 @@ class PoseReceiver:
 
     def _take(self) -> None:
         """Hand on the last pose among the datagrams that have come."""
-        pose = None
+        last = None
         with suppress(BlockingIOError):
             for _ in range(_MOST):
                 payload = self._socket.recv(POSE_BYTES + 1)
-                try:
-                    pose = unpack_pose(payload)
-                except PacketError:
+                if is_pose(payload):
+                    last = payload
+                else:
                     self.malformed += 1
-        if pose is not None:
+        if last is not None:
+            pose = unpack_pose(last)
             with suppress(InputError):  # `put` counts what is no pose
                 self._put(pose.position_m, pose.quaternion, pose.t_ns)

@@ -22,7 +22,7 @@ from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.gnss import Receiver
-from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.motion.imu import ImuSampler, Inertial
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.options import TruthPlace, TruthTo
@@ -44,6 +44,8 @@ _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", 
 _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
 _IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
+ATTITUDE = ("qx", "qy", "qz", "qw")
+"""Columns behind them of a unit that reports its attitude: world_R_imu."""
 
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets by which the truth goes; what leaves beside them changes no line."""
@@ -200,7 +202,7 @@ class Truth:
         """Begin the files of inertial unit and receiver, where there are such."""
         scenario, imu = engine.scenario, engine.parts.imu
         if scenario.imu is not None and imu is not None:
-            append = self._begun("imu.csv", _IMU_COLUMNS)
+            append = self._begun("imu.csv", _IMU_COLUMNS + (ATTITUDE if scenario.imu.attitude else ()))
             yield Samples(append, partial(_inertial, imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
         if (named_ns := engine.parts.gps.second_ns(begin_ns)) is not None:
             append = self._begun("gnss.csv", _GNSS_COLUMNS)
@@ -258,11 +260,19 @@ def _inertial(imu: ImuSampler, first: int, count: int) -> str:
     read = imu.read(first, count)
     readings = read.angular_rate_rad_s, read.specific_force_m_s2
     true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
-    numbers = np.column_stack([*readings, *true, read.gyro_bias_rad_s, read.accel_bias_m_s2]).tolist()
+    biases = read.gyro_bias_rad_s, read.accel_bias_m_s2
+    numbers = np.column_stack([*readings, *true, *biases, *attitude_of(read)]).tolist()
     return "".join(
         f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}\n"
         for t_ns, row in zip(read.t_ns.tolist(), numbers, strict=True)
     )
+
+
+def attitude_of(read: Inertial) -> list[NDArray[np.float64]]:
+    """Return the reported attitude as x y z w (n, 4), alone in a list that is empty without it."""
+    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
+
+    return [] if read.world_R_imu is None else [Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)]
 
 
 def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
@@ -307,6 +317,12 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
         },
         "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
     } | ({"imu": {"body_T_imu": _mount(imu.mount)}} if imu else {})
+
+
+def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> NDArray[np.float64] | None:
+    """Return the extrinsics (4, 4) of a device of `rig.json`, as its user has them or as they are; None if it spins."""
+    mount = device[key] if true else device.get(f"given_{key}", device[key])
+    return None if "spin_hz" in mount else np.array(mount["matrix"])
 
 
 def _unit(unit: Unit) -> dict[str, Any]:
