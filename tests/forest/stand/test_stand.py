@@ -284,7 +284,7 @@ def test_rows_that_cannot_hold_the_density_off_trails_are_refused():
 
 
 def test_more_wood_than_any_forest_has_is_refused():
-    """Coast redwoods have 343 m2 of basal area per hectare (Fujimori 1977): 300 stems of 1.2 m are planted, 5 000 are not."""
+    """More than the densest coast redwoods have is refused: 300 stems of 1.2 m per hectare are planted, 5 000 are not."""
     giants = SpeciesShare(species="norway_spruce", share=1.0, dbh_cm=120.0, height_m=50.0)
     assert make_stand(stems_per_ha=300.0, species=[giants]).per_ha == 300.0
     with pytest.raises(GeometryError, match="found a basal area of 5655 m2 per ha; expected at most 350"):
