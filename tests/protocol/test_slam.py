@@ -140,8 +140,7 @@ def pose(place_m, euler_deg):
 
 def test_extrinsics_have_the_direction_that_each_program_wants():
     """A point that the lidar sees is at the same place for all of them: FAST-LIO2 has the lidar in the unit's frame, LIO-SAM and
-    GLIM the unit in the lidar's, DLIO both in the body's, RKO-LIO the unit in its base, the lidar.
-    """
+    GLIM the unit in the lidar's, DLIO both in the body's, RKO-LIO the unit in its base, the lidar."""
     base_T_lidar, base_T_imu = pose((0.1, -0.2, 0.5), (30, 5, -8)), pose((-0.05, 0.02, 0.1), (-90, 0, 3))
     imu = {"rate_hz": 100, "accel_noise_m_s2_sqrt_hz": 1.2e-3, "gyro_noise_rad_s_sqrt_hz": 0.0}
     rig = Rig(300.0, base_T_lidar, base_T_imu, imu, "unit_1/velodyne")

@@ -81,9 +81,7 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
         for finding in result.findings:
             print(finding)
         verdicts = {name: f"{n} findings" if (n := len(result.of(name))) else "fit" for name in result.programs}
-        print_rows(
-            f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts
-        )
+        print_rows(f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts)
     if result.findings:
         raise typer.Exit(1)
 

@@ -124,9 +124,7 @@ def write_beside(bag: Path, name: str, rig: Rig) -> Callable[[], list[Path]]:
 def protocol_files() -> dict[str, str]:
     """Return the files of `protocol/slam` by name: one configuration of each program, and the page that lists them."""
     made = {name: text for each in programs().values() for name, text in configurations(each, Rig()).items()}
-    rows = [
-        f"| [{each.name}](https://github.com/{each.repository}) | {_page_row(each)} |" for each in programs().values()
-    ]
+    rows = [f"| [{each.name}](https://github.com/{each.repository}) | {_page_row(each)} |" for each in programs().values()]
     return made | {"README.md": "\n".join([*_PAGE, *rows, "", *_why_rows()]) + "\n"}
 
 

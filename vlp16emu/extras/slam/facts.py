@@ -114,9 +114,7 @@ def _read(path: Path, reader: Any) -> Facts:
     topics = {kind: list(dict.fromkeys(names)) for kind, names in topics.items()}
     if not topics[_CLOUD]:
         raise CaptureError(str(path), "no point clouds", "messages of sensor_msgs/PointCloud2")
-    cloud, imu = (
-        _likest(names, ours) for names, ours in zip(topics.values(), ("velodyne_points", "imu/data"), strict=True)
-    )
+    cloud, imu = (_likest(names, ours) for names, ours in zip(topics.values(), ("velodyne_points", "imu/data"), strict=True))
     facts = Facts(Clouds(topic=cloud), topics[_CLOUD], imu, "", np.empty((0, 11)), {}, {})
     wanted, samples = {cloud, imu, "/tf", "/tf_static"}, []
     start_s = reader.start_time // S_NS
@@ -146,11 +144,7 @@ def _stamp_s(message: Any, start_s: int) -> float:
 
 def _sample(message: Any, start_s: int) -> list[float]:
     w, a, q = message.angular_velocity, message.linear_acceleration, message.orientation
-    covariances = (
-        message.orientation_covariance,
-        message.angular_velocity_covariance,
-        message.linear_acceleration_covariance,
-    )
+    covariances = message.orientation_covariance, message.angular_velocity_covariance, message.linear_acceleration_covariance
     length = float(np.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2))
     return [_stamp_s(message, start_s), w.x, w.y, w.z, a.x, a.y, a.z, length, *(float(one[0]) for one in covariances)]
 

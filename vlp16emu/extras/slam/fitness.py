@@ -220,11 +220,7 @@ def _of_frames(facts: Facts) -> dict[str, Any]:
     else:
         tree = "" if lidar in facts.fixed or lidar == "base_link" else f"nothing says where {lidar} is"
     taken = ("base_link", *[name for name in (lidar, unit) if name])
-    edges = [
-        f"{min(facts.parents[child])} -> {child}"
-        for child in taken
-        if child in facts.parents and child not in facts.fixed
-    ]
+    edges = [f"{min(facts.parents[child])} -> {child}" for child in taken if child in facts.parents and child not in facts.fixed]
     apart = np.eye(4) if T is None else T
     turned = math.degrees(math.acos(max(-1.0, min(1.0, (float(np.trace(apart[:3, :3])) - 1) / 2))))
     names = pose_names("lidar", "imu", apart) | pose_names("imu", "lidar", np.linalg.inv(apart))
