@@ -13,7 +13,14 @@ from vlp16emu.scenario import load
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 DURATION_S = 1.2
-SETTINGS = ["world.stems_per_ha=200", "sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0", "beam.model=none"]
+SETTINGS = [
+    "seed=5",
+    "world.stems_per_ha=150",
+    "sensor.max_range_m=25.0",
+    "sensor.eccentricity_deg=0.0",
+    "sensor.azimuth_noise_deg=0.0",
+    "beam.model=none",
+]
 
 
 @pytest.mark.parametrize("mode", ["strongest", "dual"])

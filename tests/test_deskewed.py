@@ -17,7 +17,7 @@ from vlp16emu.packets import DISTANCE_LSB_M
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SETTINGS = {"world.stems_per_ha": 300, "capture.preset": "ideal", "beam.model": "fixed", "beam.rays": 8}
+SETTINGS = {"seed": 5, "world.stems_per_ha": 150, "capture.preset": "ideal", "beam.model": "fixed", "beam.rays": 8}
 SETTINGS |= {"sensor.max_range_m": 25.0, "sensor.return_mode": "dual", "sensor.preset": "steady"}
 SETTINGS |= {"sensor.eccentricity_deg": 0.0, "sensor.azimuth_noise_deg": 0.0}
 

@@ -9,6 +9,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 SPAN_S = 5.0, 5.2
 RESOLUTION_M = 1.0
+THIN = "seed=5", "world.stems_per_ha=150", "sensor.max_range_m=25.0"
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +22,7 @@ def dual_returns(tool_named):
 def forest(dual_returns):
     """Emulators of a walk among birches by the preset of their noise, in one world."""
     typical, ideal = (
-        load("birch_walk", [*dual_returns.OWN, f"noise.preset={preset}", "sensor.max_range_m=25.0"])
-        for preset in ("typical", "ideal")
+        load("birch_walk", [*dual_returns.OWN, f"noise.preset={preset}", *THIN]) for preset in ("typical", "ideal")
     )
     first = Emulator(typical)
     return {"typical": first, "ideal": Emulator(ideal, like=first)}

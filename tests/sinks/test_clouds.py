@@ -22,7 +22,8 @@ pytest.importorskip("lazrs")
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 SETTINGS = {
-    "world.stems_per_ha": 300,
+    "seed": 5,
+    "world.stems_per_ha": 150,
     "sensor.max_range_m": 25.0,
     "sensor.return_mode": "dual",
     "gps.height_m": 312.5,

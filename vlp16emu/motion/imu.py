@@ -61,7 +61,7 @@ class ImuSampler:
         return Inertial(t_ns, w + w_errors, force + force_errors, w, force, w_bias, force_bias, attitude)
 
     def _attitude(self, world_R_imu: Array, w_bias: Array, force_bias: Array, first: int) -> Array:
-        """Reported attitude (n, 3, 3) of samples from `first` on.
+        """Return the reported attitude (n, 3, 3) of samples from `first` on.
 
         Levelled by gravity, it is tilted by what the accelerometers' bias adds to 1 g, and its heading drifts with the bias of
         the gyroscopes about the vertical since the start, and with the random walk that their white noise adds up to.

@@ -160,7 +160,8 @@ class TrueMessages:
     def fixed(self, t_ns: int) -> None:
         """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; what spins has none."""
         mounts = [
-            (frame, given_mount(unit, "body_T_sensor")) for unit, frame in zip(self._rig["units"], self._frames, strict=True)
+            (frame, given_mount(unit, "body_T_sensor"))
+            for unit, frame in zip(self._rig["units"], self._frames, strict=True)
         ]
         if mounts[0][1] is not None:
             antenna = mounts[0][1].copy()

@@ -22,9 +22,7 @@ from vlp16emu.units import S_NS
 
 
 @contextmanager
-def bag_of_run(
-    path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None
-) -> Iterator[list[BagSink]]:
+def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None) -> Iterator[list[BagSink]]:
     """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile` and `write_beside`."""
     check_bag(path)
     wanted, scenario, write = options or BagOptions(), engine.scenario, list[Path]

@@ -4,4 +4,14 @@ from vlp16emu.extras.slam.configure import Rig, configurations, protocol_files, 
 from vlp16emu.extras.slam.fitness import Fitness, Unfit, fitness
 from vlp16emu.extras.slam.programs import chosen, programs
 
-__all__ = ["Fitness", "Rig", "Unfit", "chosen", "configurations", "fitness", "programs", "protocol_files", "write_beside"]
+__all__ = [
+    "Fitness",
+    "Rig",
+    "Unfit",
+    "chosen",
+    "configurations",
+    "fitness",
+    "programs",
+    "protocol_files",
+    "write_beside",
+]

@@ -124,7 +124,9 @@ def write_beside(bag: Path, name: str, rig: Rig) -> Callable[[], list[Path]]:
 def protocol_files() -> dict[str, str]:
     """Return the files of `protocol/slam` by name: one configuration of each program, and the page that lists them."""
     made = {name: text for each in programs().values() for name, text in configurations(each, Rig()).items()}
-    rows = [f"| [{each.name}](https://github.com/{each.repository}) | {_page_row(each)} |" for each in programs().values()]
+    rows = [
+        f"| [{each.name}](https://github.com/{each.repository}) | {_page_row(each)} |" for each in programs().values()
+    ]
     return made | {"README.md": "\n".join([*_PAGE, *rows, "", *_why_rows()]) + "\n"}
 
 
@@ -162,9 +164,10 @@ def _why_rows() -> Iterator[str]:
 def _leaves(file: ConfigFile, rig: Rig, *, bare: bool = False) -> list[tuple[str, Any, str]]:
     """Return the values of a file for a rig; `bare` remarks are the default and the reason on lines of their own."""
     names, found = rig.names(), []
-    for key, value, default, why, _ in file.values:
-        if isinstance(value, str) and value.startswith("{"):
-            value = default if (made := names[value.strip("{}")]) is None else made
+    for key, given, default, why, _ in file.values:
+        is_named = isinstance(given, str) and given.startswith("{")
+        value = names[given.strip("{}")] if is_named else given
+        value = default if value is None else value
         text = (default or "empty") if isinstance(default, str) else _json(default)
         remark = f"{text}\n{why}" if bare else f"{why}; its own value is {text}"
         found.append((key, value, "" if default in (None, value) else remark))
@@ -208,7 +211,7 @@ def _json_file(file: ConfigFile, leaves: Leaves, _head: Sequence[str]) -> Iterat
     yield json.dumps(bare(_tree(file, leaves)), indent=2)
 
 
-def _lua(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str]:
+def _lua(_file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str]:
     yield from (f"-- {line}" for line in head)
     yield from ('include "map_builder.lua"', 'include "trajectory_builder.lua"', "", "options = {")
     inside = {key: key.startswith("options/") for key, *_ in leaves}

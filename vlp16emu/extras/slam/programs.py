@@ -62,7 +62,9 @@ def programs() -> Mapping[str, Program]:
     made = {}
     for name, row in table.items():
         of = tuple(
-            ConfigFile(one["name"], one.get("root", ""), one.get("include", ""), tuple(Value(*v) for v in one["values"]))
+            ConfigFile(
+                one["name"], one.get("root", ""), one.get("include", ""), tuple(Value(*v) for v in one["values"])
+            )
             for one in row["files"]
         )
         about = row["repository"], tuple(row["read"]), row["start"], row["compiled"], row.get("rest_s", 0.0)
