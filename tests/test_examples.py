@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -30,13 +31,13 @@ COURSE = {
 """Argument that keeps a script short, and words that it prints."""
 
 
-def run_python(folder, *command, code=0):
-    """Standard output of a program in a folder whose packages it finds; what it says on errors where `code` is not 0."""
+def run_python(folder, *command, code=0, out=False):
+    """Standard output of a program in a folder whose packages it finds; what it says on errors where `code` is not 0 unless `out`."""
     paths = os.pathsep.join([str(folder), str(ROOT)])
     env = os.environ | {"PYTHONPATH": paths}
     done = subprocess.run([sys.executable, *command], cwd=folder, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr
-    return done.stderr if code else done.stdout
+    return done.stderr if code and not out else done.stdout
 
 
 @pytest.mark.parametrize("name", COURSE)
@@ -51,6 +52,43 @@ def test_the_course_runs(name, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) if name == "7_score" else nullcontext():
         runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     assert printed in capsys.readouterr().out
+
+
+BUGS = {
+    "right": ("", "", None),
+    "half_a_block": ("* since_us / (2", "* (since_us % FIRING_US) / (2", "points_lie_where_the_pulses_went"),
+    "ring": ("np.argsort(np.argsort(ELEVATION_DEG))", "np.arange(16)", "rings_count_from_below"),
+    "dual": ("np.arange(12) % 2 == 0", "np.arange(12) % 2 == 1", "the_last_return_comes_first"),
+    "hour": ("self.hours += stamp_us < self.stamp_us", "pass", "time_goes_on_past_the_full_hour"),
+}
+"""What is right in the driver, what somebody wrote instead, and the test that says so."""
+
+
+def test_tests_of_a_driver_find_its_bugs(tmp_path):
+    """With the fixture `vlp16` the driver of the examples passes, and each of four bugs fails the test that is about it."""
+    driver, tests = ((EXAMPLES / "driver_tests" / name).read_text() for name in ("driver.py", "test_driver.py"))
+    for name, (right, wrong, _) in BUGS.items():
+        assert right in driver
+        (tmp_path / f"driver_{name}.py").write_text(driver.replace(right, wrong) if right else driver)
+        (tmp_path / f"test_{name}.py").write_text(tests.replace("from driver import", f"from driver_{name} import"))
+    said = run_python(
+        tmp_path, "-m", "pytest", "-q", "-p", "vlp16emu.pytest", "-p", "no:cacheprovider", code=1, out=True
+    )
+    failed = set(re.findall(r"^FAILED test_(\w+)\.py::test_(\w+)", said, re.MULTILINE))
+    assert failed == {(name, test) for name, (_, _, test) in BUGS.items() if test}
+    assert "21 passed" in said
+
+
+def test_a_session_without_the_fixture_loads_nothing(tmp_path, monkeypatch):
+    """The plugin alone brings neither numpy nor the engine, and leaves numba as it is for others."""
+    (tmp_path / "test_other.py").write_text(
+        "import os, sys\ndef test_it():\n    assert not {'numpy', 'pydantic', 'vlp16emu.run'} & set(sys.modules)\n"
+        "    import numba\n    assert 'NUMBA_CPU_NAME' not in os.environ\n"
+        "    import vlp16emu.trig\n    assert 'NUMBA_CPU_NAME' in os.environ\n"
+    )
+    monkeypatch.delenv("NUMBA_CPU_NAME", raising=False)
+    command = "-m", "pytest", "-q", "-W", "error", "-p", "vlp16emu.pytest", "-p", "no:cacheprovider"
+    assert "1 passed" in run_python(tmp_path, *command)
 
 
 def test_every_script_of_the_course_is_run():

@@ -17,7 +17,7 @@ _PRESETS: dict[str, dict[str, object]] = {
     "steady": {},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "azimuth_noise_deg": 0.0019,
+        "azimuth_noise_deg": 0.0017,
         "encoder_pitch_deg": 0.05,
         "twice_per_turn_deg": 0.0078,
         "hum_deg": 0.0019,
@@ -65,8 +65,8 @@ class Lidar(Preset):
     eccentricity_phase_deg: Degrees = 40.0
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
-    """White error of each azimuth reading, one sigma; with an encoder of lines at 600 rpm, of when a line is seen: 0.0019 is an even spread
-    over 1.8 us, at all speeds. 0 switches it off."""
+    """White error of each azimuth reading, one sigma; with an encoder of lines at 600 rpm, of when a line is seen: 0.0017 is an even spread
+    over 1.6 us, at all speeds. 0 switches it off."""
     encoder_pitch_deg: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
     encoder."""
@@ -80,9 +80,9 @@ class Lidar(Preset):
     0 switches it off."""
     rotation_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the amplitudes of these three errors, as a share of them; with it their phases are drawn too."""
-    speed_error_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
-    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others. It swings over minutes; with a phase lock it is
-    held."""
+    speed_error_rpm: Annotated[float, Field(ge=-3, le=3)] = 0.0
+    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others; without `rotation_spread` exactly that, above 0 too
+    fast. It swings over minutes; with a phase lock it is held."""
     speed_wander_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Amplitude of the change of speed within seconds, in the same way."""
     powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] | None = None
