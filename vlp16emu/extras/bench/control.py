@@ -34,10 +34,10 @@ _LEAD_NS = 150_000_000
 _MOST_LEAD_NS = 1_000_000_000
 _MERGED_S = 5.0
 """For so long at most what is set waits until the packets of the settings before are made ahead again."""
-_CALM_S = 2.0
-"""For so long after a change the next one begins where the packets that are made already end."""
+_CALM_S, _PROMPT = 2.0, 4
+"""Changes, without so long a calm between them, that have packets made anew; later ones begin where the packets that are made end."""
 _APART_S, _APART = 1.0, 20.0
-"""Least time from a change to the next one, at least so many times what making it took: each change makes the next one dearer."""
+"""Least time from such a later change to the next, at least so many times what making it took: each makes the next one dearer."""
 _POLL_S, _WARM_S = 0.01, 0.01
 _STEP_S = 0.001
 """Times of events are rounded up to that."""
@@ -77,8 +77,9 @@ def _settings_of(unit: Unit, host: str) -> DeviceSettings:
 class Control:
     """Makes a stream follow settings that come from other threads, and reports the state of its sensors.
 
-    What is set after a calm has packets made anew from a moment ahead. Whatever is set soon after that is one change, or few, and
-    takes effect where the packets that are made already end: so no client, however busy, keeps the engine from its work.
+    What is set after a calm has packets made anew from a moment ahead; so does what is set next, once those are made. In a
+    flood whatever is set within a second is one change, and takes effect where the packets that are made already end: so no
+    client, however busy, keeps the engine from its work.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ class Control:
         """Events of the scene that the web interface does not show yet."""
         self._errors = [event for event in self._events if event.effect == "web"]
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
-        self._lead_ns, self._ahead_ns, self._calm_s = _LEAD_NS, 0, 0.0
+        self._lead_ns, self._ahead_ns, self._calm_s, self._prompt = _LEAD_NS, 0, 0.0, _PROMPT
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
         """What the web interface of each sensor shows and sets."""
 
@@ -225,14 +226,15 @@ class Control:
             if (from_ns := self._take_up()) is not None:
                 next_s = begin_s + max(_APART_S, _APART * (time.monotonic() - begin_s))
                 self._settle(from_ns)
-                self._over.wait(max(next_s - time.monotonic(), 0.0))
+                self._over.wait(0.0 if self._prompt else max(next_s - time.monotonic(), 0.0))
 
     def _take_up(self) -> int | None:
         """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
-        until_ns, is_calm = self._under_way.made_until_ns, time.monotonic() >= self._calm_s
+        until_ns = self._under_way.made_until_ns
+        self._prompt = _PROMPT if time.monotonic() >= self._calm_s else self._prompt
         self._ahead_ns = max(self._ahead_ns, until_ns - self._under_way.due_in_ns(0))
         from_ns = self._since_ns(self._lead_ns)
-        if not is_calm and until_ns < FOREVER_NS:  # some packets are still to be made
+        if not self._prompt and until_ns < FOREVER_NS:  # some packets are still to be made
             from_ns = max(from_ns, until_ns - self._scenario.start_ns)
         at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
         with self._lock:
@@ -249,7 +251,7 @@ class Control:
             self._events = self._events + made
         if not made:
             return None
-        self._calm_s = time.monotonic() + _CALM_S
+        self._calm_s, self._prompt = time.monotonic() + _CALM_S, max(self._prompt - 1, 0)
         engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
         self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
         return due_ns
