@@ -107,7 +107,9 @@ class Flown:
         for thread in (drone, data, position):
             thread.start()
         poses = PosesIn(f"udp://127.0.0.1:{port}", path, self.lines.append)
-        self.streamed = Emulator("static_bench", settings).stream(duration_s=RUN_S, poses=poses, opened=begun.set)
+        self.streamed = Emulator("static_bench", settings).stream(
+            duration_s=RUN_S, poses=poses, opened=lambda _: begun.set()
+        )
         for thread in (drone, data, position):
             thread.over.set()
             thread.join()

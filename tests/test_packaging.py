@@ -136,5 +136,5 @@ def test_the_set_up_refuses_an_extra_that_is_none(set_up):
     assert (done.returncode, calls) == (2, [])
     assert (
         done.stderr
-        == "error: nope: no such extra; expected one of cloud, cluster, data, dem, images, picture, ros, score, viewer, dev\n"
+        == "error: nope: no such extra; expected one of cloud, data, dem, images, picture, ros, score, viewer, dev\n"
     )

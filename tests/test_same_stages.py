@@ -74,9 +74,16 @@ def test_the_same_arrays_pass(check, hall):
     """Arrays that are the same give exit code 0, and an environment that changes no answer is said to have no effect."""
     code, out = check(lambda _: hall)
     assert code == 0
-    assert "| one thread | - | same |" in out
-    assert "| OpenBLAS Prescott | none here | same |" in out
+    assert "Prescott; numpy without dispatch; one thread | none here, none here, none here | same |" in out
     assert out.endswith("different: none\n")
+
+
+def test_a_difference_among_environments_that_share_a_process_is_traced_to_one(check, hall):
+    """Where a process differs, each of its environments runs alone, and the one that differs is named."""
+    code, out = check(lambda environment: nudged(hall, MANY[0]) if "one thread" in environment.name else hall)
+    assert code == 1
+    assert "| OpenBLAS Prescott | none here | same |" in out
+    assert out.endswith("; one thread, one thread\n")
 
 
 def test_a_worker_that_fails_is_shown(check):

@@ -1,6 +1,6 @@
 """Hardware-in-the-loop emulator of the Velodyne VLP-16 lidar.
 
-`Emulator` makes scans, captures and streams of a scene, `load` reads one, `decode` gives the scans of a capture, and
+`Emulator` makes scans, captures and streams of a scene, `stream` begins one that is read while it runs, `load` reads one, `decode` gives the scans of a capture, and
 `verify` checks it against the rules of VLP-16 traffic. They are loaded when they are first used.
 """
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from vlp16emu.extras.images.images import write_images
     from vlp16emu.extras.truth.truth import write_truth
     from vlp16emu.extras.verify import Finding, Verification, verify
+    from vlp16emu.run.live import Live, stream
     from vlp16emu.run.options import GpsIn, Http, Outlets, PosesIn, TruthTo
     from vlp16emu.run.replay import Replayed, replay
     from vlp16emu.run.report import Recording
@@ -27,6 +28,7 @@ __all__ = [
     "GpsIn",
     "Http",
     "Labels",
+    "Live",
     "Outlets",
     "PosesIn",
     "Recording",
@@ -38,34 +40,27 @@ __all__ = [
     "decode",
     "load",
     "replay",
+    "stream",
     "verify",
     "write_images",
     "write_points",
     "write_truth",
 ]
 
-_PLACES = {
-    "Emulator": "emulator",
-    "Finding": "extras.verify",
-    "GpsIn": "run.options",
-    "Http": "run.options",
-    "Labels": "scan",
-    "Outlets": "run.options",
-    "PosesIn": "run.options",
-    "Recording": "run.report",
-    "Replayed": "run.replay",
-    "Scan": "scan",
-    "Scenario": "scenario",
-    "TruthTo": "run.options",
-    "Verification": "extras.verify",
-    "decode": "scan",
-    "load": "scenario",
-    "replay": "run.replay",
-    "verify": "extras.verify",
-    "write_images": "extras.images.images",
-    "write_points": "extras.clouds.points",
-    "write_truth": "extras.truth.truth",
+_MODULES = {
+    "emulator": "Emulator",
+    "extras.clouds.points": "write_points",
+    "extras.images.images": "write_images",
+    "extras.truth.truth": "write_truth",
+    "extras.verify": "Finding Verification verify",
+    "run.live": "Live stream",
+    "run.options": "GpsIn Http Outlets PosesIn TruthTo",
+    "run.replay": "Replayed replay",
+    "run.report": "Recording",
+    "scan": "Labels Scan decode",
+    "scenario": "Scenario load",
 }
+_PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}
 """Module of each public name."""
 
 keep_compiled()

@@ -192,10 +192,10 @@ def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
 def _chunks(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Chunk]:
     with reader:
         for chunk in reader.points():
-            yield _chunk(chunk, labels_of(chunk))
+            yield chunk_of(chunk, labels_of(chunk))
 
 
-def _chunk(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
+def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
     """Sort the points of data packets by azimuth readings."""
     points, blocks = chunk.points, chunk.fields["blocks"]
     dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]

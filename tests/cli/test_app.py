@@ -149,9 +149,7 @@ def test_a_reader_that_has_had_enough_is_no_error(program):
     assert process.stderr.read() == ""
 
 
-@pytest.mark.parametrize(
-    "line", ["--help", "--version", "schema", "schema --help", "scenes --json", "stream static_bench --duration 1"]
-)
+@pytest.mark.parametrize("line", ["--help", "schema", "stream static_bench --duration 0.1"])
 def test_output_that_cannot_be_written_is_one_line(program, line):
     """A full disk under stdout is told in one line, be it at the first word, midway or only at the end, and the run has failed."""
     with Path("/dev/full").open("w") as full:
@@ -170,10 +168,9 @@ def test_bad_input_stays_bad_input_on_a_full_disk(program):
     assert process.wait() == 2
 
 
-@pytest.mark.parametrize("line", ["schema", "--version"])
-def test_without_stdout_nothing_is_said(line):
+def test_without_stdout_nothing_is_said():
     """A program that was started with its stdout closed prints nowhere, and ends well."""
-    command = f"exec {sys.executable} -m vlp16emu {line} >&-"
+    command = f"exec {sys.executable} -m vlp16emu schema >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 

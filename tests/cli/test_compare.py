@@ -28,7 +28,7 @@ def test_units_are_compared_in_a_table_as_json_and_as_a_picture(cli, captures, t
     tree = json.loads(outcome.out)
     assert outcome.code == 0
     by_name = {one["name"]: one for one in tree["statistics"]}
-    assert {"range.beat_mm", "rotation.once_cdeg", "residue.odd_spread", "stamp.spacing_us"} <= by_name.keys()
+    assert {"range.beat_mm", "rotation.once_cdeg", "residue.odd_spread", "clock.arrival_us"} <= by_name.keys()
     assert "range.beat_mm" in tree["apart"]
     assert by_name["range.beat_mm"]["first"] > 3 > by_name["range.beat_mm"]["second"]
     assert (tmp_path / "units.png").read_bytes().startswith(b"\x89PNG")

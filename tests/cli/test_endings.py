@@ -1,7 +1,6 @@
 """How runs end from outside, and what becomes of errors that no verb expects."""
 
 import fcntl
-import json
 import os
 import pty
 import signal
@@ -17,7 +16,6 @@ from vlp16emu import replay
 
 GAP_S = 5 * 3600
 """A clock that was set while a capture was written: shared report ouster-sdk#176."""
-ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
 
 @pytest.fixture(scope="session")
@@ -46,11 +44,11 @@ def test_a_gap_is_reported_and_shortened(gap):
     assert (whole.packets, whole.position_packets) == (replayed.packets, replayed.position_packets)
 
 
+REPLAY = "replay {gap} --keep-gaps --data-port 9 --position-port 10"
 LIVE = "stream static_bench --set motion={{kind='live'}} --pose-in udp://127.0.0.1:0 --data-port 9 --position-port 10"
 
 
-@pytest.mark.parametrize("number", ENDINGS)
-@pytest.mark.parametrize("line", ["replay {gap} --keep-gaps --data-port 9 --position-port 10", LIVE])
+@pytest.mark.parametrize(("line", "number"), [(REPLAY, signal.SIGINT), (REPLAY, signal.SIGHUP), (LIVE, signal.SIGTERM)])
 def test_what_waits_ends_with_the_first_signal(program, gap, line, number):
     """A replay in a gap of hours, and a stream that no pose has come to, end with 130 after one signal, and with a report."""
     process = program(*line.format(gap=gap).split())
@@ -66,13 +64,11 @@ def test_what_waits_ends_with_the_first_signal(program, gap, line, number):
     )
 
 
-@pytest.mark.parametrize("line", ["record static_bench {tmp}/x.pcap", "stream static_bench --data-port 9"])
-def test_a_terminal_that_goes_ends_a_run_as_ctrl_c(program, heeds_signals, tmp_path, line):
+def test_a_terminal_that_goes_ends_a_run_as_ctrl_c(program, heeds_signals):
     """A run that reports to a terminal which is closed ends with 130, and without a word on it that nobody can read."""
     ours, theirs = pty.openpty()
     process = program(
-        *line.format(tmp=tmp_path).split(),
-        *("--duration", "3600"),
+        *["stream", "static_bench", "--data-port", "9", "--duration", "3600"],
         **dict.fromkeys(("stdin", "stdout", "stderr"), theirs),
         start_new_session=True,
         preexec_fn=lambda: (heeds_signals(), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
@@ -151,15 +147,12 @@ def test_a_closed_standard_output_takes_no_capture():
     assert (done.returncode, done.stderr) == (2, said)
 
 
-def test_a_file_does_not_take_the_place_of_a_closed_output(tmp_path):
+def test_a_file_does_not_take_the_place_of_a_closed_output(cli, tmp_path):
     """A capture that is written while standard output is closed holds its packets and nothing else."""
     path = tmp_path / "x.pcap"
     command = f"exec {sys.executable} -m vlp16emu record static_bench {path} --duration 0.1 --json 2>/dev/null >&-"
     assert subprocess.run(["sh", "-c", command], check=False).returncode == 0
-    done = subprocess.run(
-        [sys.executable, "-m", "vlp16emu", "verify", path, "--json"], capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout)["clean"]
+    assert cli("verify", path, "--json").tree["clean"]
 
 
 def test_a_missing_matplotlib_is_named_before_the_work(cli, monkeypatch, tmp_path):

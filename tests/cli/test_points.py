@@ -153,10 +153,9 @@ def test_a_lone_echo_is_reported_once(points):
     assert report["returns"] == {"strongest": len(single["t_ns"]), "last": 0, "second_strongest": 0}
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
-def test_threads_do_not_change_a_byte(cli, tmp_path, suffix):
+def test_threads_do_not_change_a_byte(cli, tmp_path):
     """One worker or three: the same file."""
-    files = [tmp_path / f"{threads}{suffix}" for threads in (1, 3)]
+    files = [tmp_path / f"{threads}.ply" for threads in (1, 3)]
     for threads, file in zip((1, 3), files, strict=True):
         cli("points", "static_bench", file, "--duration", "0.3", "--threads", threads, "--truth", *FREE)
     first, second = (file.read_bytes() for file in files)

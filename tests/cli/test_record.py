@@ -145,14 +145,13 @@ def assert_ended_well(process, path, cli):
     assert cli("verify", path, "--json").tree["packets"] == report["packets"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_leaves_a_valid_file(cli, program, tmp_path, number):
-    """SIGTERM or a hangup in the middle ends the run as Ctrl-C does."""
+def test_a_signal_leaves_a_valid_file(cli, program, tmp_path):
+    """SIGTERM in the middle ends the run as Ctrl-C does."""
     path = tmp_path / "x.pcap"
     process = program("record", "static_bench", path, "--duration", "3600", "--json")
     wait_for(tmp_path, 500_000)
     assert not path.exists()
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
     assert_ended_well(process, path, cli)
 
 

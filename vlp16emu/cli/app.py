@@ -29,6 +29,7 @@ _EXAMPLES = {
     "record": (
         "birch_walk walk.pcap --duration 10",
         "birch_walk dual.pcap --set sensor.return_mode=dual --set seed=7",
+        "birch_walk walk.mcap --for rko-lio --set imu.preset=consumer --set motion.stand_s=3",
         "my_forest.toml walk.pcap --json > walk.json",
     ),
     "stream": (
@@ -38,7 +39,7 @@ _EXAMPLES = {
     ),
     "replay": ("walk.pcap", "field_day.pcap --loop --now --to 192.168.1.10"),
     "decode": ("walk.pcap", "walk.pcap --out walk.ply"),
-    "bag": ("walk.pcap walk.mcap --truth truth", "field_day.pcap field_day.bag"),
+    "bag": ("walk.pcap walk.mcap --truth truth --for fast-lio2", "field_day.pcap field_day.bag"),
     "points": (
         "birch_walk walk.ply --duration 5 --truth",
         "walk.pcap walk.laz --trajectory truth",
@@ -58,7 +59,7 @@ _EXAMPLES = {
         'truth --trajectory estimate.tum --align se3 --out report --require "ate_m<0.3"',
         "truth --stems stems.csv --inventory trees.csv --truth-points labelled.npz",
     ),
-    "verify": ("walk.pcap", "walk.pcap --json"),
+    "verify": ("walk.pcap", "walk.pcap --json", "walk.mcap --for all"),
     "compare": ("walk.pcap field_day.pcap", "walk.pcap field_day.pcap --picture units.png --json"),
     "fit": ("field_day.pcap --out unit.toml",),
     "forest": (

@@ -7,6 +7,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import stop_on_ctrl_c
 from vlp16emu.options import Option
+from vlp16emu.run.options import BagOptions
 
 
 def bag(
@@ -17,6 +18,7 @@ def bag(
             "Bag to write: .mcap (ROS 2), .bag (ROS 1), or a new folder without ending (ROS 2, SQLite).", name="OUT"
         ),
     ],
+    options: BagOptions,
     *,
     truth: Annotated[
         Path | None,
@@ -30,11 +32,11 @@ def bag(
 ) -> None:
     """Write a capture as a bag for ROS 1 or ROS 2, without ROS.
 
-    Works on recordings of real sensors too. Topics and frames are those of the velodyne driver. All sensors are written
-    unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
+    Works on recordings of real sensors too. Topics and frames are those of the velodyne driver and of REP 105. All sensors are
+    written unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
     """
     from vlp16emu.extras.bag import write_bag
 
     with stop_on_ctrl_c() as stop:
-        result = write_bag(file, out, truth, unit=unit, clock=clock, stop=stop)
+        result = write_bag(file, out, truth, unit=unit, clock=clock, options=options, stop=stop)
     finish(result, as_json=as_json)

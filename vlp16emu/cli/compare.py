@@ -45,7 +45,7 @@ def compare(
         print_json({"files": [str(file), str(other)], "apart": apart, "statistics": found})
         return
     print_rows(
-        f"{file} and {other}", {"": "     first     second   distance", **{row.name: _line(row) for row in rows}}
+        f"{file} and {other}", {"": "     first     second   distance", **{row.text: _line(row) for row in rows}}
     )
     print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
 

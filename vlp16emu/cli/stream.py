@@ -1,7 +1,7 @@
 """`vlp16emu stream` and `vlp16emu replay`: packets over UDP, in real time."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -21,6 +21,7 @@ from vlp16emu.run.options import ReplayOptions, StreamOptions
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
+    from vlp16emu.engine import Unit
     from vlp16emu.extras.viewer.live import Watch
     from vlp16emu.run.replay import Replay, Replayed
     from vlp16emu.run.report import Streamed
@@ -35,6 +36,15 @@ _LATE = 1
 """Exit code of a strict stream that was late."""
 
 Strict = Annotated[bool, Option("End with 1 if packets were late by more than 50 ms, or were skipped.")]
+
+KeepUp = Annotated[
+    bool | None,
+    Option(
+        "Before the first packet, measure this machine for some seconds, and take the best beam and reach that leave a "
+        "fifth of its time free; a line names them. On by default at a terminal, unless poses come in or the run is prepared.",
+        name="--keep-up/--no-keep-up",
+    ),
+]
 
 
 def stream(
@@ -59,6 +69,7 @@ def stream(
             "Needs the extra 'viewer'."
         ),
     ] = False,
+    keep_up: KeepUp = None,
     strict: Strict = False,
     as_json: args.AsJson = False,
 ) -> None:
@@ -69,9 +80,9 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     host, _ = options.receiver
-    ports = [f"{key}={port}" for key, port in options.settings.items()]
-    emulator = make_emulator(scene, [*(settings or ()), *ports], ideal=ideal, threads=threads, audit=audit)
+    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=audit)
     options = _of_live(options, emulator.scenario)
+    _keep_up(emulator, options, wanted=keep_up, is_prepared=prepare or options.prepare is not None)
     _, stop_s = emulator.scenario.span_s(0.0, options.duration_s)
     with (
         _watched(emulator, view=view, duration_s=stop_s, quiet=as_json) as watch,
@@ -90,7 +101,7 @@ def stream(
         streamed = emulator.stream(
             **vars(asked),
             **hooks,
-            opened=lambda: None if as_json else _announce(scene, host, emulator),
+            opened=lambda units: None if as_json else _announce(scene, host, units),
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, options.late, options.speed)),
@@ -141,6 +152,19 @@ def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
     return replace(options, late="skip")
 
 
+def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | None, is_prepared: bool) -> None:
+    """Set the beam and the reach that this machine keeps up with, if that is wanted, and print them."""
+    from vlp16emu.motion.live_settings import takes_poses
+
+    cannot = "--prepare" if is_prepared else ("--pose-in" if takes_poses(emulator.scenario.motion) else None)
+    if wanted and cannot:
+        raise InputError("--keep-up", f"found beside {cannot}", "one of both")
+    is_terminal = sys.stderr is not None and sys.stderr.isatty()
+    if wanted or (wanted is None and is_terminal and not cannot):
+        print("keep-up: measuring this machine", file=sys.stderr, flush=True)
+        print(emulator.keep_up(options.speed).line, file=sys.stderr, flush=True)
+
+
 @contextmanager
 def _watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool) -> "Iterator[Watch | None]":
     """Show a stream in the browser, and print where; None without `--view`."""
@@ -175,13 +199,14 @@ def _say_served(places: list[tuple[str, int]], *, quiet: bool) -> None:
         print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
 
 
-def _announce(scene: str, to: str, emulator: "Emulator") -> None:
-    pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in emulator.parts.units)
+def _announce(scene: str, to: str, units: "Sequence[Unit]") -> None:
+    pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in units)
     print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
 
 
 def _announce_capture(capture: "Replay", to: str) -> None:
-    print(f"replaying {capture.path} to {to}: sensors {', '.join(map(str, capture.units))}", flush=True)
+    ports = "; ".join(f"{link.data_port} and {link.position_port}" for link in capture.links)
+    print(f"replaying {capture.path} to {to}: sensors {', '.join(map(str, capture.units))}, ports {ports}", flush=True)
 
 
 def _close(sent: "Streamed | Replayed", what: str, *, strict: bool, as_json: bool) -> None:

@@ -1,24 +1,51 @@
 """`vlp16emu verify`: whether a real sensor could have sent it."""
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName
+from vlp16emu.cli.arguments import AsJson, UnitName
 from vlp16emu.cli.printer import print_json, print_rows, rows_of
-from vlp16emu.errors import CaptureError
+from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.options import Option
 
 if TYPE_CHECKING:
     from vlp16emu.extras.verify import Verification
 
 
-def verify(file: CaptureFile, *, unit: UnitName = None, as_json: AsJson = False) -> None:
-    """Check a capture against the rules of VLP-16 traffic.
+def verify(
+    file: Annotated[
+        Path,
+        Option(
+            "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst; with --for a bag of any sensor.",
+            name="FILE.pcap",
+        ),
+    ],
+    *,
+    unit: UnitName = None,
+    slam: Annotated[
+        str | None,
+        Option(
+            "Check a bag (.mcap, .bag or a folder of ROS 2) for a SLAM program instead, such as fast-lio2 or kiss-icp, or all of "
+            "them: what it would read wrong, and which of its parameters to set.",
+            "NAME",
+            "--for",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check a capture against the rules of VLP-16 traffic, or a bag for SLAM programs.
 
     Names each broken rule with the number of the packet, as Wireshark counts. Each of several units is checked
     by itself, unless --unit names one. Notes are what settings, receivers, old firmware or recorders account for. Exits with 0 if no rule is
     broken, whatever the notes, else with 1.
     """
+    if slam is not None:
+        _verify_bag(file, unit, slam, as_json=as_json)
+        return
+    if file.suffix.lower() in (".mcap", ".bag") or (file / "metadata.yaml").is_file():
+        raise InputError(str(file), "a bag", "a capture, or --for with the name of a SLAM program, or all")
     from vlp16emu.extras.verify import verify_units
     from vlp16emu.packets import chosen_unit, units_in
 
@@ -38,6 +65,27 @@ def verify(file: CaptureFile, *, unit: UnitName = None, as_json: AsJson = False)
         for whose, result in results.items():
             _print(whose, result)
     if not tree["clean"]:
+        raise typer.Exit(1)
+
+
+def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> None:
+    """Print why a bag is not fit for programs, a line each."""
+    from vlp16emu.extras.slam import fitness
+
+    if unit is not None:
+        raise InputError("--unit", f"found {unit}", "no unit with --for")
+    result = fitness(file, slam)
+    if as_json:
+        programs = {name: {"fit": not result.of(name), "findings": result.of(name)} for name in result.programs}
+        print_json({"file": file, "fit": not result.findings, "bag": result.summary, "programs": programs})
+    else:
+        for finding in result.findings:
+            print(finding)
+        verdicts = {name: f"{n} findings" if (n := len(result.of(name))) else "fit" for name in result.programs}
+        print_rows(
+            f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts
+        )
+    if result.findings:
         raise typer.Exit(1)
 
 

@@ -11,22 +11,24 @@ import numpy as np
 from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.engine.gps import GpsInput
+from vlp16emu.engine.people import People
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
-from vlp16emu.packets import FACTORY_LINK, Link
+from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import beams_of, with_angle_errors
 from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
-from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
+from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
 from vlp16emu.types import Firings, Hits, ReturnMode, Returns, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.site import Sway
@@ -34,8 +36,14 @@ from vlp16emu.world.site import Sway
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
+_IMU = 1000
+"""Device whose mount is that of the inertial unit, beyond all sensors."""
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
+
+
+_LEFT_PPM = 1.0
+"""Rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt."""
 
 
 class Optics(Protocol):
@@ -72,21 +80,28 @@ class Unit:
 
     @property
     def link(self) -> Link:
-        """Addresses and ports of its frames; the factory numbers MAC addresses on.
+        """Addresses, ports and counters of its frames.
 
         Raises
         ------
         ScenarioError
             If it has no packets
         """
-        section = on_the_wire(self.section)
+        section, counters = on_the_wire(self.section), counters_of(self.section, self.seed, self.number)
         return replace(
             FACTORY_LINK,
-            source_mac=FACTORY_LINK.source_mac[:-1] + bytes([FACTORY_LINK.source_mac[-1] + self.number]),
+            source_mac=counters.mac,
             source=section.address,
             data_port=section.data_port,
             position_port=section.position_port,
+            identification=counters.identification,
         )
+
+    @property
+    def positions_from_ns(self) -> int:
+        """UTC from which its position packets are counted; not after the first pulse."""
+        phase = counters_of(self.section, self.seed, self.number).position_phase
+        return positions_from_ns(on_the_wire(self.section).position_rate, self.head.start_ns, phase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +113,14 @@ class Parts:
     carrier: Motion
     """Motion of the body that carries the devices."""
     imu: ImuSampler | None
+    imu_mount: Mount
+    """True mount of the inertial unit, if there is one."""
     world: World
     """At rest."""
     wind: Sway | None
     """What moves its trees."""
+    people: People | None
+    """People beside the carrier."""
     gps: GpsInput
     """What the receiver sends; what each unit gets of it is the unit's."""
 
@@ -118,7 +137,7 @@ class Parts:
     @property
     def moves(self) -> bool:
         """True if a sensor, or what it sees, moves."""
-        return self.wind is not None or any(unit.motion.moves for unit in self.units)
+        return self.wind is not None or self.people is not None or any(unit.motion.moves for unit in self.units)
 
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
@@ -149,13 +168,18 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
         carrier, world, wind = like.parts.carrier, like.parts.world, like.parts.wind
     else:
         carrier, world, wind = _world(scenario)
-    start_ns, imu = scenario.start_ns, scenario.imu
-    mounts = [mounted(carrier, mount, start_ns) for _, mount in _sensors(scenario)]
-    sampler = None
+    start_ns, imu, seed = scenario.start_ns, scenario.imu, scenario.sensor_seed
+    top = scenario.motion.under_sensors(carrier)
+    motions = [mounted(top, mount, start_ns) for mount in _true_mounts(scenario)]
+    sampler, imu_mount = None, Mount()
     if imu:
-        sampler = ImuSampler(mounted(carrier, imu.mount, start_ns), imu, start_ns=start_ns, seed=scenario.sensor_seed)
-    units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(mounts))
-    return Parts(units, carrier, sampler, world, wind, _gps(scenario))
+        imu_mount = true_mount(imu.mount, seed, _IMU)
+        sampler = ImuSampler(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
+    units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(motions))
+    people = None
+    if scenario.people:
+        people = People(scenario.people, carrier, world.height_m, start_ns=start_ns, seed=scenario.motion_seed)
+    return Parts(units, carrier, sampler, imu_mount, world, wind, people, _gps(scenario))
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
@@ -211,19 +235,28 @@ def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
     return carrier, world, wind
 
 
+def mounts_of(scenario: Scenario) -> list[Mount]:
+    """Return the mounts of all sensors, as their users are given them."""
+    return [scenario.motion.mount, *(unit.mount for unit in scenario.rig)]
+
+
 def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
-    return [(scenario.sensor, scenario.motion.mount), *((unit, unit.mount) for unit in scenario.rig)]
+    return list(zip([scenario.sensor, *scenario.rig], mounts_of(scenario), strict=True))
+
+
+def _true_mounts(scenario: Scenario) -> list[Mount]:
+    return [true_mount(mount, scenario.sensor_seed, device) for device, mount in enumerate(mounts_of(scenario))]
 
 
 def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
-    section, mount = _sensors(scenario)[number]
-    seed = seed_of(scenario, number)
+    given, seed = [scenario.sensor, *scenario.rig][number], seed_of(scenario, number)
+    section = powered_up(given, seed)
     head = _head(scenario, section, seed)
     mode = ReturnMode(section.return_mode)
     unit = Unit(
         number=number,
         section=section,
-        mount=mount,
+        mount=_true_mounts(scenario)[number],
         seed=seed,
         head=head,
         motion=motion,
@@ -237,7 +270,7 @@ def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
             min_range_m=section.min_range_m,
             max_range_m=section.max_range_m,
             lasers=len(head.beams.elevation_deg),
-            power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s),
+            power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0),
         ),
         timeline=Timeline(head, (Stretch(0, None, mode, None),)),
         gps=_gps(scenario),
@@ -252,13 +285,21 @@ def _gps(scenario: Scenario) -> GpsInput:
     return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
 
 
+def clock_at(t_ns: int, section: Lidar, reading_ns: int = 0, *, locked: bool) -> ClockSpan:
+    """Return the clock of a unit from an instant on: locked to GPS, or free from a reading on."""
+    error_ppm = section.clock_error_ppm or 0.0
+    if locked:
+        return ClockSpan(t_ns, None, min(max(error_ppm, -_LEFT_PPM), _LEFT_PPM))
+    return ClockSpan(t_ns, reading_ns, error_ppm)
+
+
 def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
-    start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s)
+    start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0)
     phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
-    angle_deg, error_rpm = section.start_azimuth_deg, section.speed_error_rpm
+    angle_deg, error_rpm = section.start_azimuth_deg or 0.0, section.speed_error_rpm
     if phase_deg is not None:
         angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
-    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm)
+    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm, is_exact=section.rotation_spread == 0.0)
     rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
     beams = with_angle_errors(
         beams_of(section),
@@ -266,5 +307,4 @@ def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
-    free_clock = ClockSpan(power_up_ns, 0, section.clock_error_ppm)
-    return Head(beams, rotor, Clock((ClockSpan(power_up_ns) if scenario.gps.connected else free_clock,)), start_ns)
+    return Head(beams, rotor, Clock((clock_at(power_up_ns, section, locked=scenario.gps.connected),)), start_ns)

@@ -57,7 +57,7 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
         tap(job, firings, hits, geometry)
     light, optics = textured(firings, hits, geometry.surfaces, job.texture_seed), unit.optics
     light = optics.dimmed(firings, light) if optics else light
-    returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth)
+    returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth, block=job.block)
     return optics.received(returns) if optics else returns
 
 

@@ -38,16 +38,17 @@ def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -
     """Find the number of the first packet of a kind that a unit sends at a time since the first pulse, or later."""
     if kind is PacketKind.DATA:
         return unit.timeline.count(0, since_ns)
-    start_ns, rate = scenario.start_ns, on_the_wire(unit.section).position_rate
-    return first_position_packet(rate, unit.seed, start_ns, start_ns + since_ns)
+    rate = on_the_wire(unit.section).position_rate
+    return first_position_packet(rate, unit.seed, unit.positions_from_ns, scenario.start_ns + since_ns)
 
 
 def _due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
     """Yield number and UTC of the position packets of a unit due in a span since the first pulse."""
     rate = on_the_wire(unit.section).position_rate
     first, stop = (number_at(scenario, unit, PacketKind.POSITION, since_ns) for since_ns in (start_ns, stop_ns))
+    from_ns = unit.positions_from_ns
     for number in range(first, stop, _AT_ONCE):
-        due_ns = position_due_ns(rate, unit.seed, scenario.start_ns, number, min(_AT_ONCE, stop - number))
+        due_ns = position_due_ns(rate, unit.seed, from_ns, number, min(_AT_ONCE, stop - number))
         for place, due in enumerate(due_ns.tolist()):
             if not unit.timeline.is_silent(due - scenario.start_ns):
                 yield number + place, due

@@ -69,8 +69,7 @@ class Timeline:
         every = np.arange(first, stop, dtype=np.int64)
         if span.fov_deg is None:
             return every
-        angle_deg = self.head.rotor.angle_deg(every * self.head.beams.sequence_ns)
-        code = azimuth_cdeg(self.head.rotor.encoder.read(angle_deg, first)[::2])
+        code = azimuth_cdeg(self.head.read(first, stop - first)[::2])
         begin, end = 100 * span.fov_deg[0], 100 * (span.fov_deg[1] + 1)
         inside = (code >= begin) & (code < end) if begin < end else (code >= begin) | (code < end)
         return every[np.repeat(inside, 2)]

@@ -15,7 +15,6 @@ from vlp16emu.store import user_store
 
 _EXTRAS = {
     "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
-    "cluster": (("distributed",), "dataset --scheduler"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
     "images": (("OpenEXR", "PIL"), "images"),

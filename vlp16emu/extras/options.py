@@ -41,6 +41,13 @@ def _numbers(names: str) -> Callable[[str], tuple[float, ...]]:
     return parse
 
 
+def _share(text: str) -> tuple[int, int]:
+    begin, _, end = text.partition(":")
+    if not all(word.isascii() and word.isdecimal() for word in (begin, end)) or int(begin) >= int(end):
+        raise ValueError(text)
+    return int(begin), int(end)
+
+
 @dataclass(frozen=True)
 class PointOptions(Span):
     """Points of a scene."""
@@ -168,7 +175,7 @@ class PictureLook(Options):
 
 @dataclass(frozen=True)
 class DatasetOptions(Options):
-    """Processes that make a dataset."""
+    """Which walks of a dataset are made, and by how many processes."""
 
     workers: Annotated[
         int | None,
@@ -179,11 +186,14 @@ class DatasetOptions(Options):
             le=1024,
         ),
     ] = None
-    scheduler: Annotated[
-        str | None,
+    share: Annotated[
+        Any,
         Option(
-            "A Dask scheduler, such as tcp://127.0.0.1:8786, whose workers have this version and see OUT under the same path.",
-            "ADDRESS",
+            "Walks of one of several machines: from number FROM on, without number TO. Copied into one OUT, shares are the dataset;"
+            " a run without --share checks them, and lists all.",
+            "FROM:TO",
+            parse=_share,
+            expected="two whole numbers, such as 0:50",
         ),
     ] = None
 
@@ -204,7 +214,11 @@ class ScoreInputs(Options):
     alignment: Annotated[
         str,
         Option(
-            "How the poses are laid on the truth; nothing else is moved.", None, "--align", words=("none", "yaw", "se3")
+            "How the poses are laid on the truth, nothing else is moved: by the first pose (start), as odometry begins anywhere; as a "
+            "whole (se3), or level (yaw); or not at all.",
+            None,
+            "--align",
+            words=("start", "none", "yaw", "se3"),
         ),
-    ] = "none"
+    ] = "start"
     radius_m: Annotated[float, Option("Farthest that a found stem is from a true one.", "M", gt=0, le=10)] = 0.5

@@ -50,7 +50,7 @@ class ForestSite:
         """Stems that the path leads around, with errors as of `stems_in_the_way`; None if it keeps its way."""
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
-            return stems_in_the_way(section)
+            return stems_in_the_way(section, self._seed)
         return None
 
     def world(

@@ -30,7 +30,14 @@ from vlp16emu.packets.layout import (
     SEQUENCES_PER_PACKET,
 )
 from vlp16emu.packets.nmea import parse_rmc, rmc
-from vlp16emu.packets.position import STAMP_LEAD_NS, PositionRate, first_position_packet, pack_position, position_due_ns
+from vlp16emu.packets.position import (
+    STAMP_LEAD_NS,
+    PositionRate,
+    first_position_packet,
+    pack_position,
+    position_due_ns,
+    positions_from_ns,
+)
 from vlp16emu.packets.reading import CaptureReader, PacketChunk, Summary, returns_in
 from vlp16emu.packets.units import CapturedUnit, chosen_unit, units_in
 
@@ -79,6 +86,7 @@ __all__ = [
     "packet_clock",
     "parse_rmc",
     "position_due_ns",
+    "positions_from_ns",
     "returns_in",
     "rmc",
     "scan_starts",

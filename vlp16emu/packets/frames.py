@@ -48,6 +48,8 @@ class Link:
     """UDP port of data packets at the destination."""
     position_port: int = POSITION_PORT
     """UDP port of position packets at the destination."""
+    identification: int = 0
+    """Of the first position frame; it counts on."""
 
 
 FACTORY_LINK = Link(
@@ -77,7 +79,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
     Parameters
     ----------
     payload : 512 bytes, fewer of a packet that is cut
-    number : position packets before it; its low 16 bits are the identification
+    number : position packets before it, by which the identification is greater than the first one; of both the low 16 bits
 
     Raises
     ------
@@ -86,7 +88,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
     if len(payload) > POSITION_BYTES:
         raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"at most {POSITION_BYTES}")
     header = bytearray(_position_header(link, len(payload)))
-    header[_IDENTIFICATION] = (number & 0xFFFF).to_bytes(2)
+    header[_IDENTIFICATION] = (link.identification + number & 0xFFFF).to_bytes(2)
     header[_IP_CHECKSUM] = _checksum(header[_IP])
     # Beside the datagram the sum takes in its addresses, protocol and length; a sum of 0 is sent as ones (RFC 768).
     pseudo = header[_ADDRESSES] + struct.pack(">2H", _UDP, _UDP_HEADER_BYTES + len(payload))

@@ -66,6 +66,11 @@ _SCHEDULES: dict[PositionRate, _Schedule] = {
 }
 
 
+def positions_from_ns(rate: PositionRate, start_ns: int, phase: float) -> int:
+    """Return the instant from which position packets are counted, so that `phase`, a share of their pattern, is over at `start_ns`."""
+    return start_ns - int(phase * _SCHEDULES[rate].cycle_ns)
+
+
 def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, count: int) -> I8:
     """Return the times (n,) at which position packets leave; the return mode does not matter (63-9243 Rev D, section 8.2.3).
 

@@ -23,8 +23,11 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
+from vlp16emu.returns.lost import lose, raised, two_surfaces
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOT,
+    RANGE_TAIL,
+    REFLECTIVITY_TAIL,
     code_step,
     heavier,
     no_return_multiples,
@@ -34,19 +37,28 @@ from vlp16emu.returns.noise import (
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
-from vlp16emu.types import F4, F8, I8, U1, Firings, Hits, Returns
+from vlp16emu.types import F4, F8, I8, U1, Firings, Hits, PlantPart, Returns
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
 _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
 _CODES_PER_M = 500.0  # of the distance on the wire, 2 mm
-_MOST_SILENT = 100.0  # where the reflectivity of no-returns ends on einride
+_MOST_SILENT = 100.0  # where wandering no-returns end on einride
+_DARKENED = 40.0  # code at which reflectivity moves no range
 _Pair = tuple[float, float]
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
 
 
-def detect(firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: UnitDetector, *, truth: bool) -> Returns:
+def detect(
+    firings: Firings,
+    hits: Hits,
+    surfaces: NDArray[np.void],
+    detector: UnitDetector,
+    *,
+    truth: bool,
+    block: int | None = None,
+) -> Returns:
     """Turn the hits of each pulse into its returns.
 
     Echoes are the peaks of the pulse's waveform (`vlp16emu.returns.echoes`); within the resolution of a stronger
@@ -63,25 +75,36 @@ def detect(firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: U
     ----------
     surfaces : (m,) `SURFACE`, the window's table
     truth : whether to keep of each return its range before errors, and the surface of the sub-ray that gave most of its light
+    block : firing sequences after which a laser forgets the pulse before, so that pieces make the whole; None for all of them
     """
     shape, constants, first = (*firings.t_ns.shape, 3), detector.constants, firings.index
     lasers = shape[1]
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
-    room = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.empty(3, np.int64)
+    peaks, noise = np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.zeros((3, lasers))
+    room = np.empty((COLUMNS, most)), peaks, np.empty(3, np.int64), noise
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
-    errors = _Errors(detector.range_bias_m, detector.range_beat_m, detector.drift_m(firings.t_ns[:, 0]), detector.gain)
-    _detect(constants, first, errors, rays, (*room, np.zeros((2, lasers))), distance_m, reflectivity, exact_m)
+    errors = _Errors(
+        detector.range_bias_m,
+        detector.range_beat_m,
+        detector.drift_m(firings.t_ns[:, 0]),
+        detector.gain,
+        firings.azimuth_deg[:, 0] // 45.0 % 2.0,
+        np.zeros(lasers) if detector.no_return is None else detector.no_return,
+        surfaces["part"] == PlantPart.NONE,
+    )
+    block = block or max(shape[0], 1)
+    _detect(constants, first, block, errors, rays, room, distance_m, reflectivity, exact_m)
     if detector.parity is not None:
         _count_unevenly(detector.parity, distance_m)
     if detector.no_return is not None:
         wander = detector.noise.no_return_wander
         knots = np.zeros((0, lasers))
         if wander:
-            knots = no_return_multiples(constants.seed, first, shape[0], lasers, wander)
-        _mark_silent(detector.no_return, knots, first, distance_m, reflectivity)
+            knots = no_return_multiples(constants.seed, first, shape[0], detector.no_return, wander)
+        _mark_silent(constants, detector.no_return, knots, first, block, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity)
     surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
@@ -90,18 +113,22 @@ def detect(firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: U
 
 
 class _Errors(NamedTuple):
-    """Errors of a unit, as in `UnitDetector`; `drift_m` (k,) at each firing sequence."""
+    """Properties of a unit, as in `UnitDetector`; `drift_m` and `sector` (k,) at each firing sequence, `smooth` (m,) of surfaces."""
 
     bias_m: F8
     beat_m: F8
     drift_m: F8
     gain: F8
+    sector: F8
+    no_return: F8
+    smooth: NDArray[np.bool_]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _detect(
     constants: DetectorConstants,
     first: int,
+    block: int,
     errors: _Errors,
     rays: SubRays,
     room: tuple[F8, F8, I8, F8],
@@ -113,20 +140,24 @@ def _detect(
 
     Parameters
     ----------
-    room : scratch for nodes, peaks, the peaks that are chosen and normal numbers
+    block : as in `detect`; it begins with row 0
+    room : scratch for nodes, peaks, the peaks that are chosen, and for normal numbers and the codes of the pulses before
     exact_m : output, ranges before errors; may be empty
     """
     nodes, peaks, chosen, noise = room
     stop, keeps_exact, lasers = ZERO, exact_m.shape[0] > 0, rays.counts.shape[1]
     columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
+    rates, before = constants.lost, noise[2]
     for i in range(rays.counts.shape[0]):
         n = first + i
-        slot = 24 * n % 5
+        slot, sector = 24 * n % 5, np.int64(errors.sector[i])
+        if i % block == 0:
+            before[:] = -1.0
         if constants.range_noise_m > 0.0 or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0:
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
-            error_m, gain = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5], errors.gain[j]
+            error_m, gain = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5], errors.gain[sector, j]
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
@@ -146,11 +177,21 @@ def _detect(
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
+            if rates.any > 0.0:
+                share = two_surfaces(*rays[1:], errors.smooth, start, stop) if lit > 1 else 0.0
+                key, dual = (constants.seed, n, j), not constants.strongest_only
+                lose(rates, key, share, before, errors.no_return[j], dual, distance_m[i, j], reflectivity[i, j])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _mark_silent(no_return: F8, knots: F8, first: int, distance_m: F4, reflectivity: U1) -> None:
-    """Fill in the reflectivity of pulses without any return: constant, or between knots (m, L) a multiple of that."""
+def _mark_silent(
+    constants: DetectorConstants, no_return: F8, knots: F8, first: int, block: int, distance_m: F4, reflectivity: U1
+) -> None:
+    """Fill in the reflectivity of pulses without any return: a constant of the laser, or a multiple of it.
+
+    Between knots (m, L) that wanders, and within a block it is raised beside a return.
+    """
+    rates, key = constants.lost, constants.seed
     origin = first // NO_RETURN_KNOT
     for i in range(distance_m.shape[0]):
         knot, rest = (first + i) // NO_RETURN_KNOT - origin, (first + i) % NO_RETURN_KNOT / NO_RETURN_KNOT
@@ -164,6 +205,11 @@ def _mark_silent(no_return: F8, knots: F8, first: int, distance_m: F4, reflectiv
                     wandered = knots[knot, j] + rest * (knots[knot + 1, j] - knots[knot, j])
                     code = min(code * max(1.0, np.floor(wandered)), _MOST_SILENT)
                 reflectivity[i, j, :_SECOND] = np.uint8(code)
+                if rates.raise_code > 0.0:
+                    rows = i, i // block * block, min((i // block + 1) * block, distance_m.shape[0])
+                    code, alone = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
+                    for column in range(_LAST if alone else _STRONGEST, _SECOND if code > 0.0 else 0):
+                        reflectivity[i, j, column] = np.uint8(code)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -244,11 +290,12 @@ def _measure(
     """Return measured distance and reflectivity; distance 0 below the least range, and nothing beyond the greatest."""
     range_noise, other_noise = noise
     reflectance = amplitude * range_m * range_m
-    measured_m = range_m + error_m
-    sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(100.0 * reflectance, 100.0)
+    shown = min(100.0 * reflectance, 100.0)
+    measured_m = range_m + error_m + constants.range_walk_m * (shown - _DARKENED)
+    sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * shown
     if constants.heavy_tails:
-        range_noise, other_noise = heavier(range_noise), heavier(other_noise)
-    counts = other_noise * sigma
+        range_noise, other_noise = heavier(range_noise, RANGE_TAIL), heavier(other_noise, REFLECTIVITY_TAIL)
+    counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * range_sigma_m(constants, reflectance, amplitude)
     if measured_m > constants.max_range_m:
@@ -314,7 +361,7 @@ def _write(
         sigma_m = range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:  # noise may put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
-            drawn = heavier(drawn) if constants.heavy_tails else drawn
+            drawn = heavier(drawn, RANGE_TAIL) if constants.heavy_tails else drawn
             if at_m + error_m + drawn * sigma_m > constants.max_range_m:
                 _leave_out(peaks, chosen, peak)
     for column in range(3):

@@ -7,6 +7,7 @@ import numpy as np
 
 from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, normal
+from vlp16emu.returns.lost import LossRates, loss_rates
 from vlp16emu.returns.noise import gain, no_return_reflectivity, range_beat_m, range_bias_m
 from vlp16emu.returns.settings import Detector, DetectorConstants, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
@@ -27,7 +28,7 @@ class UnitDetector:
     range_bias_m: F8
     """(L,)."""
     gain: F8
-    """(L,) factor on reflectivity."""
+    """(2, L) factor on reflectivity, in even and odd sectors of 45 deg."""
     range_beat_m: F8
     """(5,) error of the range by (24 sequence + laser) mod 5."""
     parity: F8 | None
@@ -63,6 +64,7 @@ class UnitDetector:
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
         own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()
+        walk = float(normal(seed, Purpose.UNIT_NOISE, 2, 1)[0])
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(
             seed=seed,
@@ -81,11 +83,13 @@ class UnitDetector:
             reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
             reflectivity_step=noise.reflectivity_step,
             heavy_tails=noise.heavy_tails,
+            range_walk_m=1e-3 * noise.range_walk_mm * walk,
+            lost=loss_rates(seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity),
         )
         return cls(
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
-            gain=gain(seed, lasers, noise.gain_spread),
+            gain=gain(seed, lasers, noise.gain_spread, noise.sector_gain_spread),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
             no_return=no_return_reflectivity(seed, lasers, noise.no_return_level)
@@ -101,9 +105,10 @@ class UnitDetector:
 
     def without_chance(self) -> Self:
         """Return a receiver of the same threshold in the same air that detects all echoes, without chance and without errors."""
-        errors = "amplitude_noise", "clutter", "range_noise", "reflectivity_"
+        errors = "amplitude_noise", "clutter", "range_noise", "range_walk", "reflectivity_"
         nothing: dict[str, Any] = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
-        constants = self.constants._replace(strongest_only=False, **nothing)
+        lost = LossRates(*[0.0] * len(LossRates._fields))
+        constants = self.constants._replace(strongest_only=False, lost=lost, **nothing)
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
         return type(self)(constants, none, one, np.zeros(5), None, None, Noise(preset="ideal"), self.power_up_ns)
 

@@ -29,13 +29,17 @@ _PRESETS: dict[str, dict[str, object]] = {
         "range_noise_m": 0.0058,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
-        "reflectivity_noise_share": 0.032,
+        "range_walk_mm": 0.13,
+        "reflectivity_noise_share": 0.026,
         "reflectivity_step": 2.0,
         "heavy_tails": True,
         "unit_spread": 0.15,
         "odd_codes_spread": 0.1,
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
+        "records_lost": 1.0,
+        "gain_spread": 0.075,
+        "sector_gain_spread": 0.04,
     },
 }
 
@@ -76,6 +80,8 @@ class Noise(Preset):
     """Elevation error of each laser of a unit, one sigma; assumption."""
     azimuth_error_deg: _Degrees = 0.02
     """Azimuth error of each laser of a unit, one sigma; assumption."""
+    range_walk_mm: Annotated[float, Field(ge=0, le=2)] = 0.0
+    """How much longer ranges are by one code of reflectivity, one sigma over units; 0.08, 0.16, -0.03 and -0.16 on real units."""
     warm_up_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
     """How much too long ranges are at power-up; no measurement is known."""
     warm_up_s: Positive = 900.0
@@ -88,14 +94,19 @@ class Noise(Preset):
     """Spacing of codes from 45 on, before the gain of the laser and by up to 45 % more with range; 1.6 to 2.2 on real units,
     and 3 at times. 0 sends every code."""
     heavy_tails: bool = False
-    """Whether white errors of range and reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real
-    units, instead of Gaussian."""
+    """Whether white errors of reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real units, instead of
+    Gaussian, and those of range a little so, with 3.3."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly these."""
     odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
     """Spread of the share of odd distance codes over the lasers, one sigma; 0.08 to 0.17 on real units."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
-    """Relative error of reflectivity per laser, one sigma; assumption."""
+    """Relative error of reflectivity per laser, one sigma; 0.07 to 0.10 on real units."""
+    sector_gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+    """By how much more that differs between even and odd sectors of 45 deg, half of it, one sigma."""
+    records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
+    """Records that are lost at steps of brightness or range, and where it is dark, as a multiple of those of real units, whose rates are
+    drawn. 0 for none."""
     weak_echoes_lost: bool = True
     """Whether there is a detection threshold, as `[detector]` has it."""
     no_return_reflectivity: bool = False
@@ -148,6 +159,18 @@ class Weather(Section):
         return ", ".join(parts) or None
 
 
+class LossRates(NamedTuple):
+    """Rates at which a unit loses records, as `vlp16emu.returns.lost` has them; 0 for none."""
+
+    step: float
+    up: float
+    down: float
+    dark: float
+    any: float
+    raise_code: float
+    """Code of a return beside which half of the no-returns are raised; 0 where none is."""
+
+
 class DetectorConstants(NamedTuple):
     """Constants of a unit's receiver in the weather of a run, in the form that compiled code takes.
 
@@ -177,3 +200,6 @@ class DetectorConstants(NamedTuple):
     reflectivity_step: float
     """0 where every code is sent."""
     heavy_tails: bool
+    range_walk_m: float
+    """Per code of reflectivity."""
+    lost: LossRates

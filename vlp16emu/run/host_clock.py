@@ -11,18 +11,19 @@ from vlp16emu.units import US_NS
 _LONGEST_US = 4_500.0
 """Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
 _LANES_PER_UNIT = 8
+_MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0
 
 
 def _own(section: CaptureClock, seed: int) -> CaptureClock:
     """Sample the host of one run."""
-    if not section.host_spread:
-        return section
     names = "jitter_us", "late_share", "late_us"
-    drawn = normal(seed, Purpose.CAPTURE_HOST, 0, len(names))
-    own = {
-        name: getattr(section, name) * exp(float(section.host_spread * z)) for name, z in zip(names, drawn, strict=True)
-    }
-    return section.model_copy(update=own)
+    *drawn, rate, offset = normal(seed, Purpose.CAPTURE_HOST, 0, len(names) + 2).tolist()
+    real = section.preset != "ideal"
+    clock = {"ppm": real * (_MIDDLE_PPM + _SPREAD_PPM * rate), "ahead_ms": real * _AHEAD_MS * offset}
+    own = {name: getattr(section, name) * exp(section.host_spread * z) for name, z in zip(names, drawn, strict=True)}
+    return section.model_copy(
+        update=own | {key: value for key, value in clock.items() if getattr(section, key) is None}
+    )
 
 
 class HostClock:
@@ -34,12 +35,13 @@ class HostClock:
     ----------
     section : of the scene
     seed : of the scene
-    start_ns : UTC of the first pulse, at which both clocks agree
+    start_ns : UTC of the first pulse
     """
 
     def __init__(self, section: CaptureClock, seed: int, start_ns: int) -> None:
         self._section, self._seed, self._start_ns = _own(section, seed), seed, start_ns
-        self._is_ideal = not (section.ppm or section.jitter_us or section.late_share)
+        section = self._section
+        self._is_ideal = not (section.ppm or section.ahead_ms or section.jitter_us or section.late_share)
         self._latest_ns = 0
 
     def stamped(self, packet: Packet) -> Packet:
@@ -47,7 +49,8 @@ class HostClock:
         if self._is_ideal:
             return packet
         since_ns = packet.due_ns - self._start_ns
-        moved_ns = round(since_ns * self._section.ppm * 1e-6 + self._delay_us(packet) * US_NS)
+        off_ns = since_ns * 1e-6 * (self._section.ppm or 0.0) + 1e6 * (self._section.ahead_ms or 0.0)
+        moved_ns = round(off_ns + self._delay_us(packet) * US_NS)
         self._latest_ns = max(self._latest_ns, packet.due_ns + moved_ns)
         return replace(packet, due_ns=self._latest_ns)
 

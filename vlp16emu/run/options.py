@@ -6,7 +6,7 @@ Of no library: `vlp16emu stream --help` reads nothing else.
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from vlp16emu.errors import InputError
 from vlp16emu.options import Option, Options
@@ -75,11 +75,35 @@ TruthPlace = str | Path | TruthTo
 
 
 @dataclass(frozen=True)
+class BagOptions(Options):
+    """Options of a bag."""
+
+    slam: Annotated[
+        str | None,
+        Option(
+            "Write beside a bag the configuration that a SLAM program reads for it, such as fast-lio2 or kiss-icp, or all of them.",
+            "NAME",
+            "--for",
+        ),
+    ] = None
+    tf: Annotated[
+        str,
+        Option(
+            "What the true pose in /tf of a bag moves: a frame of its own, so that a SLAM program can move base_link (slam), or "
+            "base_link, to look at clouds without one (truth).",
+            words=("slam", "truth"),
+        ),
+    ] = "slam"
+
+
+@dataclass(frozen=True)
 class RecordOptions(Span):
     """Options of a recording."""
 
     split: Annotated[bool, Option("Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")] = False
     truth: TruthPlace | None = None
+    bag: BagOptions | None = None
+    """None for a bag with the defaults, or no bag."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +120,16 @@ class SendOptions(Options):
     ] = None
     data_port: Annotated[
         int | None,
-        Option("Receiver's port for data packets, instead of sensor.data_port.", "PORT", ge=1, le=_LAST_PORT),
+        Option(
+            "Receiver's port for data packets, instead of sensor.data_port; 0 for a free one, of each sensor.",
+            "PORT",
+            ge=0,
+            le=_LAST_PORT,
+        ),
     ] = None
     position_port: Annotated[
         int | None,
-        Option("The same for position packets, instead of sensor.position_port.", "PORT", ge=1, le=_LAST_PORT),
+        Option("The same for position packets, instead of sensor.position_port.", "PORT", ge=0, le=_LAST_PORT),
     ] = None
     speed: Annotated[float, Option("Simulated seconds per second.", "X", ge=_SLOWEST)] = 1.0
     late: Annotated[
@@ -178,6 +207,8 @@ class Http(Options):
     """File of the first sensor; those of others have its name with their number."""
     serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
     """Called with the address and port of each, before the first packet leaves."""
+    controlled: Callable[[Any], None] = lambda _: None
+    """Called before that with the `Control` that sets the sensors."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -288,7 +319,7 @@ class StreamOptions(SendOptions):
 
     @property
     def settings(self) -> dict[str, object]:
-        """Settings of the scene that the ports change."""
+        """Settings of the scene that the ports change; a port of 0 stands for a free one."""
         _, data_port = self.receiver
         ports = {"sensor.data_port": data_port, "sensor.position_port": self.position_port}
         return {key: port for key, port in ports.items() if port is not None}

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
-from vlp16emu.errors import OutputError
+from vlp16emu.errors import InputError, OutputError
 from vlp16emu.output import STDOUT, spare
 from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
@@ -49,7 +49,7 @@ def record(
     paths = _paths_of_units(Path(path), len(run.engine.parts.units)) if options.split else [Path(path)]
     for one in paths:
         spare(run.files, one)
-    files = _files(run, path, paths, truth, split=options.split)
+    files = _files(run, path, paths, truth, options)
     run, scenario, stop = run.with_truth_in(truth), run.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
     clock = CaptureClock(preset="ideal") if as_due else scenario.capture
@@ -107,17 +107,21 @@ def _is_bag(name: str | Path) -> bool:
 
 
 def _files(
-    run: Run, name: str | Path, paths: Sequence[Path], truth: TruthTo | None, *, split: bool
+    run: Run, name: str | Path, paths: Sequence[Path], truth: TruthTo | None, options: RecordOptions
 ) -> AbstractContextManager[Sequence[FileSink]]:
     """Return the files of a run, which are opened when they are entered: captures, or a bag."""
     links = [unit.link for unit in run.engine.parts.units]
     if not _is_bag(name):
         check_ending(paths[0])
+        if options.bag is not None:
+            raise InputError(
+                "--for and --tf", f"found the capture {paths[0]}", "a bag: .mcap, .bag or a slash at the end"
+            )
         return _captures(paths, links)
-    if split:
+    if options.split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")
     rate_hz = (truth or TruthTo(paths[0])).rate_hz
-    bag: AbstractContextManager[Sequence[FileSink]] = door("bag")(paths[0], run.engine, rate_hz)
+    bag: AbstractContextManager[Sequence[FileSink]] = door("bag")(paths[0], run.engine, rate_hz, options.bag)
     return bag
 
 

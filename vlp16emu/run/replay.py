@@ -1,6 +1,7 @@
 """A capture sent again: its packets at their own pace, from any VLP-16."""
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from ipaddress import ip_address
 from pathlib import Path
@@ -13,7 +14,7 @@ from vlp16emu.packets.frames import FACTORY_LINK, POSITION_PORT, Link
 from vlp16emu.packets.retime import moved
 from vlp16emu.run.options import ReplayOptions
 from vlp16emu.run.report import OfUnits, UnitSent
-from vlp16emu.sinks import FellBehind, Late, Pacer, RigSink, StreamReport, stream
+from vlp16emu.sinks import FellBehind, Late, Pacer, RigSink, StreamReport, free_ports, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -45,6 +46,8 @@ class Replay:
         self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
         self.units = units_in(path, required=True)
         """In order of address, then of port."""
+        self.links = [_link(unit) for unit in self.units]
+        """Where the packets of each are sent."""
         self.passes = 0
         """Begun so far."""
         self.left_out = 0
@@ -121,7 +124,7 @@ def replay(
     Parameters
     ----------
     path : capture of any VLP-16
-    opened : called once before the first packet
+    opened : called once before the first packet, when `links` of the replay have the ports
     progress : called with the seconds of the capture so far, packet by packet
     notify : called each time that the packets fall behind
     stop : ends it from another thread
@@ -138,17 +141,25 @@ def replay(
     """
     asked = ReplayOptions(**options)
     to, data_port = asked.receiver
+    given = data_port, asked.position_port
     packets = Replay(Path(path), loop=asked.loop, keep_gaps=asked.keep_gaps)
-    if len(packets.units) > 1 and (data_port or asked.position_port):
+    if len(packets.units) > 1 and given != (None, None):
         raise InputError(str(path), f"{len(packets.units)} sensors", "one, where ports are given")
-    links = [_link(unit, data_port, asked.position_port) for unit in packets.units]
     first = list[int]()
 
     def sent(due_ns: int) -> None:
         first.append(due_ns) if not first else None
         progress((due_ns - first[0]) / S_NS)
 
-    with RigSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent) as rig:
+    with ExitStack() as stack:
+        free = iter(stack.enter_context(free_ports(given.count(0))))
+        data_port, position_port = (next(free) if port == 0 else port for port in given)
+        links = packets.links = [
+            replace(link, data_port=data_port or link.data_port, position_port=position_port or link.position_port)
+            for link in packets.links
+        ]
+        rig = RigSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
+        stack.enter_context(rig)
         opened(packets)
         report = stream(
             packets, rig, Pacer(asked.speed), late=Late(asked.late), notify=notify, now=asked.now, stop=stop
@@ -160,11 +171,7 @@ def replay(
     return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), report)
 
 
-def _link(unit: CapturedUnit, data_port: int | None, position_port: int | None) -> Link:
-    captured = next(iter(unit.position_ports), POSITION_PORT)
-    return replace(
-        FACTORY_LINK,
-        source=str(ip_address(unit.source)),
-        data_port=data_port or unit.data_port,
-        position_port=position_port or captured,
-    )
+def _link(unit: CapturedUnit) -> Link:
+    position_port = next(iter(unit.position_ports), POSITION_PORT)
+    source = str(ip_address(unit.source))
+    return replace(FACTORY_LINK, source=source, data_port=unit.data_port, position_port=position_port)

@@ -108,9 +108,17 @@ class Run:
         """Return a run with some settings changed, if they are not as wanted."""
         if all(attrgetter(key)(self.scenario) == value for key, value in settings.items()):
             return self
+        return self._changed(settings)
+
+    def with_texts(self, settings: Sequence[str]) -> Self:
+        """Return a run with some settings changed, each KEY=VALUE as on the command line."""
+        return self._changed(settings)
+
+    def _changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
         engine, is_audited = self.engine, self.audit is not None
         changed = type(self).of(self.scenario, settings, threads=engine.threads, audit=is_audited, like=engine)
-        return replace(changed, name=self.name, files=self.files)
+        engine = replace(changed.engine, truth_of=engine.truth_of)
+        return replace(changed, engine=engine, name=self.name, files=self.files)
 
     def with_truth_in(self, to: TruthTo | None) -> Self:
         """Return a run whose packets carry the ground truth of their records, if `to` asks for it."""

@@ -1,13 +1,14 @@
 """A scene over UDP in real time."""
 
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 from typing import Any
 
 from vlp16emu.doors import door
+from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.run.feed import PacketFeed
@@ -26,6 +27,7 @@ from vlp16emu.sinks import (
     SinkByKind,
     StreamReport,
     UnderWay,
+    free_ports,
     stream,
 )
 from vlp16emu.types import Packet, PacketKind
@@ -38,8 +40,10 @@ class StreamHooks:
 
     watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink
     """Called with the sink of the packets and their clock; returns the sink that takes them instead."""
-    opened: Callable[[], None] = lambda: None
-    """Called once before the first packet is computed, when the sockets are open."""
+    opened: Callable[[Sequence[Unit]], None] = lambda _: None
+    """Called with the sensors, which have their ports, before the first packet is computed, when the sockets are open."""
+    look_ahead: int = LOOK_AHEAD_PACKETS
+    """Packets of a sensor that are computed before the first one leaves."""
     preparing: Callable[[float], None] = lambda _: None
     """Called with the simulated seconds computed so far into `prepare`."""
     progress: Callable[[float], None] = lambda _: None
@@ -54,11 +58,11 @@ def stream_run(run: Run, options: StreamOptions, hooks: StreamHooks) -> Streamed
     """Send the packets of a run over UDP, each at its time; errors as `Emulator.stream`."""
     (host, _), truth = options.receiver, TruthTo.of(options.truth)
     _check(options, truth)
-    run, stop = run.with_truth_in(truth), hooks.stop or Event()
-    pacer, policy = Pacer(options.speed), Late(options.late)
-    scenario, parts = run.scenario, run.engine.parts
-    span_s = scenario.span_s(0.0, options.duration_s)
+    pacer, policy, stop = Pacer(options.speed), Late(options.late), hooks.stop or Event()
     with ExitStack() as stack:
+        run = stack.enter_context(_on_ports(run.with_truth_in(truth), options))
+        scenario, parts = run.scenario, run.engine.parts
+        span_s = scenario.span_s(0.0, options.duration_s)
         stack.enter_context(run.engine.windows.stopped_by(stop))
         is_live = takes_poses(scenario.motion) or options.poses is not None
         flight = stack.enter_context(door("live")(run, options.poses)) if is_live else None
@@ -68,13 +72,15 @@ def stream_run(run: Run, options: StreamOptions, hooks: StreamHooks) -> Streamed
         feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
         sink = stack.enter_context(_rig(run, options, host, hooks))
         ways = stack.enter_context(outlets.opened(scenario.imu)) if outlets else {}
-        hooks.opened()
+        hooks.opened(parts.units)
         packets = _packets(run, options, hooks, feed, span_s, stack, stop)
         way = hooks.watched(SinkByKind(sink, ways) if ways else sink, pacer)
-        clock = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, scenario.sensor.powered_for_s)
+        clock = options.gps_in and door("gps_in")(
+            options.gps_in, scenario.gps, parts.units[0].section.powered_for_s or 0.0
+        )
         way = stack.enter_context(clock).sink(way) if clock else way
         way = flight.begun(way, pacer, now=options.now) if flight else way
-        ahead = len(parts.units) * (flight.look_ahead if flight else LOOK_AHEAD_PACKETS)
+        ahead = len(parts.units) * (flight.look_ahead if flight else hooks.look_ahead)
         report = stream(
             packets,
             way,
@@ -93,6 +99,21 @@ def stream_run(run: Run, options: StreamOptions, hooks: StreamHooks) -> Streamed
     report = replace(report, skipped=report.skipped + feed.skipped)
     made = live, clock.result if clock else None
     return _streamed(run, replace(options, to=host, late=policy), report, sink, ways, *made)
+
+
+@contextmanager
+def _on_ports(run: Run, options: StreamOptions) -> Iterator[Run]:
+    """Yield the run with the ports of the options; those of 0 are free ones, one for each sensor, which are reserved meanwhile."""
+    settings, rig = options.settings, run.scenario.rig
+    free = [key for key, port in settings.items() if port == 0]
+    with free_ports(len(free) * (1 + len(rig))) as ports:
+        given = iter(ports)
+        settings |= {key: next(given) for key in free}
+        if free and rig:
+            own = [{key.removeprefix("sensor."): next(given) for key in free} for _ in rig]
+            tables = (unit.model_dump(mode="json", exclude_none=True) for unit in rig)
+            settings["rig"] = [table | keys for table, keys in zip(tables, own, strict=True)]
+        yield run.with_settings(settings)
 
 
 def _streamed(

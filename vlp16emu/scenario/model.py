@@ -24,7 +24,7 @@ from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.settings import OneOf, Section, Seed
 from vlp16emu.units import S_NS, US_NS
-from vlp16emu.world import Wind, WorldSection
+from vlp16emu.world import People, Wind, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
@@ -65,7 +65,8 @@ class Scenario(Section):
     """Seed of all random numbers: the same scenario and seed give the same bytes. `world.seed`, `motion.seed` and `sensor.seed`
     take its place for the stand, the walk and the sensor."""
     start_utc: Annotated[AwareDatetime, BeforeValidator(_from_text)] = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
-    """When the first pulse is fired, from 1970 to 2105."""
+    """When the first pulse is fired, from 1970 to 2105. Within a whole second the instant is drawn, unless `sensor.preset` is `steady`; one
+    with a fraction of a second is kept."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
     """Length of a recording, unless the command gives another."""
     sensor: AnySensor = Sensor()
@@ -88,6 +89,11 @@ class Scenario(Section):
     """What the sensor sees."""
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
+    people: People | None = None
+    """People beside a carrier who walks; none without it."""
+    conditions: Literal["perfect", "field"] = "perfect"
+    """`field` gives the keys that make a real walk harder, where they are not given: errors of the extrinsics, a `mast` that
+    bends, `imu.preset = "field"`, a light wind in a forest, and `people`."""
 
     @field_validator("start_utc")
     @classmethod
@@ -136,6 +142,14 @@ class Scenario(Section):
             raise ValueError("none in a hall, which has no trees")
         return wind
 
+    @field_validator("people")
+    @classmethod
+    def _goes_on_foot(cls, people: People | None, info: ValidationInfo) -> People | None:
+        motion = info.data.get("motion")
+        if people is not None and motion is not None and motion.kind != "walk":
+            raise ValueError("none beside a motion that is no walk")
+        return people
+
     @property
     def world_seed(self) -> int:
         """Seed of what the sensor sees."""
@@ -158,8 +172,13 @@ class Scenario(Section):
     @property
     def start_ns(self) -> int:
         """UTC of the first pulse, ns since 1970."""
+        from vlp16emu.random import Purpose, uniform  # here: a scene is read without numba
+
         since = self.start_utc.astimezone(UTC) - _FIRST_START
-        return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
+        within_ns = since.microseconds * US_NS
+        if not within_ns and self.sensor.preset == "unit":
+            within_ns = int(uniform(self.sensor_seed, Purpose.POWER_UP, 0, 1, 3)[0] * S_NS)
+        return (since.days * 86400 + since.seconds) * S_NS + within_ns
 
     def span_s(self, start_s: float, duration_s: float | None, *, where: str = "start_s") -> tuple[float, float]:
         """Return begin and end of a run, in seconds since the first pulse; without a duration it ends with the scene.

@@ -33,6 +33,12 @@ class Head:
         laser = np.arange(len(beams.elevation_deg), dtype=np.int64) * beams.laser_ns
         return np.asarray(sequence[:, None] + laser)
 
+    def read(self, first: int, count: int) -> Array:
+        """Return what the encoder reads at `count` firing sequences from number `first` on, (count,) deg."""
+        elapsed_ns = np.arange(first, first + count, dtype=np.int64) * self.beams.sequence_ns
+        clock_ns = self.clock.reading_ns(self.start_ns + elapsed_ns)
+        return self.rotor.read(self.rotor.angle_deg(elapsed_ns), elapsed_ns, first, clock_ns)
+
     def aim(self, first: int, count: int, poses_at: Callable[[IntArray], Poses], *, beam_axis: bool = False) -> Firings:
         """Return the pulses of `count` firing sequences from number `first` on.
 
@@ -43,7 +49,7 @@ class Head:
         """
         beams = self.beams
         t_ns = self.times_ns(first, count)
-        azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
+        azimuth_deg, clock_ns = self.rotor.angle_deg(t_ns - self.start_ns), self.clock.reading_ns(t_ns[:, 0])
         origin_m, direction = np.empty((*t_ns.shape, 3)), np.empty((*t_ns.shape, 3))
         level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
         elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
@@ -56,9 +62,9 @@ class Head:
         return Firings(
             index=first,
             t_ns=t_ns,
-            clock_ns=self.clock.reading_ns(t_ns[:, 0]),
+            clock_ns=clock_ns,
             azimuth_deg=azimuth_deg,
-            reading_deg=self.rotor.encoder.read(azimuth_deg[:, 0].copy(), first),
+            reading_deg=self.rotor.read(azimuth_deg[:, 0].copy(), t_ns[:, 0] - self.start_ns, first, clock_ns),
             origin_m=origin_m,
             direction=direction,
             beam_axis=level if beam_axis else None,

@@ -15,12 +15,22 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import HOUR_NS, S_NS
 
-_HUM_SEQUENCES = 25
-"""Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
-_FAST = 0.85
-"""Excess of the higher of two speeds between lines, as a share of what the lower one lacks: 1.21 beside 0.765 on real units."""
+_TICK_NS, _LATEST_TICK_NS = 1_200, (500, 300)
+"""Period of the clock by which the encoder is read, and when it ticks within the stamp: on mrpt, einride and nebula, and on the unit of
+2014. A block has 92.16 ticks, which makes a line at 0.16 cycles per block."""
+_CDEG_PER_LASER = 6.0 * 2.304e-4
+"""Hundredths of a degree in 2.304 us, the period of a firing, at 1 rpm."""
+_SPEEDS_CDEG = np.array([0.25, 0.375, 0.5, 0.625, 1.0, 1.25, 2.0, 2.5, 4.0])
+"""Speeds of the reading between two lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300 rpm, 5/8 and 1 at 500 and 600 rpm, 5/4
+and 2 at 1200 rpm on real units; the first and the last are assumptions."""
+_LAG, _LEAD, _LEADS_FROM_RPM = 0.945, 1.17, 750.0
+"""Mean speed of the reading between two lines over the true one. Shares of the faster are 0.15, 0.06 and 0.43 at 300, 500 and 600 rpm, and 0.93
+at 1200 rpm, where the reading waits at the last code of a line. Where one law takes over from the other is an assumption."""
+_RATE_ERROR = 0.2464
+"""What 5/8 of a hundredth in 2.304 us lack at 600 rpm."""
 _SLOW_SHARES = 0.95, 0.61, 0.22, 0.47
-"""Share of readings with the lower one behind each of four lines in turn (mrpt, nebula, einride: within 0.05 of these)."""
+"""Share of readings with the lower one behind each of four lines in turn, at 600 rpm (mrpt, nebula, einride: within 0.05 of these)."""
+_SLOW = sum(_SLOW_SHARES) / len(_SLOW_SHARES)
 _HALF_WIDTH = math.sqrt(3.0)
 """Half-width of an even distribution, in standard deviations."""
 _SHORT_DEG = 1e-5
@@ -102,21 +112,26 @@ class Swing:
         return self.amplitude_ns * per_ns * cos(per_ns * elapsed_ns + self.phase_rad)
 
     @classmethod
-    def sample(cls, seed: int, error_rpm: float, wander_rpm: float) -> "tuple[Swing, ...]":
+    def sample(cls, seed: int, error_rpm: float, wander_rpm: float, *, is_exact: bool = False) -> "tuple[Swing, ...]":
         """Sample the swings of one unit: one of its mean speed, over minutes, and two within seconds, at 600 rpm.
 
         A unit (einride) was 0.04 deg off an even turn within half a second, others 0.02.
+
+        Parameters
+        ----------
+        is_exact : the mean speed at the start is off by `error_rpm`, which else is one sigma
         """
         draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 8)
         sigmas = normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1)
+        sigma, phase_rad = (1.0, 0.0) if is_exact else (float(sigmas[0]), (draws[1] - 0.5) * 0.5)
         wanted = (
-            (error_rpm * float(sigmas[0]), 60.0 + 120.0 * draws[0], (draws[1] - 0.5) * 0.5),
+            (error_rpm * sigma, 60.0 + 120.0 * draws[0], phase_rad),
             (wander_rpm * 2.0 * draws[2], 0.3 + 0.5 * draws[3], 2.0 * math.pi * draws[4]),
             (wander_rpm * 2.0 * draws[5], 0.9 + 2.0 * draws[6], 2.0 * math.pi * draws[7]),
         )
         return tuple(
-            cls(rpm / 600.0 * period_s * S_NS / (2.0 * math.pi), period_s * S_NS, float(phase_rad))
-            for rpm, period_s, phase_rad in wanted
+            cls(rpm / 600.0 * period_s * S_NS / (2.0 * math.pi), period_s * S_NS, float(at_start_rad))
+            for rpm, period_s, at_start_rad in wanted
             if rpm
         )
 
@@ -135,16 +150,18 @@ class Encoder:
     """Error once per revolution; it crosses zero upwards at the angle of its phase."""
     twice: Sine = (0.0, 0.0)
     """Error twice per revolution."""
-    hum: Sine = (0.0, 0.0)
-    """Error with a period of 12.5 firing sequences."""
+    hum_deg: float = 0.0
+    """Half the height of the sawtooth that comes of reading at ticks of a clock, at 600 rpm."""
+    tick_ns: int = _LATEST_TICK_NS[0]
+    """When that clock ticks within the sensor's stamp."""
     noise_deg: float = 0.0
-    """White error of each reading, one sigma; 0 switches it off."""
+    """White error of each reading, one sigma; with lines at 600 rpm. 0 switches it off."""
     noise_limit_deg: float = math.inf
     """Value at which the white error of an even encoder is cut."""
     pitch_deg: float = 0.0
     """Spacing of the lines; 0 for an even encoder."""
     rate_error: float = 0.0
-    """Share of the speed that the lower of the two lacks."""
+    """Share of the speed that the lower of the two lacks at 600 rpm; at other speeds as much more or less as there."""
     first_deg: float = 0.0
     """Reading of the line behind which readings have the first of `slow_shares`."""
     slow_shares: Sequence[float] = _SLOW_SHARES
@@ -159,37 +176,59 @@ class Encoder:
             seed=seed,
             once=(section.eccentricity_deg * factor[0], (section.eccentricity_phase_deg + turned_deg[0]) % 360.0),
             twice=(section.twice_per_turn_deg * factor[1], turned_deg[1]),
-            hum=(section.hum_deg * factor[2], turned_deg[2]),
+            hum_deg=section.hum_deg * (1.0 + 0.1 * (factor[2] - 1.0)),
+            tick_ns=_LATEST_TICK_NS[int(spread > 0.0 and own[5] < 0.2)],
             noise_deg=section.azimuth_noise_deg,
             noise_limit_deg=0.1,  # so that no reading of an even encoder is behind the one before it (assumption)
             pitch_deg=section.encoder_pitch_deg,
-            rate_error=section.encoder_rate_error * (1.0 + spread * (0.2 * own[7] - 0.1)),
+            rate_error=section.encoder_rate_error,
             first_deg=math.floor(20.0 * own[6]) / 100,
             slow_shares=np.clip(_SLOW_SHARES + spread * (0.3 * own[8:] - 0.15), 0.0, 1.0).tolist(),
         )
 
-    def read(self, angle_deg: Array, first: int) -> Array:
-        """Return readings (k,), [0, 360), at true angles (k,) of firing sequences `first` and on."""
+    def read(self, angle_deg: Array, first: int, clock_ns: IntArray, rpm: Array | float) -> Array:
+        """Return readings (k,), [0, 360), at true angles (k,) of firing sequences `first` and on.
+
+        Parameters
+        ----------
+        clock_ns : (k,) the sensor's clock at these instants, to whose ticks the encoder is read
+        rpm : (k,) speeds, or one that holds for all
+        """
         reading = _with_sine(angle_deg, angle_deg - self.once[1], self.once[0])
         reading = _with_sine(reading, 2.0 * reading - self.twice[1], self.twice[0])
-        number = (first + np.arange(len(reading))) % _HUM_SEQUENCES
-        reading = _with_sine(reading, 720.0 / _HUM_SEQUENCES * number + self.hum[1], self.hum[0])
+        if self.hum_deg:
+            since_tick = (clock_ns - self.tick_ns) % _TICK_NS / _TICK_NS
+            reading = reading + self.hum_deg * rpm / 600.0 * (1.0 - 2.0 * since_tick)
         if self.pitch_deg:
-            return self._between_lines(reading, first) % 360.0
+            return self._between_lines(reading, first, np.asarray(rpm)) % 360.0
         if self.noise_deg:
             drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
             reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
         return np.asarray(reading % 360.0)
 
-    def _between_lines(self, angle_deg: Array, first: int) -> Array:
+    def _between_lines(self, angle_deg: Array, first: int, rpm: Array) -> Array:
         # The white error is here one of when a line is seen: early or late, evenly.
         early = 2.0 * uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
-        angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * early
+        angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * rpm / 600.0 * early
         line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
+        slow, fast, slow_share = _speeds(rpm)
+        # Of the four lines each keeps its rank: all shares fall to 0, or rise to 1, with their mean.
         share = np.take(self.slow_shares, line.astype(int) % len(self.slow_shares))
+        share = np.where(
+            slow_share < _SLOW, share * slow_share / _SLOW, 1.0 - (1.0 - share) * (1.0 - slow_share) / (1.0 - _SLOW)
+        )
         is_slow = uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
-        rate = np.where(is_slow, 1.0 - self.rate_error, 1.0 + _FAST * self.rate_error)
+        rate = 1.0 + self.rate_error / _RATE_ERROR * (np.where(is_slow, slow, fast) - 1.0)
         return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
+
+
+def _speeds(rpm: Array) -> tuple[Array, Array, Array]:
+    """Return the two speeds of a reading between lines over the true one, and the share of the slower; all of the shape of `rpm`."""
+    true_cdeg = _CDEG_PER_LASER * np.maximum(np.abs(rpm), 1.0)
+    mean_cdeg = true_cdeg * np.where(np.abs(rpm) < _LEADS_FROM_RPM, _LAG, _LEAD)
+    faster = np.clip(np.searchsorted(_SPEEDS_CDEG, mean_cdeg), 1, len(_SPEEDS_CDEG) - 1)
+    low, high = _SPEEDS_CDEG[faster - 1], _SPEEDS_CDEG[faster]
+    return low / true_cdeg, high / true_cdeg, np.clip((high - mean_cdeg) / (high - low), 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +265,21 @@ class Rotor:
         for wobble in self.wobbles:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
+
+    def read(self, angle_deg: Array, elapsed_ns: IntArray, first: int, clock_ns: IntArray) -> Array:
+        """Return what the encoder reads, (k,) [0, 360), at true angles (k,) of firing sequences `first` and on.
+
+        Parameters
+        ----------
+        elapsed_ns : (k,) times since the start
+        clock_ns : (k,) the sensor's clock
+        """
+        rpm: Array | float = self.spins[0].rpm
+        if len(self.spins) > 1:
+            of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
+            begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[of].T
+            rpm = begin_rpm + per_s * (elapsed_ns - begin_ns) / S_NS
+        return self.encoder.read(angle_deg, first, clock_ns, rpm)
 
     def revolutions(self, elapsed_ns: int) -> float:
         """Return the turns from the start to a time; a wobble adds none, as it comes back."""
@@ -291,12 +345,16 @@ class ClockSpan:
     reading_ns: int | None = None
     """Reading at that instant of a clock that runs free; None if it is locked to GPS."""
     error_ppm: float = 0.0
-    """Rate error of a clock that runs free; positive is fast."""
+    """Rate error, positive is fast; of a clock that is locked, fast in one second and slow in the next."""
 
     def reading(self, t_ns: IntArray) -> IntArray:
         """Return nanoseconds past the counter's hour at UTC instants of any shape; before the span its first reading."""
         if self.reading_ns is None:
-            return np.asarray(t_ns % HOUR_NS)
+            if not self.error_ppm:
+                return np.asarray(t_ns % HOUR_NS)
+            in_two_s = t_ns % (2 * S_NS)
+            ahead = np.rint(np.minimum(in_two_s, 2 * S_NS - in_two_s) * (self.error_ppm * 1e-6)).astype(np.int64)
+            return np.asarray((t_ns + ahead) % HOUR_NS)
         since = np.maximum(t_ns - self.from_ns, 0)
         if self.error_ppm:
             since = since + np.rint(since * (self.error_ppm * 1e-6)).astype(np.int64)

@@ -17,10 +17,10 @@ _PRESETS: dict[str, dict[str, object]] = {
     "steady": {},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "azimuth_noise_deg": 0.0024,
+        "azimuth_noise_deg": 0.0017,
         "encoder_pitch_deg": 0.05,
         "twice_per_turn_deg": 0.0078,
-        "hum_deg": 0.0012,
+        "hum_deg": 0.0019,
         "rotation_spread": 0.45,
         "speed_error_rpm": 0.5,
         "speed_wander_rpm": 0.08,
@@ -49,46 +49,48 @@ class Lidar(Preset):
     presets = _PRESETS
 
     preset: Literal["steady", "unit"] = "unit"
-    """Values of the errors of rotation that are not given beside it: `unit` draws those by which real units differ, `steady`
-    turns evenly."""
+    """Values of the errors of rotation that are not given beside it: `unit` draws those by which real units differ, and the state in
+    which the run finds it; `steady` turns evenly, and is switched on as the run begins."""
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
     """Echoes that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
     max_range_m: Annotated[float, Field(gt=0.5, le=131.07, validate_default=True)] = 100.0
     """Farther targets are lost; 100 m in the data sheet, 131.07 m is the largest code."""
-    start_azimuth_deg: Degrees = 0.1
-    """True rotor angle at the first firing. The default is just past north, and so are the encoder's readings: a recording begins
-    with a whole scan."""
+    start_azimuth_deg: Degrees | None = None
+    """True rotor angle at the first firing; drawn unless given, and with `steady` 0.1, just past north, so that a recording begins with a
+    whole scan."""
     eccentricity_deg: Annotated[float, Field(ge=0, le=1)] = 0.06
     """Amplitude of the encoder's once-per-revolution error; real units show 0.03 to 0.09. 0 switches it off."""
     eccentricity_phase_deg: Degrees = 40.0
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
-    """White error of each azimuth reading, one sigma; with an encoder of lines, of when a line is seen, spread evenly: within 2.304 us,
-    the period of a firing, it is 0.0024 at 600 rpm. 0 switches it off."""
+    """White error of each azimuth reading, one sigma; with an encoder of lines at 600 rpm, of when a line is seen: 0.0017 is an even spread
+    over 1.6 us, at all speeds. 0 switches it off."""
     encoder_pitch_deg: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
     encoder."""
     encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.24
-    """Share by which the speed of the reading between two lines is too low, in some readings; in the others it is too high by
-    0.85 of it. 0.24 on real units."""
+    """Share by which the speed of the reading between two lines is too low at 600 rpm, in some readings; in the others it is too high by
+    0.85 of it. 0.24 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1, 5/4 and 2 hundredths in 2.304 us at all speeds."""
     twice_per_turn_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Amplitude of the encoder's twice-per-revolution error; real units show 0.006 to 0.010. 0 switches it off."""
     hum_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.0
-    """Amplitude of an error of the reading that repeats every 12.5 firing sequences, 1447 Hz, at all speeds; real units show
-    0.001 to 0.003."""
+    """Half the height of the sawtooth that comes of reading the encoder at ticks of 1.2 us, at 600 rpm; 0.0018 to 0.002 on real units.
+    0 switches it off."""
     rotation_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the amplitudes of these three errors, as a share of them; with it their phases are drawn too."""
-    speed_error_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
-    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others. It swings over minutes; with a phase lock it is
-    held."""
+    speed_error_rpm: Annotated[float, Field(ge=-3, le=3)] = 0.0
+    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others; without `rotation_spread` exactly that, above 0 too
+    fast. It swings over minutes; with a phase lock it is held."""
     speed_wander_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Amplitude of the change of speed within seconds, in the same way."""
-    powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] = 0.0
-    """Time since power-up when the run begins; without GPS the sensor's clock counts from power-up."""
-    clock_error_ppm: Annotated[float, Field(ge=-100, le=100)] = 0.0
-    """How much the free-running clock is fast; a clock locked to GPS has no such error."""
+    powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] | None = None
+    """Time since power-up when the run begins, from which the sensor's clock counts without GPS; drawn unless given, and 0 with
+    `steady`."""
+    clock_error_ppm: Annotated[float, Field(ge=-200, le=200)] | None = None
+    """How much the free-running clock is fast; of a clock locked to GPS up to 1 ppm are left within a second. Drawn unless given, and 0 with
+    `steady`."""
 
     @field_validator("max_range_m")
     @classmethod

@@ -4,7 +4,7 @@ from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, Late
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
 from vlp16emu.sinks.sink import Away, MemorySink, Outlet, OutletResult, PacketSink, SinkByKind
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, FirstPacket, NowSink, StreamReport, UnderWay, stream
-from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
+from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink, free_ports
 
 __all__ = [
     "LOOK_AHEAD_PACKETS",
@@ -31,5 +31,6 @@ __all__ = [
     "UdpSink",
     "UnderWay",
     "check_ending",
+    "free_ports",
     "stream",
 ]

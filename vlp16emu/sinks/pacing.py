@@ -224,6 +224,11 @@ class Pacer:
         return self._start_ns + self.delay_ns + round(simulated_ns / self.speed)
 
     @property
+    def first_due_ns(self) -> int | None:
+        """Due time of the first packet; None before it."""
+        return self._first_due_ns
+
+    @property
     def has_begun(self) -> bool:
         """True if the clock runs."""
         return self._first_due_ns is not None

@@ -49,8 +49,8 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
 
 
 def test_audits_estimate_the_error_that_accuracy_measures(hall):
-    """Twenty audits with different seeds together find the RMSE that is found on pulses of accuracy's own."""
-    audits, scenes = [Audit.of(hall) for _ in range(20)], []
+    """Ten audits with different seeds together find the RMSE that is found on pulses of accuracy's own."""
+    audits, scenes = [Audit.of(hall) for _ in range(10)], []
 
     def look(job, firings, hits, scene):
         scenes.append(scene)
@@ -68,4 +68,4 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     measured_m = errors_of(compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m
     squares_um2, matched = (sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched"))
     assert 1e-6 * np.sqrt(squares_um2 / matched) == pytest.approx(measured_m, rel=0.15)
-    assert len({audit.tally.range_rmse_m for audit in audits}) == 20, "audits draw pulses of their own"
+    assert len({audit.tally.range_rmse_m for audit in audits}) == 10, "audits draw pulses of their own"

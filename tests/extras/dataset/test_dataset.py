@@ -8,13 +8,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
 
 import vlp16emu.emulator as emulator_module
 from vlp16emu import Emulator
-from vlp16emu.errors import MissingExtraError, OutputError, ScenarioError
+from vlp16emu.errors import OutputError, ScenarioError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
 
@@ -219,7 +220,7 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
 
 def test_workers_that_are_killed_lose_nothing(tmp_path):
     """Two workers, with two killed on the way, make the manifest of one process."""
-    text = SPEC.replace("0.25", "1.0")  # long enough to be seen
+    text = PUCK_ALONE.replace("0.25", "1.0")  # long enough to be seen
     first = make_dataset(walks_in(tmp_path, text), tmp_path / "alone", workers=0)
     spec, out = tmp_path / "spec.toml", tmp_path / "out"
     command = [sys.executable, "-m", "vlp16emu", "dataset", spec, out, "--workers", "2", "--json"]
@@ -238,21 +239,14 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     assert not list(out.glob(".parts.*"))
 
 
-def test_workers_of_a_scheduler_make_the_same(made, tmp_path):
-    """The workers of a Dask scheduler make the manifest of this process; without the extra one line names it."""
-    distributed = pytest.importorskip("distributed", reason="the extra cluster is not installed")
+def test_shares_of_machines_are_the_dataset(made, tmp_path):
+    """Shares that two machines have made are, copied into one folder, the dataset that one machine makes; nothing is made again."""
     walks, _, first = made
-    security = distributed.Security(require_encryption=False)
-    with distributed.LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address=None, security=security) as cluster:
-        out = make_dataset(walks, tmp_path / "out", scheduler=cluster.scheduler_address)
-    assert out.sha256 == first.sha256
-
-
-def test_dask_is_named_where_it_is_missing(tmp_path, monkeypatch):
-    """Without the extra `cluster` a scheduler is refused in a line that names it."""
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtraError, match="cluster"):
-        make_dataset(walks_in(tmp_path)[:1], tmp_path / "out", scheduler="tcp://127.0.0.1:1")
+    for name, share in (("one", (0, 3)), ("two", (3, 99))):
+        assert make_dataset(walks, tmp_path / name, workers=0, share=share).made == len(walks[slice(*share)])
+        copytree(tmp_path / name, tmp_path / "all", dirs_exist_ok=True)
+    whole = make_dataset(walks, tmp_path / "all", workers=0)
+    assert (whole.made, whole.walks, whole.sha256) == (0, len(walks), first.sha256)
 
 
 def workers_of(pid):

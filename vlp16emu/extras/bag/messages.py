@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
+from vlp16emu.extras.truth.truth import given_mount
+from vlp16emu.motion.imu import GRAVITY_M_S2
 from vlp16emu.packets import (
     DATA_PAYLOAD,
     JUMP_NS,
@@ -30,11 +31,13 @@ _FIELDS = [
     (name, offset, _FLOAT32 if kind.kind == "f" else _UINT16, 1)
     for name, (kind, offset, *_) in (_POINT.fields or {}).items()
 ]
-_LEVEL, _NO_ESTIMATE = (0.0, 0.0, 0.0, 1.0), np.array([-1.0, *[0.0] * 8])
-"""Orientation of an inertial unit that knows none, and the covariance that says so (sensor_msgs/Imu)."""
+_NO_ATTITUDE, _NO_ESTIMATE = (0.0,) * 4, np.array([-1.0, *[0.0] * 8])
+"""Orientation of an inertial unit that has none, and the covariance that says so (sensor_msgs/Imu)."""
 _EXACT = np.zeros(36)
 _UNKNOWN_M2 = 1e6
 """Variance of the height, which an RMC sentence does not have."""
+_UNKNOWN_RAD2 = math.pi**2 / 3.0
+"""Variance of a heading that may be any, as drift makes it in the end."""
 
 
 class UnitMessages:
@@ -119,45 +122,76 @@ class UnitMessages:
 
 
 class TrueMessages:
-    """Writes what was true of a run; poses are x y z and quaternion x y z w.
+    """Writes the truth of a run; poses are x y z and quaternion x y z w.
+
+    Frames are those of REP 105 and REP 103: what is mounted hangs on `base_link`, the body of `rig.json`, and the truth has
+    frames of its own, so that a SLAM program may publish `map` to `odom` to `base_link`.
 
     Parameters
     ----------
     bag : to be written
-    imu, gps : sections of the scene, by whose errors messages have their covariance; None of what is not there
+    rig : `rig.json`, with the units that are written
+    frames : of these units; the truth is that of the first one's carrier
+    imu, gps : sections of the scene, by whose errors messages have their covariance; None without inertial unit
+    tf : `truth` if the true pose moves `base_link` itself, to look at clouds without SLAM
     """
 
-    def __init__(self, bag: BagFile, imu: dict[str, Any] | None, gps: dict[str, Any]) -> None:
-        self._bag = bag
+    def __init__(
+        self,
+        bag: BagFile,
+        rig: dict[str, Any],
+        frames: Sequence[str],
+        imu: dict[str, Any] | None,
+        gps: dict[str, Any],
+        tf: str = "slam",
+    ) -> None:
+        self._bag, self._rig, self._frames = bag, rig, frames
         keys = ("gyro_noise_rad_s_sqrt_hz", "accel_noise_m_s2_sqrt_hz")
         self._imu = [np.eye(3).ravel() * imu[key] ** 2 * imu["rate_hz"] for key in keys] if imu else []
+        tilt_rad2 = (imu["accel_bias_m_s2"] / GRAVITY_M_S2) ** 2 if imu else 0.0
+        self._attitude_rad2 = np.diag([tilt_rad2, tilt_rad2, _UNKNOWN_RAD2 if tilt_rad2 else 0.0]).ravel()
         level_m2 = gps["position_noise_m"] ** 2 + gps["wander_m"] ** 2  # under open sky
         self._place = np.diag([level_m2, level_m2, _UNKNOWN_M2]).ravel()
+        body = given_mount(rig["units"][0], "body_T_sensor", true=True)
+        followed = "base_link" if body is not None else frames[0]
+        self._child = followed if tf == "truth" else f"{followed}_truth"
+        self._sensor_T_base = None if body is None or np.array_equal(body, np.eye(4)) else np.linalg.inv(body)
 
-    def fixed(self, t_ns: int, rig: dict[str, Any], frame: str) -> None:
-        """Write the fixed transforms: body in the first unit, inertial unit in the body; what spins has none."""
-        body, found = rig["units"][0]["body_T_sensor"], []
-        if "spin_hz" not in body:
-            found.append((frame, "base_link", np.linalg.inv(np.array(body["matrix"]))))
-            if "imu" in rig and "spin_hz" not in rig["imu"]["body_T_imu"]:
-                found.append(("base_link", "imu", np.array(rig["imu"]["body_T_imu"]["matrix"])))
-        header = partial(self._bag.header, t_ns, topic="/tf_static")
-        moved = [(header(frame=parent), child, _placed(T)) for parent, child, T in found]
-        if found:
+    def fixed(self, t_ns: int) -> None:
+        """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; what spins has none."""
+        mounts = [
+            (frame, given_mount(unit, "body_T_sensor"))
+            for unit, frame in zip(self._rig["units"], self._frames, strict=True)
+        ]
+        if mounts[0][1] is not None:
+            antenna = mounts[0][1].copy()
+            antenna[:3, :3] = np.eye(3)
+            antenna[2, 3] += self._rig["antenna"]["above_sensor_m"]
+            mounts.append(("gps", antenna))
+        if "imu" in self._rig:
+            mounts.append(("imu", given_mount(self._rig["imu"], "body_T_imu")))
+        header = self._bag.header(t_ns, "base_link", "/tf_static")
+        if moved := [(header, child, _placed(T)) for child, T in mounts if T is not None]:
             self._bag.write("/tf_static", t_ns, "tf2_msgs/msg/TFMessage", moved)
 
-    def odometry(self, frame: str, t_ns: int, numbers: Sequence[float]) -> None:
-        """Write a pose (7,) as odometry, with velocity and angular rate (6,) in its own axes, and as transform."""
-        topic = f"/{frame}".removesuffix("/velodyne") + "/ground_truth/odom"
+    def odometry(self, t_ns: int, numbers: Sequence[float]) -> None:
+        """Write the pose (7,) of the first sensor as that of its carrier: odometry and transform.
+
+        Behind the pose are velocity and angular rate (6,) in the sensor's own axes.
+        """
+        if self._sensor_T_base is not None:
+            numbers = _moved(numbers, self._sensor_T_base)
+        topic = "/ground_truth/odom"
         placed, header = (numbers[:3], numbers[3:7]), self._bag.header(t_ns, "map", topic)
         twist = (numbers[7:10], numbers[10:]), _EXACT
-        self._bag.write(topic, t_ns, "nav_msgs/msg/Odometry", header, frame, (placed, _EXACT), twist)
-        moved = self._bag.header(t_ns, "map", "/tf"), frame, placed
+        self._bag.write(topic, t_ns, "nav_msgs/msg/Odometry", header, self._child, (placed, _EXACT), twist)
+        moved = self._bag.header(t_ns, "map", "/tf"), self._child, placed
         self._bag.write("/tf", t_ns, "tf2_msgs/msg/TFMessage", [moved])
 
-    def inertial(self, t_ns: int, rates: Sequence[float]) -> None:
-        """Write angular rate and specific force, whose white noise makes their covariance; there is no orientation."""
-        what = _LEVEL, _NO_ESTIMATE, rates[:3], self._imu[0], rates[3:], self._imu[1]
+    def inertial(self, t_ns: int, read: Sequence[float]) -> None:
+        """Write angular rate and specific force (6,), whose white noise makes their covariance, and the attitude if it follows."""
+        attitude, covariance = (read[6:], self._attitude_rad2) if len(read) > 6 else (_NO_ATTITUDE, _NO_ESTIMATE)
+        what = attitude, covariance, read[:3], self._imu[0], read[3:6], self._imu[1]
         header = self._bag.header(t_ns, "imu", "/imu/data")
         self._bag.write("/imu/data", t_ns, "sensor_msgs/msg/Imu", header, *what)
 
@@ -176,3 +210,14 @@ def _placed(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
 
     turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True) + 0.0  # no -0.0
     return T[:3, 3].tolist(), turn.tolist()
+
+
+def _moved(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
+    """Return pose and rates (13,) of a base from those of a sensor that is fixed to it."""
+    from scipy.spatial.transform import Rotation
+
+    turn, arm_m = Rotation.from_matrix(sensor_T_base[:3, :3]), sensor_T_base[:3, 3]
+    place_m, sensor, (v_m_s, w_rad_s) = numbers[:3], Rotation.from_quat(numbers[3:7]), np.reshape(numbers[7:], (2, 3))
+    quaternion = (sensor * turn).as_quat(canonical=True)
+    rates = turn.apply(np.stack([v_m_s + np.cross(w_rad_s, arm_m), w_rad_s]), inverse=True)
+    return [*(place_m + sensor.apply(arm_m)).tolist(), *quaternion.tolist(), *rates.ravel().tolist()]

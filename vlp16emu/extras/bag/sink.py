@@ -51,8 +51,7 @@ class BagSink(PacketSink):
     def __init__(
         self, path: Path, units: int, clock_of: Callable[[int, int], PacketClock], truth: TruthOf | None = None
     ) -> None:
-        several = [f"unit_{number}/velodyne" for number in range(1, units + 1)]
-        self._frames = several if units > 1 else ["velodyne"]
+        self._frames = frames_of(units)
         self.bag = BagFile(path)
         self._units, self._clock_of = dict[int, UnitMessages](), clock_of
         self._truth, self._samples = truth, list[tuple[TrueSamples, int]]()
@@ -112,6 +111,11 @@ class BagSink(PacketSink):
             sha256=", ".join(map(_sha256, files)),
             messages=dict(sorted(self.bag.counts.items())),
         )
+
+
+def frames_of(units: int) -> list[str]:
+    """Return the frames of the clouds of so many sensors; topics are under the same names."""
+    return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
 
 
 def _sha256(path: Path) -> str:

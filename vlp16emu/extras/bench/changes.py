@@ -7,7 +7,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from vlp16emu.engine import Stretch, Timeline, Unit, in_phase_deg
+from vlp16emu.engine import Stretch, Timeline, Unit, clock_at, in_phase_deg
 from vlp16emu.extras.bench.events import FOREVER_NS, Event
 from vlp16emu.extras.bench.gps import DisturbedGps
 from vlp16emu.extras.bench.optics import DisturbedOptics
@@ -67,7 +67,8 @@ def clock_spans(
     gps : the receiver's pulse and sentences
     start_ns : UTC of the first pulse of a laser
     """
-    power_up_ns, ppm = start_ns - seconds_to_ns(section.powered_for_s), section.clock_error_ppm
+    power_up_ns, own_ppm = start_ns - seconds_to_ns(section.powered_for_s or 0.0), section.clock_error_ppm or 0.0
+    ppm = own_ppm
     locked_ns = gps.spans_ns(PpsState.LOCKED)
     pulsed_ns = tuple((-(-begin // S_NS) * S_NS, end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
     turns: list[tuple[int, Event | None]] = [(t_ns, None) for span in locked_ns + pulsed_ns for t_ns in span]
@@ -77,9 +78,9 @@ def clock_spans(
     for t_ns, event in [(power_up_ns, None), *turns]:
         kind = event.kind if event else None
         if event and kind == "oscillator":
-            ppm = section.clock_error_ppm + event.drift_ppm
+            ppm = own_ppm + event.drift_ppm
         if _among(locked_ns, t_ns):
-            spans += [] if spans and spans[-1].reading_ns is None else [ClockSpan(t_ns)]
+            spans += [] if spans and spans[-1].reading_ns is None else [clock_at(t_ns, section, locked=True)]
             continue
         reading_ns = 0 if not spans or kind == "power_cycle" else _shown(spans[-1], t_ns)
         if event and kind == "oscillator":

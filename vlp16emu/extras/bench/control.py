@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from vlp16emu.engine import Unit
-from vlp16emu.errors import OutputError, PacketError
-from vlp16emu.extras.bench.events import FOREVER_NS, Event, event
+from vlp16emu.errors import InputError, OutputError, PacketError
+from vlp16emu.explain import explain
+from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.motion.live_settings import takes_poses
@@ -55,6 +57,7 @@ def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: H
             servers.append(WebServer(device, host, port, fault=fault))
             stack.enter_context(servers[-1])
         stack.enter_context(control.following())
+        http.controlled(control)
         http.serving([server.address for server in servers])
         yield
 
@@ -100,7 +103,12 @@ class Control:
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
         self._errors = [event for event in self._events if event.effect == "web"]
+        self._wanted = list[dict[str, Any]]()
+        """Events that are to happen with the next change, without their times."""
+        self._at_ns = 0
+        """UTC, ns, from which on packets follow the latest change."""
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
+        self._taking_up = threading.Lock()
         self._lead_ns, self._ahead_ns, self._calm_s, self._prompt = _LEAD_NS, 0, 0.0, _PROMPT
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
         """What the web interface of each sensor shows and sets."""
@@ -132,6 +140,32 @@ class Control:
             self._asked.set()
             thread.join()
 
+    def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
+        """Let an event happen to a unit, from 1, a moment from now, and return its UTC in ns; from any thread.
+
+        Raises
+        ------
+        InputError
+            If it is no event, or cannot happen in this scene
+        """
+        table: dict[str, Any] = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
+        scene = {key: getattr(self._scenario, key) for key in ("sensor", "rig", "gps")}
+        try:
+            checked([table], scene)
+        except ValidationError as error:
+            where, found, expected = explain(error, tables().json_schema())
+            raise InputError(f"event {kind}{where.removeprefix('[0]')}", found, expected) from None
+        except ValueError as error:
+            raise InputError(f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)) from None
+        with self._lock:
+            self._wanted.append(table)
+        self._take_up()
+        return self._at_ns
+
+    def due_in_ns(self, at_ns: int) -> int:
+        """Time until a packet due at a UTC leaves, in ns of the scene; negative if that is past."""
+        return at_ns - self._under_way.due_in_ns(0)
+
     def fault(self, unit: int) -> HttpFault | None:
         """Find what is wrong with the web interface of a unit now."""
         since_ns = self._since_ns()
@@ -146,7 +180,7 @@ class Control:
         of, since_ns = self._feed.engine.parts.units[unit], self._since_ns()
         now_ns = self._scenario.start_ns + since_ns
         ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
-        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
+        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s or 0.0)
         settings, rpm = self.devices[unit].settings, of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
         payload = self._sink.latest_position(unit)
@@ -230,6 +264,10 @@ class Control:
 
     def _take_up(self) -> int | None:
         """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
+        with self._taking_up:
+            return self._take_up_alone()
+
+    def _take_up_alone(self) -> int | None:
         until_ns = self._under_way.made_until_ns
         self._prompt = _PROMPT if time.monotonic() >= self._calm_s else self._prompt
         self._ahead_ns = max(self._ahead_ns, until_ns - self._under_way.due_in_ns(0))
@@ -248,10 +286,15 @@ class Control:
                     made.append(event("setting", at_s + (lost[0].off_s if lost else 0.0), unit + 1, **keys))
                 self._made[unit] = new
             self._restarts.clear()
-            self._events = self._events + made
-        if not made:
+            happening = [event(**wanted | {"at_s": at_s}) for wanted in self._wanted]
+            self._wanted.clear()
+            self._to_come += happening
+            self._events = self._events + made + happening
+        if not made and not happening:
             return None
+        self._errors += [event for event in happening if event.effect == "web"]
         self._calm_s, self._prompt = time.monotonic() + _CALM_S, max(self._prompt - 1, 0)
+        self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
         engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
         self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
         return due_ns

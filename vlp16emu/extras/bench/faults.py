@@ -94,7 +94,7 @@ class PacketFault:
         """Time until just after the packet leaves that is `by` packets of its kind behind one."""
         if packet.kind is PacketKind.POSITION:
             rate = on_the_wire(self.unit.section).position_rate
-            due_ns = position_due_ns(rate, self.unit.seed, self.start_ns, packet.number, by + 1)
+            due_ns = position_due_ns(rate, self.unit.seed, self.unit.positions_from_ns, packet.number, by + 1)
             return int(due_ns[-1] - due_ns[0]) + 1
         assert packet.fired_ns is not None
         return by * min(packet.due_ns - packet.fired_ns, _LONGEST_NS) + 1

@@ -1,4 +1,4 @@
-"""Many walks from one file: stands, seeds, sensors and paths, on all cores or on a cluster."""
+"""Many walks from one file: stands, seeds, sensors and paths, on all cores, a share of them on each machine."""
 
 from vlp16emu.extras.dataset.run import DatasetResult, make_dataset
 from vlp16emu.extras.dataset.spec import DatasetSpec, DatasetWalk, load_spec, walks_of

@@ -32,12 +32,17 @@ class Manifest:
 
     OutputError if the folder `out` has a manifest of another program, or in the place of a walk a file that is not listed.
 
-    A walk is listed before it takes its place, so what stands there and is not listed is someone else's.
+    A walk is listed before it takes its place, so what stands there and is not listed is someone else's. Manifests of
+    shares, made on other machines and copied beside it with their walks, list as well.
     """
 
-    def __init__(self, out: Path, walks: Sequence[DatasetWalk]) -> None:
-        self.path, self._out, self._next_s = out / "manifest.json", out, 0.0
-        before, self._parts = self._read()
+    def __init__(self, out: Path, walks: Sequence[DatasetWalk], share: str) -> None:
+        self.path, self._out, self._next_s = out / f"manifest{share}.json", out, 0.0
+        before: dict[str, Entry] = {}
+        for path in sorted(out.glob("manifest.*-*.json")):
+            before |= self._read(path)[0]
+        own, self._parts = self._read(self.path)
+        before |= own
         self.entries: dict[int, Entry] = {}
         """By the number of the walk."""
         self.missing: list[DatasetWalk] = []
@@ -109,13 +114,14 @@ class Manifest:
         """Return whether all files of a walk are as listed, by a run that would list the same."""
         return entry.items() >= identity(walk).items() and len(self._ours(entry)) == len(entry["files"])
 
-    def _read(self) -> tuple[dict[str, Entry], str | None]:
+    @staticmethod
+    def _read(path: Path) -> tuple[dict[str, Entry], str | None]:
         """Read the walks of an earlier run by their folders, and the name of its folder of unfinished walks."""
-        if not self.path.exists():
+        if not path.exists():
             return {}, None
         expected = "the manifest of a dataset"
-        with readable(self.path, expected, OutputError, most_bytes=_LARGEST_BYTES):
-            text = self.path.read_text(encoding="utf-8")
+        with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
+            text = path.read_text(encoding="utf-8")
         try:
             tree = json.loads(text)
             walks = {walk["folder"]: walk for walk in tree["walks"] if _names(walk)}
@@ -124,7 +130,7 @@ class Manifest:
                 return walks, parts
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             pass
-        raise OutputError(str(self.path), "is none of ours", expected)
+        raise OutputError(str(path), "is none of ours", expected)
 
 
 def identity(walk: DatasetWalk) -> Entry:

@@ -1,4 +1,4 @@
-"""A dataset from its walks to its manifest: missing walks are made by this process, by others, or by a Dask scheduler."""
+"""A dataset from its walks to its manifest: missing walks are made by this process or by others of this machine."""
 
 import hashlib
 import multiprocessing
@@ -6,7 +6,7 @@ import os
 import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +16,7 @@ from typing import Any
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import in_one_world
-from vlp16emu.errors import MissingExtraError, OutputError, RunError
+from vlp16emu.errors import OutputError, RunError
 from vlp16emu.extras.dataset.layouts import LAYOUTS
 from vlp16emu.extras.dataset.manifest import Entry, Manifest, described, identity
 from vlp16emu.extras.dataset.spec import DatasetWalk
@@ -53,7 +53,7 @@ def make_dataset(
 
     Parameters
     ----------
-    out : folder, new or of an earlier run; workers of a scheduler see it under the same path
+    out : folder, new or of an earlier run
     progress : called with the simulated seconds so far, walk by walk
     options : fields of `DatasetOptions`
 
@@ -61,18 +61,17 @@ def make_dataset(
     ------
     OutputError
         If the folder cannot be written, another run writes it, or a file that no manifest lists is in the place of a walk
-    MissingExtraError
-        If Dask is wanted and not installed
     RunError
         If a walk fails, or workers die over one walk again and again
     """
     out, asked = out.absolute(), DatasetOptions(**options)
+    walks = walks[slice(*(asked.share or (None,)))]
     with _locked(out):
-        manifest = Manifest(out, walks)
+        manifest = Manifest(out, walks, ".{}-{}".format(*asked.share) if asked.share else "")
         missing, done_s = manifest.missing, sum(walk.scenario.duration_s for walk in walks)
         progress(done_s := done_s - sum(walk.scenario.duration_s for walk in missing))
         with manifest.making() as parts:
-            for walk, made, entry in _made(missing, parts, asked.workers, asked.scheduler):
+            for walk, made, entry in _made(missing, parts, asked.workers):
                 manifest.add(walk.number, made, entry)
                 progress(done_s := done_s + walk.scenario.duration_s)
         text = manifest.write()
@@ -120,18 +119,18 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
     return walk, folder, identity(walk) | {"beams": beams, "files": files}
 
 
-def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None, scheduler: str | None) -> Iterator[Made]:
+def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
     """Make walks, and yield each as it is done; one whose worker dies is made again."""
     left, deaths = {walk.number: walk for walk in walks}, 0
-    if workers == 0 and not scheduler:
+    if workers == 0:
         yield from (make_walk(walk, parts, threads=0) for walk in walks)
         return
     cores = os.cpu_count() or 1
     workers = max(min(workers or cores, len(walks)), 1)
-    job = partial(make_walk, parts=parts, threads=1 if scheduler else max(cores // workers, 1))
+    job = partial(make_walk, parts=parts, threads=max(cores // workers, 1))
     while left:
         try:
-            with _dask(scheduler) if scheduler else _processes(workers) as executor:
+            with _processes(workers) as executor:
                 for future in as_completed([executor.submit(job, walk) for walk in left.values()]):
                     made, deaths = future.result(), 0
                     del left[made[0].number]
@@ -143,7 +142,7 @@ def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None, schedu
 
 
 @contextmanager
-def _processes(workers: int) -> Iterator[Executor]:
+def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Start processes of this machine, which are not waited for after an error."""
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
@@ -167,24 +166,3 @@ def _end_with_parent() -> None:
     if parent := multiprocessing.parent_process():
         parent.join()
         os._exit(1)
-
-
-@contextmanager
-def _dask(scheduler: str) -> Iterator[Executor]:
-    """Use the workers of a Dask scheduler."""
-    try:
-        import dask
-
-        dask.config.set({"logging.distributed": "critical"})  # read once, when distributed is imported
-        from distributed import Client, KilledWorker
-    except ImportError as error:
-        raise MissingExtraError(error.name or "distributed", "cluster", "a dataset made by Dask") from None
-    try:
-        client = Client(scheduler)
-    except (OSError, ValueError) as error:
-        raise RunError(f"{scheduler}: {error}") from None
-    with client:
-        try:
-            yield client.get_executor(pure=False)
-        except KilledWorker as error:
-            raise RunError(f"{error.allowed_failures + 1} workers died over one walk") from None

@@ -129,8 +129,8 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
         card.path = score_path(inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment)
         card.scores |= card.path.scores
         card.notes["trajectory"] = (
-            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path; {card.path.poses} poses, "
-            f"{card.path.left_out} beyond the truth left out; RMSE by evo"
+            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; {card.path.poses} "
+            f"poses, {card.path.left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
         )
     if inputs.map:
         _score_map(card, read_cloud(inputs.map)["xyz"], true)

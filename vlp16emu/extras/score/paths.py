@@ -12,10 +12,16 @@ from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.types import F8
-from vlp16emu.units import S_NS
+from vlp16emu.units import MS_NS, S_NS
 
 RPE_DELTA_M = 1.0
 """Length of path for relative errors, which short walks have too."""
+DRIFT_M = (10.0, 100.0)
+"""Lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)."""
+_MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS
+"""Three sweeps, and how finely they are searched."""
+_LEAST_POSES, _FLAT_M = 10, 1e-4
+"""Fewer poses, or a motion this even, say nothing about stamps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +29,9 @@ class PathScore:
     """Errors of an estimated trajectory."""
 
     scores: dict[str, float]
-    """`ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path."""
+    """`ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path; `drift_10m_percent` and
+    `drift_100m_percent`, the mean relative error of positions over such stretches, NaN on a shorter path; `stamp_offset_s` to add to
+    the estimate's stamps, NaN where the motion is too even to say."""
     poses: int
     left_out: int
     """Estimated poses outside the time of the truth."""
@@ -70,8 +78,42 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
         "rpe_m": score(metrics.RPE(metrics.PoseRelation.translation_part, **over))[0],
         "rpe_deg": score(metrics.RPE(metrics.PoseRelation.rotation_angle_deg, **over))[0],
     }
+    for length_m in DRIFT_M:
+        far = metrics.RPE(metrics.PoseRelation.translation_part, **over | {"delta": length_m})
+        scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(score(far)[1])) / length_m
+    scores["stamp_offset_s"] = stamp_offset_s(found, true)
     left_out = int((~inside).sum())
     return PathScore(scores, int(inside.sum()), left_out, pair[0].positions_xyz, pair[1].positions_xyz, errors_m)
+
+
+def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
+    """Return what to add to the estimate's stamps so that its steps from pose to pose are most like the true ones.
+
+    Steps need no alignment, and the swing of each pace shows its time. NaN if there are too few poses, or the motion is too even.
+    """
+    from scipy.spatial.transform import Rotation
+
+    inside = true.has(found.t_ns - _MOST_OFFSET_NS) & true.has(found.t_ns + _MOST_OFFSET_NS)
+    if inside.sum() < _LEAST_POSES:
+        return math.nan
+    t_ns, offsets_ns = found.t_ns[inside], np.arange(-_MOST_OFFSET_NS, _MOST_OFFSET_NS + 1, _OFFSET_STEP_NS)
+
+    def steps(turns: Rotation, places_m: F8) -> tuple[F8, Rotation]:
+        return turns[:-1].apply(np.diff(places_m, axis=0), inverse=True), turns[:-1].inv() * turns[1:]
+
+    moved_m, turned = steps(Rotation.from_quat(found.quaternion[inside]), found.position_m[inside])
+    unlike = np.empty(len(offsets_ns))
+    for i, offset_ns in enumerate(offsets_ns.tolist()):
+        turns, places_m = true.poses_at(t_ns + offset_ns)
+        true_m, true_turned = steps(Rotation.from_matrix(turns), places_m)
+        off_rad = (turned.inv() * true_turned).magnitude()
+        unlike[i] = math.sqrt(((moved_m - true_m) ** 2).sum(axis=1).mean()) + math.sqrt((off_rad**2).mean())
+    best = int(unlike.argmin())
+    if not 0 < best < len(unlike) - 1 or np.ptp(unlike) < _FLAT_M:
+        return math.nan
+    before, at, after = unlike[best - 1 : best + 2] ** 2  # a parabola, near the least
+    bend = before - 2.0 * at + after
+    return float(offsets_ns[best] + 0.5 * _OFFSET_STEP_NS * (before - after) / bend) / S_NS
 
 
 def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
@@ -87,7 +129,9 @@ def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, 
     reference = PoseTrajectory3D(places_m, quaternions, t_s)
     estimate = PoseTrajectory3D(found.position_m[inside].copy(), found.quaternion[inside][:, [3, 0, 1, 2]], t_s)
     try:
-        if alignment == "se3":
+        if alignment == "start":
+            estimate.align_origin(reference)
+        elif alignment == "se3":
             estimate.align(reference)
         elif alignment == "yaw":
             move = np.eye(4)

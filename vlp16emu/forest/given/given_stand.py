@@ -15,7 +15,7 @@ from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees,
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import LEAST_SLENDERNESS, Plot
-from vlp16emu.forest.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
+from vlp16emu.forest.stand.stand import RIVALS_M, TREE, competition, foot_discs, in_the_way_m, path_gap_m, residuals
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
 from vlp16emu.tables import Column, Table, optional, read_table
@@ -24,7 +24,6 @@ from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.vectors import places_m
 
 _APART_M = 0.05  # two stems nearer to each other are one that was listed twice
-_TOP_SHARE = 0.2  # the thickest fifth of all stems has the top height, by Weise's definition
 # Limits in metres or degrees: beyond them it is more likely a slip of the unit than a tree.
 _COLUMNS = {
     "x_m": Column({"x_m": 1.0, "x": 1.0}),
@@ -34,25 +33,27 @@ _COLUMNS = {
     "height_m": Column({"height_m": 1.0}, 2.0, 130.0, is_filled=False),
     "crown_base_m": replace(optional("crown_base_m"), low=0.0, high=130.0),
     "crown_width_m": replace(optional("crown_width_m"), low=0.1, high=60.0),
+    "taper": replace(optional("taper"), low=-0.9, high=3.0),
     "lean_deg": replace(optional("lean_deg"), low=0.0, high=45.0),
     "lean_azimuth_deg": replace(optional("lean_azimuth_deg"), low=0.0, high=360.0),
     "lean_towards_deg": replace(optional("lean_towards_deg"), low=0.0, high=360.0),
 }
 
 
-def read_stem_list(path: Path, all_species: Mapping[str, Species], origin_m: tuple[float, float, float]) -> Trees:
+def read_stem_list(
+    path: Path, all_species: Mapping[str, Species], origin_m: tuple[float, float, float], seed: int = 0
+) -> Trees:
     """Read a stem list.
 
     The first line names the columns, in any order, between commas, semicolons or tabs: x and y (in m; also
     `x_m`, `y_m`), `species` (a name of the species table, common or scientific), `dbh_cm` or `dbh_m`, `height_m`, and if known
-    `crown_base_m`, `crown_width_m`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
+    `crown_base_m`, `crown_width_m`, `taper`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
     `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is a stem list too. Others
     are ignored, heights above sea level too: trees stand on the scene's ground.
 
     Cells from `height_m` on may be empty. Then heights follow the species' height curve through the
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
-    species' own equations, with the mean height of the thickest fifth of the list as top height; a stem
-    without lean is upright.
+    species' own equations, neighbours and residual spread, drawn by the seed as the taper is; a stem without lean is upright.
 
     Raises GeometryError naming file, line and column of what is missing, no number, out of its limits, no species, or
     listed twice.
@@ -78,7 +79,7 @@ def read_stem_list(path: Path, all_species: Mapping[str, Species], origin_m: tup
     trees["x_m"], trees["y_m"] = table.numbers("x_m") - origin_m[0], table.numbers("y_m") - origin_m[1]
     trees["dbh_m"] = table.numbers("dbh_m")
     trees["height_m"] = _with_heights(table, species)
-    trees["crown_base_m"], trees["crown_width_m"] = _with_crowns(table, trees, species)
+    _set_crowns(trees, table, species, seed)
     trees["lean_deg"] = np.nan_to_num(table.numbers("lean_deg"))
     towards, azimuth = table.numbers("lean_towards_deg"), table.numbers("lean_azimuth_deg")
     trees["lean_towards_deg"] = np.nan_to_num(np.where(np.isnan(towards), 90.0 - azimuth, towards)) % 360
@@ -105,17 +106,31 @@ def _with_heights(table: Table, species: list[Species]) -> Array:
     return height_m
 
 
-def _with_crowns(table: Table, trees: Trees, species: list[Species]) -> tuple[Array, Array]:
-    dbh_cm, height_m = 100 * trees["dbh_m"], trees["height_m"]
-    thickest = np.argsort(-dbh_cm, kind="stable")[: math.ceil(_TOP_SHARE * len(trees))]
-    top_m = float(height_m[thickest].mean())
-    base_m, width_m = table.numbers("crown_base_m"), table.numbers("crown_width_m")
-    for one in {one.number: one for one in species}.values():
+def _set_crowns(trees: Trees, table: Table, species: list[Species], seed: int) -> None:
+    """Set taper, and of crowns what the list gives and else what their species, size and neighbours make of them."""
+    from scipy.spatial import cKDTree  # here: it takes a while to load
+
+    dbh_cm, height_m, xy_m = 100 * trees["dbh_m"], trees["height_m"], places_m(trees, "xy")
+    for name in ("crown_base_m", "crown_width_m", "taper"):
+        trees[name] = table.numbers(name)
+    # One row of numbers to a tree: a tree more at the end of a list changes no other.
+    _, ratio, wide, taper = residuals(generator(seed, Growth.GIVEN_TREE, 1).standard_normal((len(trees), 4))).T
+    rival_m2 = np.zeros((len(trees), 2))
+    kinds = {one.number: one for one in species}.values()
+    for one in kinds:
         own = trees["species"] == one.number
-        no_base, no_width = own & np.isnan(base_m), own & np.isnan(width_m)
-        base_m[no_base] = one.crown_base_m(dbh_cm[no_base], height_m[no_base], top_m)
-        width_m[no_width] = one.crown_width_m(dbh_cm[no_width])
-    return base_m, width_m
+        rival_m2[own] = one.rival_m2(dbh_cm[own])
+        trees["taper"][own] = np.where(np.isnan(trees["taper"]), one.taper_of(taper), trees["taper"])[own]
+    pressure = np.zeros((2, len(trees)))
+    for i, near in enumerate(cKDTree(xy_m).query_ball_point(xy_m, RIVALS_M)):
+        larger = (dbh_cm[near] > dbh_cm[i])[None]
+        pressure[:, i : i + 1] = competition(rival_m2[near], np.pi * RIVALS_M * RIVALS_M, larger, np.ones_like(larger))
+    for one in kinds:
+        own = trees["species"] == one.number
+        no_base, no_width = (own & np.isnan(trees[name]) for name in ("crown_base_m", "crown_width_m"))
+        rivals = (pressure[0][no_base], pressure[1][no_base])
+        trees["crown_base_m"][no_base] = one.crown_base_m(dbh_cm[no_base], height_m[no_base], rivals, ratio[no_base])
+        trees["crown_width_m"][no_width] = one.crown_width_m(dbh_cm[no_width], wide[no_width])
 
 
 def _check_slender(table: Table, trees: Trees) -> None:
@@ -165,7 +180,7 @@ class GivenStand:
 
     def __init__(self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora) -> None:
         self._source = Path(section.stem_list)
-        trees = read_stem_list(self._source, plants.trees, section.origin_m)
+        trees = read_stem_list(self._source, plants.trees, section.origin_m, seed)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
         self._season, self._dead_branches = section.season, section.dead_branches
         trees = _completed(seed, trees, self._species)
@@ -236,13 +251,13 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     return trees
 
 
-def stems_in_the_way(section: Plot) -> tuple[Array, Array]:
+def stems_in_the_way(section: Plot, seed: int) -> tuple[Array, Array]:
     """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
 
     Raises GeometryError for a list that is wrong.
     """
     table = flora(section.species_file).trees
-    trees = read_stem_list(Path(section.stem_list), table, section.origin_m)
+    trees = read_stem_list(Path(section.stem_list), table, section.origin_m, seed)
     gap_m = foot_discs(trees, table=table)[:, 2] + section.path_clearance_m
     return np.concatenate(in_the_way_m(trees)), np.tile(gap_m, 2)
 

@@ -84,16 +84,18 @@ def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
     return width_ft * np.minimum(dbh_cm / _INCH_CM / 5.0, 1.0) * _FOOT_M
 
 
-def _exponential_crown_base_m(coefficients: Coefficients, dbh_cm: Array, height_m: Array, top_height_m: float) -> Array:
-    """Crown base after the settings of TreeGrOSS for north-west Germany; q0, q1, q2, q3."""
-    q0, q1, q2, q3 = coefficients
-    exponent = np.abs(q0 + q1 * height_m / dbh_cm + q2 * dbh_cm + q3 * log(top_height_m))
-    return height_m * -expm1(-exponent)
+def _logistic_crown_base(
+    coefficients: Coefficients, dbh_cm: Array, height_m: Array, larger_m2_per_ha: Array, ccf_percent: Array
+) -> Array:
+    """Logit of the crown base's relative height, Hasenauer and Monserud (1996); a, b1, b2, b3, c1, c2."""
+    a, b1, b2, b3, c1, c2 = coefficients
+    size = a + b1 * 100 * height_m / dbh_cm + b2 * height_m + b3 * np.square(dbh_cm)
+    return size + c1 * larger_m2_per_ha + c2 * log(np.maximum(ccf_percent, 1.0))
 
 
-def _ratio_crown_base_m(coefficients: Coefficients, _dbh_cm: Array, height_m: Array, _top_height_m: float) -> Array:
-    """Crowns of the same share of every tree's height; the crown ratio."""
-    return (1 - coefficients[0]) * height_m
+def _ratio_crown_base(coefficients: Coefficients, dbh_cm: Array, *_: Array) -> Array:
+    """Logit of the crown base's relative height of crowns of the same share of every tree's height; the crown ratio."""
+    return np.broadcast_to(log(1 / coefficients[0] - 1), np.shape(dbh_cm))
 
 
 def _log_biomass_kg(coefficients: Coefficients, dbh_cm: Array, *_: Array) -> Array:
@@ -164,10 +166,14 @@ class CrownWidth(Equation):
 
 
 class CrownBase(Equation):
-    """Height of the lowest living branch, of diameters in cm, heights, and the height of the thickest trees of the stand."""
+    """Logit of the relative height of the lowest living branch.
 
-    known: ClassVar = {"exponential": (4, _exponential_crown_base_m), "ratio": (1, _ratio_crown_base_m)}
-    model: Literal["exponential", "ratio"]
+    Of diameters in cm, heights, the basal area of larger trees in m2 per ha, and the crown competition factor in percent: crown
+    projections that all trees would have if open-grown, over the ground.
+    """
+
+    known: ClassVar = {"logistic": (6, _logistic_crown_base), "ratio": (1, _ratio_crown_base)}
+    model: Literal["logistic", "ratio"]
 
 
 class Biomass(Equation):
@@ -196,8 +202,8 @@ class Taper(Equation):
 
     @property
     def row(self) -> Array:
-        """(12,) as `taper_radius_m` wants it."""
-        row = np.zeros(4 + _TAPER_COEFFICIENTS)
+        """(13,) as `taper_radius_m` wants it; the last is 0, no tree's own."""
+        row = np.zeros(5 + _TAPER_COEFFICIENTS)
         row[:4] = self.model == "brink", self.top_share, *self.flare
         row[4 : 4 + len(self.coefficients)] = self.coefficients
         return row
@@ -233,17 +239,21 @@ def _form(row: Array, height_m: float, above_ground_m: float) -> float:
 def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):
-        scale = dbh_m[i] / 2 / _form(taper[i], height_m[i], 1.3)
+        breast, more = _form(taper[i], height_m[i], 1.3), taper[i, 12]
         for j, z in enumerate(above_ground_m[i]):
-            out[i, j] = scale * _form(taper[i], height_m[i], z)
+            share = _form(taper[i], height_m[i], z) / breast
+            if more != 0 and share > 0:
+                share *= exp(more * log(share))
+            out[i, j] = dbh_m[i] / 2 * share
     return out
 
 
 def taper_radius_m(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
     """Radius (n, r) over bark of stems (n,) at heights (n, r), such that it is half the DBH at breast height.
 
-    `taper` (n, 12) is the `Taper.row` of each. Below ground the radius stays that at the ground; at the tip it is 0 unless that
-    has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
+    `taper` (n, 13) is the `Taper.row` of each, the last of which is a tree's own: the radius over that at breast height is that of
+    the curve to the power of one more than it, so more is more tapered. Below ground the radius stays that at the ground; at the
+    tip it is 0 unless that has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
     """
     dbh_m, height_m = np.ascontiguousarray(dbh_m), np.ascontiguousarray(height_m)
     return _radii(taper, dbh_m, height_m, np.ascontiguousarray(above_ground_m))

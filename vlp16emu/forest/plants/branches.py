@@ -69,9 +69,9 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
     branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
     nodes = base[:, None] + unit * branch_m[:, None, None]
-    # Pipe model: the branches together are as thick as the stem that feeds them (Shinozaki et al. 1964),
-    # each in proportion to its length; none is thicker than most of the stem it sits on.
-    radius = stem_m[0] * branch_m / np.sqrt(np.square(branch_m).sum())
+    # Pipe model: the sections of all branches are a multiple of that of the stem that feeds them (Shinozaki et al. 1964),
+    # each as thick as it is long; none is thicker than most of the stem it sits on.
+    radius = stem_m[0] * np.sqrt(habit.branch_area) * branch_m / np.sqrt(np.square(branch_m).sum())
     here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
     return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
 

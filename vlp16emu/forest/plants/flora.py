@@ -121,9 +121,12 @@ def _plain(name: str) -> str:
     return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
-def tapers(numbers: NDArray[np.uint16], *, table: Table | None = None) -> Array:
-    """Taper by species number, (n, 12) for `taper_radius_m`; `table` is that of the program if none is given."""
-    return _by_number(numbers, {one.number: one.taper.row for one in (table or species_table()).values()}, 12)
+def tapers(trees: Trees, *, table: Table | None = None) -> Array:
+    """Tapers of trees (n,) `TREE`, (n, 13) for `taper_radius_m`; `table` is that of the program if none is given."""
+    rows = {one.number: one.taper.row for one in (table or species_table()).values()}
+    own = _by_number(trees["species"], rows, 13)
+    own[:, -1] = trees["taper"]
+    return own
 
 
 def stem_keys(numbers: NDArray[np.uint16], *, table: Table | None = None) -> Array:

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
+from vlp16emu.elementary import exp, log
 from vlp16emu.forest.plants.allometry import (
     Biomass,
     CrownBase,
@@ -23,6 +24,10 @@ Text = Annotated[str, Field(min_length=1)]
 Length = Annotated[float, Field(ge=0.005, le=20)]
 Crook = Annotated[float, Field(ge=0, le=60)]
 _BIOMASS_AT = 0.3  # relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)
+
+
+_VOLUME_PER_TAPER = 0.45
+"""Fall of the logarithm of a stem's volume for each unit of `taper`: 0.4 to 0.5 for the taper curves of the species."""
 
 
 class Foliage(Section):
@@ -82,6 +87,8 @@ class Habit(Section):
     whorl_spacing_m: Annotated[float, Field(ge=0.02, le=5)]
     branches_per_whorl: Annotated[int, Field(ge=1, le=20)]
     """1 makes a spiral."""
+    branch_area: Annotated[float, Field(ge=0.1, le=10)] = 2.0
+    """Sections of all branches of the first order together over that of the stem at the crown base."""
     rise_deg: Pair
     """Elevation of a first-order branch where it leaves the stem."""
     droop_deg: Pair
@@ -131,6 +138,19 @@ class StemForm(Section):
         return np.hstack([getattr(self, name) for name in type(self).model_fields])
 
 
+class Spread(Section):
+    """Residual spread of trees of one diameter about the curves of their species, one sigma."""
+
+    height: Fraction = 0.06
+    """Of the logarithm of the height."""
+    crown_ratio: Annotated[float, Field(ge=0, le=2)] = 0.3
+    """Of the logit of the crown length over the height."""
+    crown_width: Fraction = 0.16
+    """Of the logarithm of the crown width."""
+    form: Annotated[float, Field(ge=0, le=0.3)] = 0.08
+    """Of the logarithm of the stem's volume at a given diameter and height."""
+
+
 class Plant(Section):
     """Common keys of trees and shrubs. Sources are in `species.toml`, value by value."""
 
@@ -176,10 +196,11 @@ class Species(Plant):
     """A kind of tree."""
 
     height_curve: HeightCurve
-    height_spread: Fraction
-    """One sigma of height about the curve, relative."""
+    spread: Spread = Spread()
     crown_width: CrownWidth
     crown_base: CrownBase
+    open_crown: Pair = (0.1783, 0.5665)
+    """ln a and b of the crown width a dbh_cm^b of open-grown trees, Hasenauer (1997); those of other broadleaves if not given."""
     diameters: Annotated[tuple[float, float, float, float, float], Field(strict=False)]
     """Coefficients of `truncated_weibull_cm`."""
     taper: Taper
@@ -197,19 +218,36 @@ class Species(Plant):
         """Height by the species' curve through (mean_dbh_cm, mean_height_m)."""
         return self.height_curve(dbh_cm, mean_dbh_cm, mean_height_m)
 
-    def crown_width_m(self, dbh_cm: Array) -> Array:
-        """Crown width of forest-grown trees."""
-        return self.crown_width(dbh_cm)
+    def crown_width_m(self, dbh_cm: Array, residual: Array | None = None) -> Array:
+        """Crown width of forest-grown trees; residuals (n,) are in sigmas, and without them it is the mean."""
+        if residual is None:
+            return self.crown_width(dbh_cm)
+        sigma = self.spread.crown_width
+        return self.crown_width(dbh_cm) * exp(sigma * residual - sigma * sigma / 2)
 
-    def crown_base_m(self, dbh_cm: Array, height_m: Array, top_height_m: float) -> Array:
-        """Height of the lowest living branch; `top_height_m` is that of the stand's thickest trees."""
-        return self.crown_base(dbh_cm, height_m, top_height_m)
+    def crown_base_m(
+        self, dbh_cm: Array, height_m: Array, rivals: tuple[Array, Array], residual: Array | float = 0.0
+    ) -> Array:
+        """Height of the lowest living branch, under `competition`; residuals (n,) of the crown ratio are in sigmas."""
+        logit = self.crown_base(dbh_cm, height_m, *rivals) - self.spread.crown_ratio * residual
+        return height_m / (1 + exp(-logit))
 
-    def biomass_kg(self, dbh_m: Array, height_m: Array, crown_base_m: Array) -> Array:
-        """Dry mass above ground (n,), NaN where no equation is known."""
+    def rival_m2(self, dbh_cm: Array) -> Array:
+        """Return what trees compete with, (n, 2) in m2: section at breast height, crown projection if open-grown; 0 of dead ones."""
+        log_a, b = self.open_crown
+        sizes_m = np.column_stack([dbh_cm / 100, exp(log_a + b * log(dbh_cm))])
+        return np.pi / 4 * np.square(sizes_m) * (self.foliage is not None)
+
+    def taper_of(self, residual: Array) -> Array:
+        """`taper` (n,) of stems whose volume has residuals (n,), in sigmas: more taper is less volume."""
+        return -self.spread.form / _VOLUME_PER_TAPER * residual
+
+    def biomass_kg(self, dbh_m: Array, height_m: Array, crown_base_m: Array, taper: Array | float = 0.0) -> Array:
+        """Dry mass above ground (n,), NaN where no equation is known; `taper` (n,) is each tree's own."""
         if self.biomass is None:
             return np.full(len(dbh_m), np.nan)
         rows = np.tile(self.taper.row, (len(dbh_m), 1))
+        rows[:, -1] = taper
         upper_m = 2 * taper_radius_m(rows, dbh_m, height_m, _BIOMASS_AT * height_m[:, None])[:, 0]
         return self.biomass(100 * dbh_m, height_m, 100 * upper_m, crown_base_m)
 

@@ -281,4 +281,4 @@ def tip_radius_m(trees: Trees, *, table: Table | None = None) -> Array:
 
 
 def _radius_m(trees: Trees, above_m: Array, table: Table | None) -> Array:
-    return taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], above_m)
+    return taper_radius_m(tapers(trees, table=table), trees["dbh_m"], trees["height_m"], above_m)

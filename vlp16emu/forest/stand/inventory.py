@@ -48,6 +48,7 @@ INVENTORY = np.dtype(
         ("y_max_m", "<f8"),
         ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
+        ("taper", "<f8"),  # how much faster than its species' curve it thins; 0 of a tree of the user's own model
         ("lean_deg", "<f8"),  # of the line from foot to tip from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east
         ("stem_m3", "<f8"),  # volume of the stem over bark, from the ground at the axis to the tip
@@ -82,7 +83,7 @@ def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Tab
     rows["biomass_kg"] = np.nan
     for species in table.values():
         own = trees["species"] == species.number
-        sizes = (trees[name][own] for name in ("dbh_m", "height_m", "crown_base_m"))
+        sizes = (trees[name][own] for name in ("dbh_m", "height_m", "crown_base_m", "taper"))
         rows["biomass_kg"][own] = species.biomass_kg(*sizes)
     return rows
 

@@ -32,6 +32,10 @@ TREE = np.dtype(
         ("height_m", "<f8"),  # of the tip over the foot, vertical
         ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
+        (
+            "taper",
+            "<f8",
+        ),  # radius over that at breast height: that of the species' curve to the power of 1 more; 0 is the curve's
         ("lean_deg", "<f8"),  # of the axis from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east
         ("crown_azimuth_deg", "<f8"),  # of the crown about the axis
@@ -49,16 +53,19 @@ TREE = np.dtype(
 REGENERATION = 255
 """Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
 _CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
-_TOP_DBH_RATIO = 1.25  # diameter of the stand's top height trees over its quadratic mean diameter; assumption
 _OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
-_LONE_CROWN_BASE = 0.35
-"""Height of the lowest branch of a tree that stands alone over that of one in a closed stand; assumption."""
+RIVALS_M = 10.0
+"""Distance to which trees compete. Hasenauer and Monserud (1996) have basal areas of angle counts, which reach as far for stems of 40 cm."""
+_WIDTH_BY_HEIGHT, _WIDTH_BY_RATIO = -0.2, 0.23
+"""Correlation of the residuals of crown width with those of height and of crown ratio: pooled from trees of [B] in the species table."""
+_MOST_SIGMAS = 2.5  # residuals beyond are rare slips of the tape as likely as trees; keeps crowns near their prototypes
 _LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the path: above a walker's head
 _STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
 _MOST_BASAL_M2_PER_HA = 350.0
-"""Of all storeys: coast redwoods, the densest known, have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59)."""
+"""Of all storeys. Coast redwoods, the densest known, are said to have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59, which
+could not be read; Busing and Fujimori 2005, 10.1007/s11258-005-2322-8, give that stand 3000 to 5200 t of stems per ha)."""
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
@@ -71,8 +78,7 @@ class _Cohort:
         raw_cm = self.species.dbh_quantile_cm(midpoints, share.dbh_cm)
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
         dbh_cm = raw_cm * self._scale
-        self.mean_crown_m2 = float(np.mean(_projection_m2(self.species.crown_width_m(dbh_cm))))
-        self._top_height_m = float(self.height_m(np.array([_TOP_DBH_RATIO * share.dbh_cm]))[0])
+        self.sample_cm = dbh_cm
 
     def dbh_cm(self, probability: Array) -> Array:
         """Quantiles of diameter, scaled to the stand's quadratic mean."""
@@ -82,9 +88,38 @@ class _Cohort:
         """Mean height of trees of these diameters."""
         return self.species.height_m(dbh_cm, self.share.dbh_cm, self.share.height_m)
 
-    def crown_base_m(self, dbh_cm: Array, height_m: Array) -> Array:
-        """Height of the lowest living branch."""
-        return self.species.crown_base_m(dbh_cm, height_m, self._top_height_m)
+    def sized(self, trees: Trees, uniform: Array, residual: Array) -> Trees:
+        """Set species, size and brightness of trees (n,), all but the crown base, from (n, 3) uniform numbers and `residuals`."""
+        species = self.species
+        dbh_cm = self.dbh_cm(uniform[:, 0])
+        tall, _, wide, form = residual.T
+        trees["species"] = species.number
+        trees["dbh_m"] = dbh_cm / 100
+        trees["height_m"] = self.height_m(dbh_cm) * exp(species.spread.height * tall)
+        trees["crown_width_m"] = species.crown_width_m(dbh_cm, wide)
+        trees["taper"] = species.taper_of(form)
+        trees["crown_class"] = np.round(log(dbh_cm / self.share.dbh_cm) / log(_CLASS_RATIO))
+        trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
+        trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
+        return trees
+
+
+def competition(rivals: Array, area_m2: float, larger: Array, near: Array) -> tuple[Array, Array]:
+    """Basal area of larger trees in m2 per ha, and crown competition factor in percent, each (n,).
+
+    Of rivals (m, 2), the section at breast height and the crown projection if open-grown, in m2, on an area around each of n
+    trees; `larger` and `near` (n, m) are 1 where a rival is thicker, and on that area.
+    """
+    basal_m2, crown_m2 = rivals.T
+    return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(axis=1)
+
+
+def residuals(normal: Array) -> Array:
+    """Residuals (n, 4) of height, crown ratio, crown width and stem volume, in sigmas, from as many normal numbers, correlated as measured."""
+    z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
+    own = math.sqrt(1 - _WIDTH_BY_HEIGHT**2 - _WIDTH_BY_RATIO**2)
+    z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + own * z[:, 2]
+    return z
 
 
 def class_scale(ratio: float, number: int) -> float:
@@ -95,7 +130,7 @@ def class_scale(ratio: float, number: int) -> float:
 def foot_discs(trees: Trees, *, table: Table | None = None) -> Array:
     """Sections of stems with the ground: (n, 3) x, y, radius."""
     foot = np.zeros((len(trees), 1))
-    radius_m = taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], foot)
+    radius_m = taper_radius_m(tapers(trees, table=table), trees["dbh_m"], trees["height_m"], foot)
     return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
 
 
@@ -169,10 +204,10 @@ class Stand:
         if basal_m2 > _MOST_BASAL_M2_PER_HA:
             found = f"found a basal area of {basal_m2:.0f} m2 per ha"
             raise GeometryError("stems_per_ha", found, f"at most {_MOST_BASAL_M2_PER_HA:g}: fewer or thinner stems")
-        crown_m2 = sum(_crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True))
-        cover = crown_m2 / 10_000
+        samples = [_sample(*storey) for storey in zip(self._patterns, self._cohorts, strict=True)]
+        self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
+        self._rivals_m2, cover = per_ha_m2[:, :2], float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
-        self._crown_base = _LONE_CROWN_BASE + (1 - _LONE_CROWN_BASE) * min(cover, 1.0)
         self._path = path
         self._season, self._dead_branches = section.season, section.dead_branches
         self._crooked = section.crooked_stems
@@ -181,23 +216,39 @@ class Stand:
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0, in the order they were sown."""
         trees, own = self._sown(ix, iy)
+        trees = trees.copy()
         rivals = around(ix, iy, lambda *tile: self._sown(*tile)[1])
-        dx, dy, _, _ = (own[:, None] - rivals).transpose(2, 0, 1)
+        dx, dy = (own[:, None, :2] - rivals[:, :2]).transpose(2, 0, 1)
+        apart_m2 = dx * dx + dy * dy
         gap_m = own[:, None, 2] + rivals[:, 2] + _STEM_GAP_M
         thicker = rivals[:, 3] > own[:, None, 3]
-        beaten = ((dx * dx + dy * dy < gap_m * gap_m) & thicker).any(axis=1)
+        beaten = ((apart_m2 < gap_m * gap_m) & thicker).any(axis=1)
+        near = apart_m2 < RIVALS_M * RIVALS_M
+        pressure = competition(rivals[:, 4:6], np.pi * RIVALS_M * RIVALS_M, thicker, near)
+        for i, cohort in enumerate(self._all_cohorts):
+            which = trees["cohort"] == i
+            sizes = 100 * trees["dbh_m"][which], trees["height_m"][which], tuple(one[which] for one in pressure)
+            trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, own[which, 6])
         clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
         return trees[~beaten & clear]
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
-        """All that are sown on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
-        trees = np.concatenate([self._sow_storey(number, ix, iy) for number in range(len(self._patterns))])
-        return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"]])
+        """All that are sown on a tile, all but their crown bases, and of each (n, 7).
 
-    def _sow_storey(self, number: int, ix: int, iy: int) -> Trees:
+        x, y, radius at the ground, DBH, what it competes with, and the residual of its crown ratio.
+        """
+        storeys = [self._sow_storey(number, ix, iy) for number in range(len(self._patterns))]
+        trees, ratio = (np.concatenate(column) for column in zip(*storeys, strict=True))
+        rival_m2 = np.zeros((len(trees), 2))
+        for i, cohort in enumerate(self._all_cohorts):
+            own = trees["cohort"] == i
+            rival_m2[own] = cohort.species.rival_m2(100 * trees["dbh_m"][own])
+        return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"], rival_m2, ratio])
+
+    def _sow_storey(self, number: int, ix: int, iy: int) -> tuple[Trees, Array]:
         position = self._patterns[number].points(ix, iy)
         rng = generator(self._seed, Growth.TREE, ix, iy, number)
-        uniform, normal = rng.random((len(position), 6)), rng.standard_normal((len(position), 3))
+        uniform, normal = rng.random((len(position), 6)), rng.standard_normal((len(position), 6))
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
         trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
@@ -213,11 +264,11 @@ class Stand:
         share = np.array([cohort.share.share for cohort in cohorts])
         cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 2], side="right")
         trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
+        residual = residuals(normal[:, 2:])
         for i, cohort in enumerate(cohorts):
             own = cohort_of == i
-            trees[own] = _sized(trees[own], cohort, uniform[own, 3:], normal[own, 2])
-        trees["crown_base_m"] *= self._crown_base
-        return trees
+            trees[own] = cohort.sized(trees[own], uniform[own, 3:], residual[own])
+        return trees, residual[:, 1]
 
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Name the crown prototype of a diameter class.
@@ -234,35 +285,30 @@ class Stand:
             variant=variant,
             dbh_m=float(dbh_cm[0]) / 100,
             height_m=float(height_m[0]),
-            crown_base_m=self._crown_base * float(own.crown_base_m(dbh_cm, height_m)[0]),
+            crown_base_m=float(own.species.crown_base_m(dbh_cm, height_m, self._mean_competition(dbh_cm))[0]),
             crown_width_m=float(width_m[0]),
             leaf_area_m2=float(leaf_area_m2[0]),
             season=self._season,
             dead_branches=self._dead_branches,
         )
 
+    def _mean_competition(self, dbh_cm: Array) -> tuple[Array, Array]:
+        larger = self._rivals_cm > dbh_cm[:, None]
+        return competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
 
-def _crown_area_m2_per_ha(storey: tuple[PointPattern, list[_Cohort]]) -> float:
-    pattern, cohorts = storey
-    share = [cohort.share.share for cohort in cohorts]
-    return pattern.per_ha * float(np.average([cohort.mean_crown_m2 for cohort in cohorts], weights=share))
+
+def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:
+    """Diameters of trees (n,) that stand for all of a storey, and of each (n, 3) in m2 per ha `rival_m2` and crown projection."""
+    whole = sum(cohort.share.share for cohort in cohorts)
+    areas_m2 = []
+    for cohort in cohorts:
+        species, dbh_cm = cohort.species, cohort.sample_cm
+        # The mean of squares is as much more than the square of the mean.
+        wider = math.exp(species.spread.crown_width**2)
+        area_m2 = np.column_stack([species.rival_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))])
+        areas_m2.append(pattern.per_ha * cohort.share.share / whole / len(dbh_cm) * area_m2)
+    return np.concatenate([cohort.sample_cm for cohort in cohorts]), np.concatenate(areas_m2)
 
 
 def _projection_m2(crown_width_m: Array) -> Array:
     return np.pi / 4 * np.square(crown_width_m)
-
-
-def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Trees:
-    """Set for trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
-    species = cohort.species
-    dbh_cm = cohort.dbh_cm(uniform[:, 0])
-    height_m = cohort.height_m(dbh_cm) * exp(species.height_spread * normal)
-    trees["species"] = species.number
-    trees["dbh_m"] = dbh_cm / 100
-    trees["height_m"] = height_m
-    trees["crown_base_m"] = cohort.crown_base_m(dbh_cm, height_m)
-    trees["crown_width_m"] = species.crown_width_m(dbh_cm)
-    trees["crown_class"] = np.round(log(dbh_cm / cohort.share.dbh_cm) / log(_CLASS_RATIO))
-    trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
-    trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
-    return trees

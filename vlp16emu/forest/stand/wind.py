@@ -171,7 +171,7 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
     middle_m = (base_m + height_m) / 2
     share = (np.arange(_SECTIONS) + 0.5) / _SECTIONS
     at_m = height_m[:, None] * share
-    radius_m = taper_radius_m(tapers(trees["species"], table=plants.trees), dbh_m, height_m, at_m)
+    radius_m = taper_radius_m(tapers(trees, table=plants.trees), dbh_m, height_m, at_m)
     pieces_kg = _GREEN_WOOD_KG_M3 * np.pi * np.square(radius_m) * (height_m / _SECTIONS)[:, None]
     crown_kg = _CROWN_MASS * pieces_kg.sum(axis=1)
     inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + crown_kg * np.square(middle_m)

@@ -1,0 +1,185 @@
+"""Trees that rank windows of emulated and of real units; run by `tools/unmask` where scikit-learn is.
+
+python tools/unmask_trees.py WINDOWS.npz
+"""
+
+import sys
+import warnings
+from collections.abc import Iterator
+
+import numpy as np
+from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.metrics import roc_auc_score
+
+Array = np.ndarray
+SCENE_SHARE = 0.3
+"""Share of the variance over emulated windows that is between scenes, from which on a feature is one of the scene."""
+LEAST_HAVE = 0.5
+"""Share of the windows of a unit, and of the units of either class, that have a feature which counts."""
+TRAINED = 40_000
+"""Patches learnt at most."""
+STRONGEST = 5
+
+
+class Data:
+    """Windows of all units, with the class, the unit, the scene and the seed of each."""
+
+    def __init__(self, path: str) -> None:
+        file = np.load(path)
+        self.names, self.features = file["names"], file["features"]
+        self.groups = np.array([name.partition(".")[0] for name in self.names])
+        self.unit, self.scene, self.seed = file["unit"], file["scene"], file["seed"]
+        self.patches, self.stratum = file["patches"], file["stratum"]
+        self.real = self.scene == "real"
+        self.units = {is_real: list(dict.fromkeys(self.unit[self.real == is_real])) for is_real in (True, False)}
+
+
+def scene_share(data: Data) -> Array:
+    """Return the share of each feature's variance over emulated windows that is between the scenes (f,), which weigh alike."""
+    own = [data.features[~data.real & (data.scene == one)] for one in dict.fromkeys(data.scene[~data.real])]
+    with warnings.catch_warnings(action="ignore"):  # a scene may be without a feature
+        between = np.nanvar([np.nanmean(of, axis=0) for of in own], axis=0)
+        within = np.nanmean([np.nanvar(of, axis=0) for of in own], axis=0)
+    return np.where(data.groups == "scene", 1.0, between / np.maximum(between + within, 1e-30))
+
+
+def shown_by_all(data: Data) -> Array:
+    """Return whether half the windows of half the units of either class have a feature (f,)."""
+    has = {u: np.isfinite(data.features[data.unit == u]).mean(axis=0) >= LEAST_HAVE for u in np.unique(data.unit)}
+    return np.min([np.mean([has[u] for u in units], axis=0) for units in data.units.values()], axis=0) >= LEAST_HAVE
+
+
+def folds(data: Data) -> Iterator[tuple[str, Array, Array]]:
+    """Yield each real unit with the windows that are learnt without it, and those that are ranked: seeds are halved."""
+    even = np.array([int(seed or 0) % 2 == 0 for seed in data.seed])
+    for unit in data.units[True]:
+        out = data.unit == unit
+        yield unit, (data.real & ~out) | (~data.real & ~even), out | (~data.real & even)
+
+
+def weights_of(data: Data, rows: Array, positive: Array) -> Array:
+    """Weigh each unit of a class alike, and both classes alike."""
+    weight = np.zeros(len(rows))
+    for is_positive in (True, False):
+        own = rows & (positive == is_positive)
+        units, of, counts = np.unique(data.unit[own], return_inverse=True, return_counts=True)
+        weight[own] = 1.0 / counts[of] / len(units)
+    return weight[rows] * rows.sum() / 2
+
+
+def tree() -> HistGradientBoostingClassifier:
+    return HistGradientBoostingClassifier(
+        max_depth=3, max_iter=60, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
+    )
+
+
+def summarised(
+    data: Data, x: Array, learnt: Array, ranked: Array, positive: Array
+) -> tuple[Array, HistGradientBoostingClassifier, Array]:
+    """Return logits of windows by their features, the trees, and the features with the middle for what is missing."""
+    whole = np.where(np.isfinite(x), x, np.nanmedian(x[learnt], axis=0))
+    model = tree().fit(whole[learnt], positive[learnt], weights_of(data, learnt, positive))
+    return model.decision_function(whole[ranked]), model, whole
+
+
+def raw(data: Data, learnt: Array, ranked: Array, positive: Array) -> Array:
+    """Return mean logits of the patches of windows; in each stratum both classes weigh alike, so that it tells nothing."""
+    per_window = data.patches.shape[1]
+    draw = np.random.default_rng(0)
+    x, stratum = data.patches[learnt].reshape(-1, data.patches.shape[2]), data.stratum[learnt].ravel()
+    y, weight = np.repeat(positive[learnt], per_window), np.repeat(weights_of(data, learnt, positive), per_window)
+    key = 2 * stratum + y
+    keys, of = np.unique(key, return_inverse=True)
+    sums = np.bincount(of, weight)
+    other = dict(zip(keys.tolist(), sums.tolist(), strict=True))
+    # A stratum weighs as much as the class that has less of it; one that a class lacks is not learnt.
+    shared = np.array(
+        [min(mass, other.get(one ^ 1, 0.0)) / mass for one, mass in zip(keys.tolist(), sums, strict=True)]
+    )
+    weight = weight * shared[of]
+    rows = draw.choice(len(x), min(TRAINED, len(x)), replace=False, p=weight / weight.sum())
+    model = tree().fit(x[rows], y[rows])
+    known = set(stratum[weight > 0].tolist())
+    flat = data.patches[ranked].reshape(-1, data.patches.shape[2])
+    logit = np.where([one in known for one in data.stratum[ranked].ravel()], model.decision_function(flat), np.nan)
+    logit = logit.reshape(-1, per_window)
+    return np.nan_to_num(np.nanmean(np.where(np.isfinite(logit).any(axis=1)[:, None], logit, 0.0), axis=1))
+
+
+def area(positive: Array, logit: Array) -> float:
+    return float(roc_auc_score(positive, logit))
+
+
+def null(data: Data, x: Array) -> list[float]:
+    """Areas where two real units stand for a class: one of each is learnt, the others are ranked."""
+    out, units = [], data.units[True]
+    for a in units:
+        for b in (one for one in units if one > a):
+            c, d = (one for one in units if one not in (a, b))
+            for positive, negative in (((a, c), (b, d)), ((a, d), (b, c))):
+                is_positive = np.isin(data.unit, positive)
+                learnt, ranked = (np.isin(data.unit, pair) for pair in zip(positive, negative, strict=True))
+                out.append(area(is_positive[ranked], summarised(data, x, learnt, ranked, is_positive)[0]))
+    return out
+
+
+def importance(model: HistGradientBoostingClassifier, x: Array) -> Array:
+    """Return how much the logit of a window changes in the mean if a feature is that of another window (f,)."""
+    draw, plain = np.random.default_rng(0), model.decision_function(x)
+    out = np.zeros(x.shape[1])
+    for i in range(x.shape[1]):
+        other = x.copy()
+        other[:, i] = draw.permutation(other[:, i])
+        out[i] = np.abs(model.decision_function(other) - plain).mean()
+    return out
+
+
+def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> None:
+    """Print the areas of the trees for some features; for `whole` also of real units against each other, and what carried them."""
+    names, x = data.names[wanted], data.features[:, wanted]
+    carried, areas = np.zeros(len(names)), []
+    for _, learnt, ranked in folds(data):
+        logit, model, filled = summarised(data, x, learnt, ranked, data.real)
+        areas.append(area(data.real[ranked], logit))
+        carried += importance(model, filled[ranked]) if whole else 0.0
+    chance = null(data, x) if whole else []
+    between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if whole else ""
+    print(f"| {title} ({len(names)}) | {line(areas)} | {between} |", flush=True)
+    if not whole:
+        return
+    for i in np.argsort(-carried)[:STRONGEST]:
+        seen = np.isfinite(x[:, i])
+        single = area(data.real[seen], x[seen, i])
+        real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
+        ours = " ... ".join(f"{value:.3g}" for value in np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9)))
+        print(f"| - {names[i]} | {max(single, 1 - single):.2f} | {real} | {ours} |")
+
+
+def line(areas: list[float]) -> str:
+    return f"{np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in areas)}"
+
+
+def main() -> None:
+    """Print areas of all trees."""
+    data = Data(sys.argv[1])
+    counts = shown_by_all(data)
+    share = scene_share(data)
+    of_scene = ~(share < SCENE_SHARE)
+    print(
+        f"Real units: {', '.join(data.units[True])}. A row of a feature: its own area, its middle on these, and P10, P50, P90 of ours.\n"
+    )
+    print("| Trees | area | left out: each real unit | real against real |\n|---|---|---|---|")
+    of_unit = counts & ~of_scene & (data.groups != "arrival")
+    report(data, of_unit, "features of units", whole=True)
+    for group in dict.fromkeys(data.groups[of_unit]):
+        report(data, of_unit & (data.groups == group), f"{group} alone")
+    report(data, counts & of_scene & (data.groups != "arrival"), "features of scenes")
+    areas = [area(data.real[ranked], raw(data, learnt, ranked, data.real)) for _, learnt, ranked in folds(data)]
+    print(f"| raw patches | {line(areas)} | |")
+    print(
+        f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: {', '.join(data.names[counts & of_scene])}"
+    )
+
+
+if __name__ == "__main__":
+    main()

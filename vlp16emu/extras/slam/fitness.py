@@ -1,0 +1,239 @@
+"""Whether a bag is fit for a SLAM program, and which parameter to set where it is not."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vlp16emu.extras.slam.configure import pose_names
+from vlp16emu.extras.slam.facts import Facts, read_facts
+from vlp16emu.extras.slam.programs import Program, chosen
+
+_UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
+"""Units of times, and their numbers in FAST-LIO2 and Point-LIO (src/preprocess.h)."""
+_EARLY_S = 1e-3
+"""Time before the stamp that rounding does not explain."""
+_GRAVITY_M_S2 = 9.80665
+_TILT_DEG = 30.0
+"""No person carries a body whose vertical axis leans more than this."""
+_SWEEP_S, _IMU_HZ, _SLOW_HZ, _BEAMS = 0.1, 200.0, 100.0, 16
+"""What the configurations of `protocol/slam` are for, and the rate below which programs deskew badly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unfit:
+    """One reason why a bag is not fit for a program as `protocol/slam` configures it."""
+
+    program: str
+    rule: str
+    found: str
+    needs: str
+    """The parameter to set, or what the bag must have; and behind a semicolon what happens otherwise."""
+
+    def __str__(self) -> str:
+        remedy, _, otherwise = self.needs.partition("; ")
+        return f"{self.program}: {self.rule}: {self.found}; needs {remedy}, otherwise {otherwise}"
+
+
+@dataclass(frozen=True, slots=True)
+class Fitness:
+    """What a bag holds, and its fitness for programs."""
+
+    summary: dict[str, Any]
+    programs: tuple[str, ...]
+    findings: tuple[Unfit, ...]
+
+    def of(self, program: str) -> list[Unfit]:
+        """Return the findings of a program."""
+        return [one for one in self.findings if one.program == program]
+
+
+class _Row(NamedTuple):
+    """A row of the table of rules."""
+
+    rule: str
+    broken: Callable[[Any, Program], Any]
+    """Of the values of `_values`."""
+    found: str
+    """Format of the words, with names of values."""
+
+
+ROWS = (
+    _Row("cloud-topic", lambda v, _: v["topic"] != "/velodyne_points", "clouds are on {topic}"),
+    _Row("imu-topic", lambda v, _: v["imu"] not in ("", "/imu/data"), "the inertial unit is on {imu}"),
+    _Row("no-imu", lambda v, _: not v["samples"], "there is no inertial unit"),
+    _Row("no-time", lambda v, _: not v["name"], "points have no times, but {fields}"),
+    _Row("time-name", lambda v, _: v["name"] not in ("", "time"), "times of points are in `{name}`"),
+    _Row("time-type", lambda v, _: v["name"] and v["time_type"] != "float32", "times of points are {time_type}"),
+    _Row("time-unit", lambda v, _: v["name"] and v["unit"] != "s", "times of points are in {unit}: {span:g} a sweep"),
+    _Row(
+        "time-zero",
+        lambda v, _: v["name"] and abs(v["early_s"]) > _EARLY_S,
+        "times begin {early_s:+.4g} s after the stamp instead of 0",
+    ),
+    _Row("time-last", lambda v, _: v["name"] and v["late_scans"], "in {late_scans} scans the last point is not the latest"),
+    _Row("ring", lambda v, _: v["ring_type"] != "uint16", "`ring` is {ring_type} instead of uint16"),
+    _Row("ring-order", lambda v, _: v["misordered"], "ring {misordered}"),
+    _Row("beams", lambda v, _: v["rings"] not in (0, _BEAMS), "there are {rings} rings"),
+    _Row("density", lambda v, _: v["sparse"], "{sparse} clouds have NaN, or are not dense"),
+    _Row("sweep", lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05, "a sweep takes {sweep_s:.4g} s"),
+    _Row("cloud-gaps", lambda v, _: v["gaps"], "{gaps} gaps between scans, up to {gap_s:.3g} s"),
+    _Row("gravity-unit", lambda v, _: v["samples"] and not 8 < v["norm"] < 12, "gravity reads {norm:.3g}"),
+    _Row("gyro-unit", lambda v, _: v["rate_95"] > 12, "angular rates reach {rate_95:.3g}, as degrees per second do"),
+    _Row("gravity-axis", lambda v, _: v["lean_deg"] > _TILT_DEG, "gravity is {lean_deg:.0f} deg off the body's vertical"),
+    _Row("imu-rate", lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02, "{hz_imu:.1f} samples a second"),
+    _Row("imu-slow", lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98, "{hz_imu:.1f} samples a second"),
+    _Row(
+        "imu-gaps",
+        lambda v, _: v["imu_gaps"] or v["imu_back"],
+        "{imu_gaps} gaps between samples, up to {imu_gap_s:.3g} s, and {imu_back} steps back",
+    ),
+    _Row("attitude", lambda v, _: v["samples"] and v["levelled"] < 1, "samples have no attitude"),
+    _Row("covariance", lambda v, _: v["unknown"], "covariances of rate or acceleration begin with -1"),
+    _Row(
+        "clock",
+        lambda v, _: v["samples"] and (v["inside"] < 0.5 or v["back"]),
+        "{inside:.0%} of the scans are within the samples, which begin {offset_s:+.3f} s after the scans; {back} stamps go back",
+    ),
+    _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and unit are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
+    _Row("frames", lambda v, _: v["tree"], "{tree}"),
+    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the fixed frames hang on {root}"),
+    _Row("tf-map", lambda v, _: v["edge"], "/tf moves {edge}"),
+    _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
+)  # fmt: skip
+"""Rules in the order of findings; a program that does not mind has no text for the rule in `programs.toml`."""
+
+
+def fitness(path: Path, name: str) -> Fitness:
+    """Hold a bag against what a program, or all of them, need as `protocol/slam` configures them.
+
+    Raises
+    ------
+    InputError
+        If there is no such program
+    CaptureError, MissingExtraError
+        as `read_facts`
+    """
+    programs = chosen(name)
+    facts = read_facts(path)
+    values = _values(facts)
+    keys = ("topic", "clouds", "points", "sweep_s", "imu", "samples", "hz_imu", "norm", "rest_s", "root")
+    summary = {key: values[key] for key in keys}
+    return Fitness(summary, tuple(one.name for one in programs), tuple(_findings(programs, values)))
+
+
+def _findings(programs: Sequence[Program], values: dict[str, Any]) -> Iterator[Unfit]:
+    for program in programs:
+        for row in ROWS:
+            if row.rule in program.needs and row.broken(values, program):
+                text = program.needs[row.rule]
+                named = {**values, "topic": values["imu"]} if row.rule == "imu-topic" else values
+                named = {**named, "period_s": 1 / values["hz_imu"]} if row.rule == "imu-rate" else named
+                yield Unfit(program.name, row.rule, row.found.format_map(values), text.format_map(named))
+
+
+def _values(facts: Facts) -> dict[str, Any]:
+    """Return all that rules and texts name."""
+    return _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
+
+
+def _of_clouds(facts: Facts) -> dict[str, Any]:
+    clouds = facts.clouds
+    stamp_s, _, earliest, latest, last, points, sparse = np.array(clouds.rows).T
+    steps_s = np.diff(stamp_s)
+    sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
+    span = float(np.median(latest - earliest))
+    unit, scale, code = min(_UNITS, key=lambda one: abs(math.log(max(span, 1e-12) * one[1] / max(sweep_s, 1e-6))))
+    early_s = float(np.median(earliest)) * scale
+    kinds = {name: kind.name for name, kind in clouds.fields.items()}
+    sines = [(ring, total / n) for ring, (total, n) in sorted(clouds.rings.items()) if n]
+    wrong = [f"{a[0]} is above ring {b[0]}" for a, b in pairwise(sines) if a[1] >= b[1]]
+    gaps_s = steps_s[steps_s > 1.5 * sweep_s]
+    return {
+        "topic": clouds.topic,
+        "clouds": len(stamp_s),
+        "points": float(np.median(points)),
+        "fields": ", ".join(kinds),
+        "name": clouds.time_name or "",
+        "time_type": kinds.get(clouds.time_name or "", ""),
+        "ring_type": kinds.get("ring", "missing"),
+        "unit": unit,
+        "scale": scale,
+        "code": code,
+        "span": span,
+        "early_s": early_s,
+        "late_scans": int(((latest - last) * scale > _EARLY_S).sum()),
+        "rings": max(clouds.rings) + 1 if clouds.rings else 0,
+        "misordered": wrong[0] if wrong else "",
+        "sparse": int(sparse.sum()),
+        "sweep_s": sweep_s,
+        "period_s": sweep_s,
+        "hz": 1.0 / max(sweep_s, 1e-6),
+        "columns": 1800 * sweep_s / _SWEEP_S,
+        "gaps": len(gaps_s),
+        "gap_s": float(gaps_s.max(initial=0.0)),
+        "back": int((steps_s <= 0).sum()),
+    }
+
+
+def _of_samples(facts: Facts) -> dict[str, Any]:
+    imu, stamp_s = facts.imu, np.array([row[0] for row in facts.clouds.rows])
+    rest_s, n = facts.rest_s(), len(facts.imu)
+    steps_s = np.diff(imu[:, 0]) if n > 1 else np.full(1, 1.0 / _IMU_HZ)
+    usual_s = max(float(np.median(steps_s)), 1e-6)
+    quiet = imu[: max(round(rest_s / usual_s), 1)] if rest_s >= 1.0 else imu
+    force = quiet[:, 4:7].mean(axis=0) if n else np.array([0.0, 0.0, _GRAVITY_M_S2])
+    turn = facts.pose(facts.imu_frame, "base_link")
+    up = (force if turn is None else turn[:3, :3] @ force) / max(float(np.linalg.norm(force)), 1e-9)
+    inside = ((stamp_s >= imu[0, 0] - usual_s) & (stamp_s <= imu[-1, 0])).mean() if n else 1.0
+    return {
+        "imu": facts.imu_topic,
+        "samples": n,
+        "hz_imu": 1.0 / usual_s,
+        "norm": float(np.median(np.linalg.norm(imu[:, 4:7], axis=1))) if n else _GRAVITY_M_S2,
+        "rate_95": float(np.quantile(np.abs(imu[:, 1:4]), 0.95)) if n else 0.0,
+        "lean_deg": math.degrees(math.acos(max(-1.0, min(1.0, float(up[2]))))),
+        "imu_gaps": int((steps_s > 3 * usual_s).sum()),
+        "imu_gap_s": float(steps_s.max()),
+        "imu_back": int((steps_s <= 0).sum()),
+        "levelled": int(((imu[:, 7] > 0.5) & (imu[:, 8] != -1)).sum()),
+        "unknown": bool((imu[:, 9:11] == -1).any()),
+        "inside": float(inside),
+        "offset_s": float(imu[0, 0] - stamp_s[0]) if n else 0.0,
+        "rest_s": rest_s,
+    }
+
+
+def _of_frames(facts: Facts) -> dict[str, Any]:
+    lidar, unit = facts.clouds.frame, facts.imu_frame
+    roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame]
+    twice = {child: parents for child, parents in facts.parents.items() if len(parents) > 1}
+    T = facts.pose(unit, lidar) if unit else None
+    if twice:
+        child, parents = next(iter(twice.items()))
+        tree = f"{child} has the parents {' and '.join(sorted(parents))}"
+    elif len(set(roots)) > 1:
+        tree = f"{lidar} and {unit} are not connected"
+    else:
+        tree = "" if lidar in facts.fixed or lidar == "base_link" else f"nothing says where {lidar} is"
+    taken = ("base_link", *[name for name in (lidar, unit) if name])
+    edges = [
+        f"{min(facts.parents[child])} -> {child}"
+        for child in taken
+        if child in facts.parents and child not in facts.fixed
+    ]
+    apart = np.eye(4) if T is None else T
+    turned = math.degrees(math.acos(max(-1.0, min(1.0, (float(np.trace(apart[:3, :3])) - 1) / 2))))
+    names = pose_names("lidar", "imu", apart) | pose_names("imu", "lidar", np.linalg.inv(apart))
+    return {
+        "tree": tree,
+        "root": roots[0],
+        "edge": edges[0] if edges else "",
+        "apart_m": float(np.linalg.norm(apart[:3, 3])),
+        "turned_deg": turned,
+        **names,
+    }
