@@ -18,7 +18,7 @@ FLOORS = (
     {"__main__"},
     {"cli"},
     {"extras"},
-    {"emulator"},
+    {"emulator", "pytest"},
     {"run"},
     {"engine"},
     {"scan", "scenario"},
@@ -55,7 +55,7 @@ FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "g
 
 EXTRAS_TAKE = {
     "accuracy": {"plots"},
-    "bag": {"truth"},
+    "bag": {"slam", "truth"},
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
@@ -66,6 +66,7 @@ EXTRAS_TAKE = {
     "live": {"recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
+    "slam": {"truth"},
     "truth": {"bench"},
     "viewer": {"camera", "canvas", "clouds", "options", "palette", "plots", "sheets", "verify"},
 }
@@ -77,6 +78,7 @@ LIBRARIES = {
     # third-party or system module: where it may be imported
     "ctypes": ("output.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
+    "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
     "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/readiness.py", "extras/viewer/"),
     "typer": ("cli/",),

@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import json
 import re
 import shutil
 from datetime import UTC, datetime
@@ -19,6 +20,7 @@ from vlp16emu.packets import CaptureReader
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
 
 SETTINGS = {"beam.model": "none", "gps.connected": True, "imu.preset": "consumer"}
 TOPICS = ["/fix", "/ground_truth/odom", "/imu/data", "/nmea_sentence", "/tf", "/tf_static", "/velodyne_packets"]
@@ -98,14 +100,14 @@ def test_truth_is_in_the_bag(walk, name):
     assert len(said) >= 200
     assert np.array_equal(said, poses[-len(said) :])
     moved = [one.transforms[0] for one in found["/tf"]]
-    assert {(one.header.frame_id, one.child_frame_id) for one in moved} == {("map", "velodyne")}
+    assert {(one.header.frame_id, one.child_frame_id) for one in moved} == {("map", "base_link_truth")}
     assert [one.transform.translation.x for one in moved] == [row[0] for row in said]
     imu = np.genfromtxt(truth / "imu.csv", delimiter=",", skip_header=1)
     assert [one.linear_acceleration.z for one in found["/imu/data"]] == imu[-len(found["/imu/data"]) :, 6].tolist()
     assert [one.angular_velocity.x for one in found["/imu/data"]] == imu[-len(found["/imu/data"]) :, 1].tolist()
     fixes = np.genfromtxt(truth / "gnss.csv", delimiter=",", skip_header=1)
     assert [one.latitude for one in found["/fix"]] == fixes[-len(found["/fix"]) :, 8].tolist()
-    assert [one.child_frame_id for one in found["/tf_static"][0].transforms] == ["base_link", "imu"]
+    assert all(one.orientation_covariance[0] == -1 and one.orientation.w == 0 for one in found["/imu/data"])
     assert all(one.sentence.startswith("$GPRMC,") for one in found["/nmea_sentence"])
     assert hasattr(found["/imu/data"][0].header, "seq") == name.endswith(".bag")
 
@@ -132,16 +134,135 @@ def test_same_bytes_again(walk, tmp_path):
         assert (tmp_path / name).read_bytes() == (walk / name).read_bytes()
 
 
+def frames(found) -> tuple[dict[str, str], dict[str, str]]:
+    """Parents of the frames that are fixed and of those that move; each child has one."""
+    parents = {}
+    for topic in ("/tf_static", "/tf"):
+        edges = {(one.child_frame_id, one.header.frame_id) for message in found[topic] for one in message.transforms}
+        parents[topic] = dict(edges)
+        assert len(parents[topic]) == len(edges), topic
+    assert not parents["/tf_static"].keys() & parents["/tf"].keys()
+    return parents["/tf_static"], parents["/tf"]
+
+
+def root_of(frame: str, parents: dict[str, str]) -> str:
+    while frame in parents:
+        frame = parents[frame]
+    return frame
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_frames_are_a_tree_as_tf2_wants_it(walk, name):
+    """Each frame has one parent, fixed or moving but not both.
+
+    All frames of messages hang on base_link, so that a SLAM program connects them with map by one edge; and transforms are in the bag
+    before what needs them.
+    """
+    found = messages(walk / name)
+    fixed, moving = frames(found)
+    assert fixed == {"velodyne": "base_link", "imu": "base_link", "gps": "base_link"}
+    assert moving == {"base_link_truth": "map"}
+    used = {
+        one.header.frame_id
+        for topic in ("/velodyne_points", "/imu/data", "/fix", "/nmea_sentence")
+        for one in found[topic]
+    }
+    slam = fixed | moving | {"odom": "map", "base_link": "odom"}
+    assert {root_of(frame, fixed) for frame in used} == {"base_link"}
+    assert {root_of(frame, slam) for frame in used} == {"map"}
+    with AnyReader([walk / name]) as reader:
+        first = next(
+            connection.topic
+            for connection, *_ in reader.messages()
+            if connection.topic in ("/tf_static", "/velodyne_points", "/tf")
+        )
+    assert first == "/tf_static"
+
+
+def test_the_truth_may_move_the_body(walk, tmp_path):
+    """With --tf truth the tree is whole without SLAM: map, base_link, and what is mounted on it."""
+    truth = ["--truth", str(walk / "truth"), "--tf", "truth"]
+    assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/a.mcap", *truth]) == 0
+    fixed, moving = frames(messages(tmp_path / "a.mcap"))
+    assert moving == {"base_link": "map"}
+    assert {root_of(frame, fixed | moving) for frame in ("velodyne", "imu", "gps")} == {"map"}
+
+
+MOUNTS = {
+    "motion.mount": {"lever_arm_m": [0.1, -0.2, 0.4], "yaw_deg": 40.0, "pitch_deg": 10.0},
+    "imu": {"preset": "consumer", "mount": {"lever_arm_m": [0.0, 0.1, 0.0], "roll_deg": 90.0}},
+}
+
+
 def test_units_have_topics_of_their_own(tmp_path):
-    """Each of two sensors has its topics, its frame and its trajectory, at its own place."""
+    """Each of two sensors has its topics and its frame, whose fixed pose on base_link is that of the rig.
+
+    The truth is that of the body, from a run and from its files alike, and with the fixed transform it is the trajectory of the sensor.
+    """
     rig = {"rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 1.0]}}]}
-    Emulator("static_bench", SETTINGS | rig).record(tmp_path / "rig.pcap", duration_s=0.3, truth=tmp_path / "truth")
+    emulator = Emulator("static_bench", SETTINGS | MOUNTS | rig)
+    emulator.record(tmp_path / "rig.pcap", duration_s=0.3, truth=tmp_path / "truth")
+    emulator.record(tmp_path / "run.mcap", duration_s=0.3)
     write_bag(tmp_path / "rig.pcap", tmp_path / "rig.mcap", tmp_path / "truth")
-    found = messages(tmp_path / "rig.mcap")
+    found, ran = messages(tmp_path / "rig.mcap"), messages(tmp_path / "run.mcap")
     for number in (1, 2):
         assert found[f"/unit_{number}/velodyne_points"][0].header.frame_id == f"unit_{number}/velodyne"
-    heights = [found[f"/unit_{n}/ground_truth/odom"][0].pose.pose.position.z for n in (1, 2)]
-    assert heights[1] - heights[0] == pytest.approx(1.0)
+    fixed = {one.child_frame_id: matrix(one.transform) for one in found["/tf_static"][0].transforms}
+    assert fixed.keys() == {"unit_1/velodyne", "unit_2/velodyne", "imu", "gps"}
+    devices = json.loads((tmp_path / "truth" / "rig.json").read_text())
+    for n in (1, 2):
+        np.testing.assert_allclose(
+            fixed[f"unit_{n}/velodyne"], devices["units"][n - 1]["body_T_sensor"]["matrix"], atol=1e-12
+        )
+    np.testing.assert_allclose(fixed["imu"], devices["imu"]["body_T_imu"]["matrix"], atol=1e-12)
+    np.testing.assert_allclose(fixed["gps"][:3, 3], fixed["unit_1/velodyne"][:3, 3] + [0, 0, 0.2], atol=1e-12)
+    for bag in (found, ran):
+        (world_T_body,) = {tuple(matrix(one.pose.pose).ravel().round(9)) for one in bag["/ground_truth/odom"]}
+        assert {one.child_frame_id for one in bag["/ground_truth/odom"]} == {"base_link_truth"}
+        x, y, z, *quaternion = np.loadtxt(tmp_path / "truth" / "trajectory.tum")[0, 1:]
+        true = matrix(np.array([x, y, z]), quaternion)
+        np.testing.assert_allclose(np.reshape(world_T_body, (4, 4)) @ fixed["unit_1/velodyne"], true, atol=1e-8)
+
+
+def matrix(pose, quaternion=None):
+    """Pose (4, 4) of a message, or of numbers."""
+    T = np.eye(4)
+    if quaternion is None:
+        place, turn = (
+            getattr(pose, one, None) or getattr(pose, other)
+            for one, other in (("translation", "position"), ("rotation", "orientation"))
+        )
+        pose, quaternion = [place.x, place.y, place.z], [turn.x, turn.y, turn.z, turn.w]
+    T[:3, 3], T[:3, :3] = pose, Rotation.from_quat(quaternion).as_matrix()
+    return T
+
+
+def test_an_attitude_is_that_of_the_truth(tmp_path):
+    """With imu.attitude the orientation of /imu/data is that of imu.csv, and its covariance no longer says that there is none."""
+    settings = SETTINGS | {"imu.attitude": True, "motion.yaw_deg": 30.0}
+    Emulator("static_bench", settings).record(tmp_path / "a.pcap", duration_s=0.2, truth=tmp_path / "truth")
+    write_bag(tmp_path / "a.pcap", tmp_path / "a.mcap", tmp_path / "truth")
+    rows = np.genfromtxt(tmp_path / "truth" / "imu.csv", delimiter=",", names=True)
+    found = messages(tmp_path / "a.mcap")["/imu/data"]
+    said = [[getattr(one.orientation, axis) for axis in "xyzw"] for one in found]
+    assert np.array_equal(said, np.stack([rows[f"q{axis}"] for axis in "xyzw"], axis=1)[-len(found) :])
+    assert np.degrees(Rotation.from_quat(said).as_euler("zyx")[:, 0]) == pytest.approx(30.0, abs=0.1)
+    assert all(one.orientation_covariance[0] > 0 for one in found)
+
+
+def test_a_configuration_is_written_beside_the_bag(walk, tmp_path, capsys):
+    """--for writes the files of a program under the bag's name, from a capture, its truth and a run alike; an edited one is left alone."""
+    words = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}".replace("True", "true"))]
+    assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/a.mcap", "--truth", f"{walk}/truth", "--for", "dlio"]) == 0
+    assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/b.mcap", "--for", "dlio"]) == 0
+    assert run(["record", "static_bench", f"{tmp_path}/c.mcap", "--duration", "0.2", *words, "--for", "dlio"]) == 0
+    texts = [[(tmp_path / f"{one}.{file}").read_text() for file in ("dlio.yaml", "dlio_params.yaml")] for one in "abc"]
+    assert texts[0] == texts[1] == texts[2]
+    (tmp_path / "a.dlio.yaml").write_text("mine")
+    capsys.readouterr()
+    assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/a.mcap", "--for", "dlio"]) == 2
+    assert "a.dlio.yaml: is there already, with other values" in capsys.readouterr().err
+    assert (tmp_path / "a.dlio.yaml").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -154,6 +275,9 @@ def test_units_have_topics_of_their_own(tmp_path):
         ("bag {walk}/walk.pcap {walk}/new.mcap --clock moon", "--clock: found moon"),
         ("record static_bench {walk}/walk/", "is there already"),
         ("record static_bench {walk}/b.mcap --split", "one bag for all sensors"),
+        ("bag {walk}/walk.pcap {walk}/new.mcap --for lio", "--for: found lio; expected fast-lio2"),
+        ("record static_bench {walk}/new.mcap --for lio", "--for: found lio; expected fast-lio2"),
+        ("record static_bench {walk}/new.pcap --for lio-sam", "--for and --tf: found the capture"),
     ],
 )
 def test_what_no_bag_can_be_made_of_is_refused(walk, capsys, words, line):

@@ -16,7 +16,8 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 SETTINGS = {
     "sensor.return_mode": "dual",
-    "world.stems_per_ha": 300,
+    "seed": 5,
+    "world.stems_per_ha": 150,
     "sensor.max_range_m": 25.0,
     "beam.model": "fixed",
     "beam.rays": 8,

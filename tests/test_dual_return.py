@@ -7,8 +7,9 @@ from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SPAN_S = 5.0, 5.2
+SPAN_S = 5.0, 5.3
 RESOLUTION_M = 1.0
+THIN = "seed=5", "world.stems_per_ha=150", "sensor.max_range_m=25.0"
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +22,7 @@ def dual_returns(tool_named):
 def forest(dual_returns):
     """Emulators of a walk among birches by the preset of their noise, in one world."""
     typical, ideal = (
-        load("birch_walk", [*dual_returns.OWN, f"noise.preset={preset}", "sensor.max_range_m=25.0"])
-        for preset in ("typical", "ideal")
+        load("birch_walk", [*dual_returns.OWN, f"noise.preset={preset}", *THIN]) for preset in ("typical", "ideal")
     )
     first = Emulator(typical)
     return {"typical": first, "ideal": Emulator(ideal, like=first)}
@@ -30,7 +30,7 @@ def forest(dual_returns):
 
 @pytest.fixture(scope="module", params=["typical", "ideal"])
 def pairs(dual_returns, forest, request):
-    """Two revolutions."""
+    """Three revolutions."""
     return dual_returns.pairs(forest[request.param], *SPAN_S)
 
 

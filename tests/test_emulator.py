@@ -32,19 +32,19 @@ def hall(*settings):
 def birch():
     """A short piece of forest, thin enough to be quick, across the change of a window."""
     bare = [f"world.{layer}.cover=0.0" for layer in ("litter", "ferns", "dwarf_shrubs")]
-    return load("birch_walk", ["world.stems_per_ha=150", "sensor.max_range_m=20.0", "seed=5", *bare])
+    return load("birch_walk", ["world.stems_per_ha=150", "sensor.max_range_m=15.0", "seed=5", *bare])
 
 
 def test_threads_do_not_change_a_byte(birch):
     """One thread or three: the same packets at the same times."""
-    span = STRETCH_S - 0.25, STRETCH_S + 0.25
+    span = STRETCH_S - 0.12, STRETCH_S + 0.12
     assert digest(Emulator(birch, threads=1).packets(*span)) == digest(Emulator(birch, threads=3).packets(*span))
 
 
 @pytest.mark.usefixtures("kept_woods")  # in what order they grow changes nothing: test_forest.py of the stand
 def test_cuts_do_not_change_a_byte(birch):
     """A run in pieces that begin anywhere, also in the middle of a packet, equals the run in one go."""
-    start, stop = STRETCH_S - 0.3, STRETCH_S + 0.3
+    start, stop = STRETCH_S - 0.15, STRETCH_S + 0.15
     whole = digest(Emulator(birch).packets(start, stop))
     cuts = [start, start + 0.0004, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.1001, stop]
     pieces = (packet for a, b in itertools.pairwise(cuts) for packet in Emulator(birch, threads=2).packets(a, b))
@@ -134,7 +134,7 @@ ENCODER = "sensor.eccentricity_deg=0.06", "sensor.azimuth_noise_deg=0.005"
 """Errors that sensors have by default; the scene has none."""
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_run_begins_with_a_whole_scan(seed):
     """By default the first readings of the encoder are past north, so that readers make no first scan of one packet."""
     first = next(

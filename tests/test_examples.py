@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -30,13 +31,13 @@ COURSE = {
 """Argument that keeps a script short, and words that it prints."""
 
 
-def run_python(folder, *command, code=0):
-    """Standard output of a program in a folder whose packages it finds; what it says on errors where `code` is not 0."""
+def run_python(folder, *command, code=0, out=False):
+    """Standard output of a program in a folder whose packages it finds; what it says on errors where `code` is not 0 unless `out`."""
     paths = os.pathsep.join([str(folder), str(ROOT)])
     env = os.environ | {"PYTHONPATH": paths}
     done = subprocess.run([sys.executable, *command], cwd=folder, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr
-    return done.stderr if code else done.stdout
+    return done.stderr if code and not out else done.stdout
 
 
 @pytest.mark.parametrize("name", COURSE)
@@ -53,6 +54,43 @@ def test_the_course_runs(name, tmp_path, monkeypatch, capsys):
     assert printed in capsys.readouterr().out
 
 
+BUGS = {
+    "right": ("", "", None),
+    "half_a_block": ("* since_us / (2", "* (since_us % FIRING_US) / (2", "points_lie_where_the_pulses_went"),
+    "ring": ("np.argsort(np.argsort(ELEVATION_DEG))", "np.arange(16)", "rings_count_from_below"),
+    "dual": ("np.arange(12) % 2 == 0", "np.arange(12) % 2 == 1", "the_last_return_comes_first"),
+    "hour": ("self.hours += stamp_us < self.stamp_us", "pass", "time_goes_on_past_the_full_hour"),
+}
+"""What is right in the driver, what somebody wrote instead, and the test that says so."""
+
+
+def test_tests_of_a_driver_find_its_bugs(tmp_path):
+    """With the fixture `vlp16` the driver of the examples passes, and each of four bugs fails the test that is about it."""
+    driver, tests = ((EXAMPLES / "driver_tests" / name).read_text() for name in ("driver.py", "test_driver.py"))
+    for name, (right, wrong, _) in BUGS.items():
+        assert right in driver
+        (tmp_path / f"driver_{name}.py").write_text(driver.replace(right, wrong) if right else driver)
+        (tmp_path / f"test_{name}.py").write_text(tests.replace("from driver import", f"from driver_{name} import"))
+    said = run_python(
+        tmp_path, "-m", "pytest", "-q", "-p", "vlp16emu.pytest", "-p", "no:cacheprovider", code=1, out=True
+    )
+    failed = set(re.findall(r"^FAILED test_(\w+)\.py::test_(\w+)", said, re.MULTILINE))
+    assert failed == {(name, test) for name, (_, _, test) in BUGS.items() if test}
+    assert "21 passed" in said
+
+
+def test_a_session_without_the_fixture_loads_nothing(tmp_path, monkeypatch):
+    """The plugin alone brings neither numpy nor the engine, and leaves numba as it is for others."""
+    (tmp_path / "test_other.py").write_text(
+        "import os, sys\ndef test_it():\n    assert not {'numpy', 'pydantic', 'vlp16emu.run'} & set(sys.modules)\n"
+        "    import numba\n    assert 'NUMBA_CPU_NAME' not in os.environ\n"
+        "    import vlp16emu.trig\n    assert 'NUMBA_CPU_NAME' in os.environ\n"
+    )
+    monkeypatch.delenv("NUMBA_CPU_NAME", raising=False)
+    command = "-m", "pytest", "-q", "-W", "error", "-p", "vlp16emu.pytest", "-p", "no:cacheprovider"
+    assert "1 passed" in run_python(tmp_path, *command)
+
+
 def test_every_script_of_the_course_is_run():
     """No numbered script is left out above, and each has at most 40 lines."""
     numbered = sorted(EXAMPLES.glob("[0-9]_*.py"))
@@ -61,10 +99,12 @@ def test_every_script_of_the_course_is_run():
 
 
 ON_THE_SINE = """
-import runpy, numpy as np
+import runpy, sys, numpy as np
 from vlp16emu import Emulator
 own = runpy.run_path({!r})
 scene = {{"schema": 1, "motion": {{"kind": "static"}}, "world": {{"kind": "dunes", "height_m": 3.0}}}}
+sys.argv[1:] = ["0.1"]
+runpy.run_path({!r}, run_name="__main__")
 for returns in Emulator(scene, ideal=True).returns(0.0, 0.1):
     hit = returns.distance_m[..., 0] > 0
     x_m, y_m, z_m = (returns.firings.origin_m[hit] + returns.firings.direction[hit] * returns.distance_m[hit][:, :1]).T
@@ -74,8 +114,10 @@ for returns in Emulator(scene, ideal=True).returns(0.0, 0.1):
 
 def test_a_world_of_ones_own_is_scanned(tmp_path):
     """Returns lie on the sine that the dunes are, but for the chords of 0.5 m: 1.5 m x (2 pi / 40 m)^2 x (0.5 m)^2 / 8."""
-    assert int(run_python(tmp_path, EXAMPLES / "own_world.py", "0.1").split()[0]) > 10_000
-    for line in run_python(tmp_path, "-c", ON_THE_SINE.format(str(EXAMPLES / "own_world.py"))).splitlines():
+    own = str(EXAMPLES / "own_world.py")
+    said, *lines = run_python(tmp_path, "-c", ON_THE_SINE.format(own, own)).splitlines()
+    assert int(said.split()[0]) > 10_000
+    for line in lines:
         count, off_m = line.split()
         assert int(count) > 100
         assert float(off_m) < 0.0013
@@ -83,9 +125,11 @@ def test_a_world_of_ones_own_is_scanned(tmp_path):
 
 def test_a_beam_table_of_ones_own_gives_its_elevations(tmp_path):
     """A cloud of the sensor of 32 lasers has 32 rings, at the elevations of its table: a row of a list, no formula."""
-    code = "import runpy; print(len(runpy.run_path('{}')['Dense32'](model='dense-32').beam_elevations_deg))"
-    assert run_python(tmp_path, "-c", code.format(EXAMPLES / "own_sensor.py")) == "32\n"
-    run_python(tmp_path, EXAMPLES / "own_sensor.py", "0.1")
+    code = (
+        "import runpy, sys; sys.argv[1:] = ['0.1']; own = runpy.run_path('{}', run_name='__main__');"
+        " print(len(own['Dense32'](model='dense-32').beam_elevations_deg))"
+    )
+    assert run_python(tmp_path, "-c", code.format(EXAMPLES / "own_sensor.py")).endswith("\n32\n")
     head, _, _ = (tmp_path / "dense.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 1152" in head  # of 1 000 sequences x 32 pulses in a closed hall none is lost
 
@@ -98,6 +142,10 @@ def test_a_motion_of_ones_own_has_the_derivatives_of_its_poses(tmp_path):
     rate = np.abs(table["true_wy_rad_s"])
     assert along[rate.argmax()] == pytest.approx(9.80665 + 2.0 * rate.max() ** 2, rel=1e-4)
     assert rate.max() == pytest.approx(0.3 * np.sqrt(9.81 / 2.0), rel=1e-4)
+
+
+LINES = "import sys; from vlp16emu.cli.app import run; sys.exit(max(run(line.split()) for line in sys.argv[1:]))"
+"""A program that carries out command lines."""
 
 
 @pytest.fixture(scope="module")
@@ -129,21 +177,22 @@ def outside(tmp_path_factory):
 
 def test_another_package_adds_a_world_that_is_recorded_and_listed(outside, tmp_path):
     """`record` finds the scene of another package and its world, `scenes` lists it, and `schema` has its keys."""
-    run_python(outside, "-m", "vlp16emu", "record", "dune_walk", tmp_path / "dunes.pcap", "--duration=0.2")
+    said = run_python(
+        outside, "-c", LINES, f"record dune_walk {tmp_path}/dunes.pcap --duration=0.2", "scenes", "schema"
+    )
     assert sum(len(scan.xyz_m) for scan in decode(tmp_path / "dunes.pcap")) > 5_000
-    assert "dune_walk" in run_python(outside, "-m", "vlp16emu", "scenes")
-    schema = json.loads(run_python(outside, "-m", "vlp16emu", "schema"))
+    before, _, tree = said.partition("\n{")
+    assert "\n  dune_walk " in before
+    schema = json.loads("{" + tree)
     assert set(schema["properties"]["world"]["discriminator"]["mapping"]) == {"dunes", "forest", "hall", "plot"}
 
 
 def test_another_package_adds_a_sensor_and_a_verb(outside):
     """A scene names the sensor by its word, and the command line has the verb."""
     cloud = outside / "d.ply"
-    run_python(
-        outside, "-m", "vlp16emu", "points", "static_bench", cloud, "--duration=0.1", "--set=sensor.model=dense-32"
-    )
+    points = f"points static_bench {cloud} --duration=0.1 --set=sensor.model=dense-32"
+    assert run_python(outside, "-c", LINES, points, "greet you").endswith("hello you\n")
     assert b"element vertex" in cloud.read_bytes()[:2000]
-    assert run_python(outside, "-m", "vlp16emu", "greet", "you") == "hello you\n"
 
 
 @pytest.mark.parametrize(

@@ -47,30 +47,20 @@ __all__ = [
     "write_truth",
 ]
 
-_PLACES = {
-    "Emulator": "emulator",
-    "Finding": "extras.verify",
-    "GpsIn": "run.options",
-    "Http": "run.options",
-    "Labels": "scan",
-    "Live": "run.live",
-    "Outlets": "run.options",
-    "PosesIn": "run.options",
-    "Recording": "run.report",
-    "Replayed": "run.replay",
-    "Scan": "scan",
-    "Scenario": "scenario",
-    "TruthTo": "run.options",
-    "Verification": "extras.verify",
-    "decode": "scan",
-    "load": "scenario",
-    "replay": "run.replay",
-    "stream": "run.live",
-    "verify": "extras.verify",
-    "write_images": "extras.images.images",
-    "write_points": "extras.clouds.points",
-    "write_truth": "extras.truth.truth",
+_MODULES = {
+    "emulator": "Emulator",
+    "extras.clouds.points": "write_points",
+    "extras.images.images": "write_images",
+    "extras.truth.truth": "write_truth",
+    "extras.verify": "Finding Verification verify",
+    "run.live": "Live stream",
+    "run.options": "GpsIn Http Outlets PosesIn TruthTo",
+    "run.replay": "Replayed replay",
+    "run.report": "Recording",
+    "scan": "Labels Scan decode",
+    "scenario": "Scenario load",
 }
+_PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}
 """Module of each public name."""
 
 keep_compiled()

@@ -10,8 +10,16 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.cli.app import run
+from vlp16emu.kernels.compiler import _is_kept, table
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kernels():
+    """Compile what is not on disk: a run that does it says so on stderr."""
+    if not all(map(_is_kept, table())):
+        subprocess.run([sys.executable, "-m", "vlp16emu", "cache", "--compile"], capture_output=True, check=True)
 
 
 @dataclass

@@ -16,7 +16,8 @@ from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SMALL = ("--set", "duration_s=3.0", "--set", "sensor.max_range_m=16.0", "--radius", "12")
+RADIUS_M = 9
+SMALL = ("--set", "duration_s=3.0", "--set", "sensor.max_range_m=13.0", "--radius", str(RADIUS_M))
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,7 @@ def test_the_table_sums_up_the_inventory_near_the_way(written, rows):
     start, end = (np.array(report["path"][name][:2]) for name in ("start_m", "end_m"))
     xy_m = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
     along = np.clip((xy_m - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
-    near = np.linalg.norm(xy_m - start - along[:, None] * (end - start), axis=1) <= 12
+    near = np.linalg.norm(xy_m - start - along[:, None] * (end - start), axis=1) <= RADIUS_M
     dbh_m = np.array([float(row["dbh_m"]) for row in rows])[near]
     all_trees = report["trees"][-1]
     assert all_trees["stems"] == near.sum()
@@ -88,8 +89,8 @@ def test_the_ground_lies_where_trees_stand(written, rows):
     lines, columns = grid.heights_m.shape
     low_m = np.array([grid.west_m, grid.north_m - (lines - 1) * grid.cell_m]) - grid.cell_m / 2
     high_m = low_m + np.array([columns, lines]) * grid.cell_m
-    assert (low_m <= way_m.min(axis=0) - 12).all()
-    assert (high_m >= way_m.max(axis=0) + 12).all()
+    assert (low_m <= way_m.min(axis=0) - RADIUS_M).all()
+    assert (high_m >= way_m.max(axis=0) + RADIUS_M).all()
     feet_m = np.array([[float(row[name]) for name in ("x_m", "y_m", "z_m")] for row in rows])
     feet_m = feet_m[((feet_m[:, :2] > low_m) & (feet_m[:, :2] < high_m)).all(axis=1)]
     column = np.round((feet_m[:, 0] - grid.west_m) / grid.cell_m).astype(int)

@@ -244,3 +244,13 @@ def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
         assert report["delay_s"] == 0
         assert report["skipped"]["data"] > 0.9 * STOPPED_S / (PERIOD_NS * 1e-9)
         assert report["skipped"]["position"] > 0
+
+
+def test_port_0_is_a_free_one(cli):
+    """With --data-port 0 and --position-port 0 a free port of each is taken, printed at once, and reported."""
+    free = "--data-port", "0", "--position-port", "0"
+    run = cli("stream", "static_bench", "--duration", "0.05", *free, "--set", "rig=[{}]")
+    pairs = [pair.split(" and ") for pair in run.out.splitlines()[0].partition(", ports ")[2].split("; ")]
+    assert len({port for pair in pairs for port in pair} - {"2368", "2369", "8308", "8309"}) == 4
+    units = cli("stream", "static_bench", "--duration", "0.05", *free, "--json").tree["units"]
+    assert 20_000 <= units[0]["data_port"] != units[0]["position_port"] < 32_768

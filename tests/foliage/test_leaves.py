@@ -11,8 +11,7 @@ from raycast import lab
 
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
-from vlp16emu.foliage.lanes import Pulse, lanes
-from vlp16emu.foliage.march import march
+from vlp16emu.foliage.lanes import lanes
 from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
 from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
 
@@ -50,9 +49,7 @@ def met_m(medium, origin_m, direction, far_m=60.0):
     """Range of one ray, inf where it meets nothing."""
     L = lanes()
     L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = origin_m, direction, far_m, NO_SURFACE
-    grids = medium.brick.reshape(-1), medium.first.reshape(-1)
-    line = np.array([*origin_m, *direction], "f4")
-    march(medium, *grids, Pulse(L, 1, np.float32(medium.near_m), line, np.float32(0), np.float32(0)))
+    lab.march_through(medium, L, 1, [*origin_m, *direction], far_m)
     return float(L.range_m[0]) if L.surface[0] != NO_SURFACE else np.inf
 
 

@@ -8,8 +8,7 @@ from raycast import lab
 
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
-from vlp16emu.foliage.lanes import Pulse, lanes
-from vlp16emu.foliage.march import march
+from vlp16emu.foliage.lanes import lanes
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
@@ -68,7 +67,7 @@ class Twin:
             word, bit = int(M.brick[place][0]), 16 * (x & 3) + 4 * (y & 3) + (z & 3)
             if not word >> bit & 1:
                 continue
-            voxel = int(M.first[place]) + (word & (1 << bit) - 1).bit_count()
+            voxel = int(M.brick[place][1]) + (word & (1 << bit) - 1).bit_count()
             code = int(M.record[voxel])
             tau = np.interp(up, KNOTS, TAU_PER_M[[code & 127, code >> 7 & 127, code >> 14 & 127]])
             if code & (1 << 21) - 1 == 0:
@@ -153,8 +152,7 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     line = np.concatenate([origin_m[0], direction[0]] if axis is None else axis).astype("f4")
     aside_m = np.linalg.norm(origin_m - line[:3], axis=1).max()
     spread = np.linalg.norm(direction - line[3:], axis=1).max()
-    grids = medium.brick.reshape(-1), medium.first.reshape(-1)
-    march(medium, *grids, Pulse(L, n, np.float32(medium.near_m), line, np.float32(aside_m), np.float32(spread)))
+    lab.march_through(medium, L, n, line, far_m, aside_m, spread)
     range_m = np.where(L.surface == NO_SURFACE, np.inf, L.range_m)
     return range_m[:n].copy(), L.surface[:n].copy(), L.cosine[:n].copy()
 
@@ -164,12 +162,10 @@ def dense_bricks(empty, size, is_full, code=60):
     full = np.array([is_full(*place) for place in np.ndindex(size)]).reshape(size)
     brick = np.zeros((*size, 2), "u8")
     brick[full, 0] = 2**64 - 1
-    first = np.zeros(size, "u4")
-    first[full] = 64 * np.arange(full.sum())
+    brick[full, 1] = 64 * np.arange(full.sum())
     voxels = 64 * int(full.sum())
     return empty._replace(
         brick=brick,
-        first=first,
         record=np.full(voxels, code | code << 7 | code << 14, "u4"),
         first_owner=np.zeros(voxels, "u4"),
         owner=np.array([255 << 56 | 5], "u8"),

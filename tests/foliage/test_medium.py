@@ -163,5 +163,5 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
     world, library, _, made = blocks
     more = {place: world.far_tile(*place) for place in itertools.product(range(-3, 4), repeat=2)}
     again = block_of(library, {"crown": 0, "stone": 1}, more, 0, 0)
-    for name in ("mask", "stem", "first", "record", "first_owner", "owner"):
+    for name in ("mask", "first", "record", "first_owner", "owner"):
         assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()

@@ -13,7 +13,6 @@ def block(number, records, owners):
     return Block(
         bottom=number,
         mask=np.full((10, 10, 1), number, np.uint64),
-        stem=np.zeros((10, 10, 1), np.uint64),
         first=np.arange(100, dtype=np.uint32).reshape(10, 10, 1) % np.uint32(records),
         record=np.full(records, number, np.uint32),
         first_owner=np.arange(records, dtype=np.uint32),
@@ -32,7 +31,6 @@ def found(shelf, name, arrays):
     return Block(
         laid.bottom,
         laid.mask,
-        laid.stem,
         laid.first - np.uint32(shift),
         record[laid.records],
         first_owner[laid.records] - np.uint32(laid.owners.start),

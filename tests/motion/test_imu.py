@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from vlp16emu.motion import Gps, Harness, Imu, Mount, Walk
 from vlp16emu.motion.carrier import StaticMotion, make_carrier
@@ -124,3 +125,38 @@ def test_one_who_stands_reads_gravity_alone(unit, start_ns):
     np.testing.assert_allclose(standing.angular_rate_rad_s, 0.0, atol=1e-12)  # straps are solved to rounding
     np.testing.assert_allclose(standing.specific_force_m_s2, [[0, 0, GRAVITY_M_S2]] * 800, atol=1e-11)
     assert np.ptp(walking.specific_force_m_s2[:, 2]) > 1.0
+
+
+def test_an_attitude_without_errors_is_the_true_one(unit):
+    """An ideal unit that reports its attitude is levelled and turned as it hangs; one that does not has none."""
+    tilted = StaticMotion(np.zeros(3), 50.0, 20.0, -10.0)
+    read = unit(motion=tilted, attitude=True).read(0, 3)
+    np.testing.assert_allclose(
+        read.world_R_imu, np.broadcast_to(tilted.poses_at(np.zeros(1, np.int64)).world_R_body, (3, 3, 3)), atol=1e-15
+    )
+    assert unit().read(0, 3).world_R_imu is None
+
+
+def test_an_attitude_is_levelled_by_what_the_unit_feels(unit):
+    """What a resting unit with a bias reports turns the acceleration that it feels to the vertical, and no farther than the bias asks."""
+    tilted = StaticMotion(np.zeros(3), 50.0, 20.0, -10.0)
+    read = unit(motion=tilted, attitude=True, accel_bias_m_s2=0.2).read(0, 2)
+    up = np.einsum("nij,nj->ni", read.world_R_imu, read.specific_force_m_s2)
+    np.testing.assert_allclose(up[:, :2], 0.0, atol=1e-12)
+    true = tilted.poses_at(np.zeros(1, np.int64)).world_R_body[0]
+    off_rad = Rotation.from_matrix(read.world_R_imu[0] @ true.T).magnitude()
+    assert off_rad == pytest.approx(np.hypot(*(true @ read.accel_bias_m_s2[0])[:2]) / GRAVITY_M_S2, rel=0.05)
+
+
+def test_the_heading_drifts_with_the_gyroscopes(unit):
+    """The heading is off by bias times time, and by a random walk of the density of the noise; the same however it is read."""
+    biased = unit(attitude=True, gyro_bias_rad_s=1e-3)
+    late = biased.read(200 * 60, 1)
+    heading = Rotation.from_matrix(late.world_R_imu).as_euler("zyx")[0, 0]
+    assert heading == pytest.approx(60 * late.gyro_bias_rad_s[0, 2], abs=1e-12)
+    ends = []
+    for seed in range(60):
+        noisy = unit(attitude=True, gyro_noise_rad_s_sqrt_hz=1e-3, seed=seed)
+        ends.append(Rotation.from_matrix(noisy.read(200 * 25, 1).world_R_imu).as_euler("zyx")[0, 0])
+        np.testing.assert_array_equal(noisy.read(0, 60).world_R_imu[40:], noisy.read(40, 20).world_R_imu)
+    assert stats.kstest(np.array(ends) / (1e-3 * 5.0), "norm").pvalue > 0.001

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.extras.slam import Rig, configurations, programs, protocol_files
+from vlp16emu.extras.slam import Rig, configurations, programs
 from vlp16emu.extras.slam.fitness import ROWS
 
 NAMES = tomllib.loads(Path(__file__).with_name("slam_names.toml").read_text(encoding="utf-8"))
@@ -35,10 +35,10 @@ def leaves(tree, path=""):
             yield f"{path}{key}", value
 
 
-def test_the_folder_is_made_of_the_table(protocol):
+def test_the_folder_is_made_of_the_table(protocol, tool_named):
     """Every file of protocol/slam is what the table makes, and there is no other."""
     there = {path.name: path.read_text(encoding="utf-8") for path in (protocol / "slam").iterdir()}
-    assert there == protocol_files()
+    assert there == tool_named("slam_files").made()
 
 
 def test_each_program_has_its_line(protocol):
@@ -91,14 +91,13 @@ def test_lua_reads_as_written(tmp_path):
     tshark = shutil.which("tshark")
     if not tshark:
         pytest.skip("tshark, which brings Lua, is not installed")
-    (tmp_path / "cartographer.lua").write_text(configurations(programs()["cartographer"], Rig())["cartographer.lua"])
+    text = configurations(programs()["cartographer"], Rig())["cartographer.lua"]
     (tmp_path / "probe.lua").write_text(
         "included = 0; function include(name) included = included + 1 end\n"
         "function tables() return setmetatable({}, {__index = function(t, k) rawset(t, k, tables()); return rawget(t, k) end}) end\n"
         "MAP_BUILDER, TRAJECTORY_BUILDER, TRAJECTORY_BUILDER_3D, POSE_GRAPH = {}, {}, {}, tables()\n"
-        # Wireshark gives each script globals of its own: those of Lua 5.1 and of later ones are handed on in two ways.
-        f"local chunk = loadfile('{tmp_path / 'cartographer.lua'}', 't', _ENV or nil)\n"
-        "local options = (setfenv and setfenv(chunk, getfenv(1)) or chunk)()\n"
+        f"local function configuration()\n{text}end\n"
+        "local options = configuration()\n"
         "print('found', included, options.tracking_frame, options.num_point_clouds, options.map_builder == MAP_BUILDER,\n"
         "      TRAJECTORY_BUILDER_3D.num_accumulated_range_data, POSE_GRAPH.constraint_builder.min_score)\n"
     )
@@ -139,21 +138,35 @@ def pose(place_m, euler_deg):
 
 
 def test_extrinsics_have_the_direction_that_each_program_wants():
-    """A point that the lidar sees is at the same place for all of them: FAST-LIO2 has the lidar in the unit's frame, LIO-SAM and
-    GLIM the unit in the lidar's, DLIO both in the body's, RKO-LIO the unit in its base, the lidar."""
+    """A point that the lidar sees is at the same place for all of them.
+
+    FAST-LIO2 has the lidar in the unit's frame, LIO-SAM and GLIM the unit in the lidar's, DLIO both in the body's, RKO-LIO the
+    unit in its base, the lidar.
+    """
     base_T_lidar, base_T_imu = pose((0.1, -0.2, 0.5), (30, 5, -8)), pose((-0.05, 0.02, 0.1), (-90, 0, 3))
     imu = {"rate_hz": 100, "accel_noise_m_s2_sqrt_hz": 1.2e-3, "gyro_noise_rad_s_sqrt_hz": 0.0}
     rig = Rig(300.0, base_T_lidar, base_T_imu, imu, "unit_1/velodyne")
-    made = {name: configurations(programs()[name], rig) for name in ("fast-lio2", "point-lio", "lio-sam", "dlio", "rko-lio", "glim")}
+    made = {
+        name: configurations(programs()[name], rig)
+        for name in ("fast-lio2", "point-lio", "lio-sam", "dlio", "rko-lio", "glim")
+    }
     seen = np.array([4.0, -3.0, 2.0])
     in_base = base_T_lidar[:3, :3] @ seen + base_T_lidar[:3, 3]
     in_imu = base_T_imu[:3, :3].T @ (in_base - base_T_imu[:3, 3])
     for name in ("fast-lio2", "point-lio"):
         mapping = yaml_of(made[name][f"{name}.yaml"])["mapping"]
-        np.testing.assert_allclose(np.reshape(mapping["extrinsic_R"], (3, 3)) @ seen + mapping["extrinsic_T"], in_imu, atol=1e-7)
+        np.testing.assert_allclose(
+            np.reshape(mapping["extrinsic_R"], (3, 3)) @ seen + mapping["extrinsic_T"], in_imu, atol=1e-7
+        )
     lio = yaml_of(made["lio-sam"]["lio-sam.yaml"])["lio_sam"]
-    np.testing.assert_allclose(np.reshape(lio["extrinsicRot"], (3, 3)) @ in_imu + lio["extrinsicTrans"], seen, atol=1e-7)
-    assert (lio["Horizon_SCAN"], lio["pointCloudTopic"], lio["lidarFrame"]) == (3600, "/unit_1/velodyne_points", "unit_1/velodyne")
+    np.testing.assert_allclose(
+        np.reshape(lio["extrinsicRot"], (3, 3)) @ in_imu + lio["extrinsicTrans"], seen, atol=1e-7
+    )
+    assert (lio["Horizon_SCAN"], lio["pointCloudTopic"], lio["lidarFrame"]) == (
+        3600,
+        "/unit_1/velodyne_points",
+        "unit_1/velodyne",
+    )
     assert (lio["imuAccNoise"], lio["imuGyrNoise"]) == (1.2e-3, 1.5636343949698187e-03)
     body = yaml_of(made["dlio"]["dlio.yaml"])["dlio"]["extrinsics"]
     for device, point in (("lidar", seen), ("imu", in_imu)):

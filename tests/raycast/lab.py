@@ -6,7 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from vlp16emu.foliage.lanes import Ground, Medium, Stems
+from vlp16emu.foliage.lanes import Ground, Medium, Pulse
+from vlp16emu.foliage.march import march
+from vlp16emu.foliage.stems import see_stems, seen, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES
 from vlp16emu.forest.tiles import TileKey, ground_mesh
@@ -299,23 +301,26 @@ def no_medium():
         corner_m=(0.0, 0.0, 0.0),
         corner=(0, 0, 0),
         brick=np.zeros((1, 1, 1, 2), np.uint64),
-        first=np.zeros((1, 1, 1), np.uint32),
         record=none,
         first_owner=none,
         owner=np.zeros(0, np.uint64),
         surface=np.zeros((1, 1, 9), np.uint32),
         cosine=np.zeros((0, len(KNOTS), QUANTILES), np.float32),
         ground=Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
-        stems=Stems(
-            np.zeros((1, 1, 2), np.int32),
-            np.zeros(0, np.int32),
-            np.zeros((0, 8)),
-            np.zeros((0, 5, 16), np.float32),
-            np.zeros((0, 2), np.uint32),
-            np.zeros(0, np.float32),
+        stems=stems_of(
+            np.zeros((0, 8)), np.zeros((0, 5, 16), np.float32), np.zeros((0, 2), np.uint32), np.zeros(0, np.float32)
         ),
         seed=0,
     )
+
+
+def march_through(medium, lanes, count, line, far_m, aside_m=0.0, spread=0.0):
+    """Follow a pulse's lanes, `count` of them, through a medium; its middle is `line` (6,)."""
+    line, ahead, only = np.array(line, "f4"), seen(medium.stems), np.zeros(1, np.int64)
+    sight = medium.near_m, far_m, aside_m, spread
+    stems = see_stems(medium.stems, ahead, line[None], only, np.ones(1, bool), *sight)
+    pulse = Pulse(lanes, count, np.float32(medium.near_m), line, np.float32(aside_m), np.float32(spread))
+    march(medium, medium.brick.reshape(-1), ahead, stems, pulse)
 
 
 def rays(origin_m, direction, first=0):

@@ -59,16 +59,16 @@ def test_bright_codes_are_coarse_and_dark_ones_sticky(wall):
 
 
 def test_heavy_tails_have_their_law(wall):
-    """Scatter is as without heavy tails, and the distribution is that of z (1 + z**2 / 10), by Kolmogorov and Smirnov."""
+    """Scatter is as without heavy tails, and the distribution is that of z (1 + 0.012 z**2), by Kolmogorov and Smirnov."""
     noise = {"range_noise_m": 0.02}
     plain, heavy = (
         wall(noise | {"heavy_tails": tails}, 3000).distance_m[..., 0].astype(float).ravel() - 10.0
         for tails in (False, True)
     )
     assert heavy.std() == pytest.approx(plain.std(), rel=0.02)
-    assert stats.kurtosis(heavy, fisher=False) == pytest.approx(6.57, rel=0.15)
+    assert stats.kurtosis(heavy, fisher=False) == pytest.approx(3.3, rel=0.03)
     z = plain / plain.std()
-    same = stats.ks_2samp(heavy / heavy.std(), z * (1 + z**2 / 10) / np.sqrt(1.75))
+    same = stats.ks_2samp(heavy / heavy.std(), z * (1 + 0.012 * z**2) / np.sqrt(1.0742))
     assert same.pvalue > 0.01
 
 
@@ -89,12 +89,12 @@ def test_no_returns_wander_through_multiples(wall):
     noise = {"no_return_reflectivity": True, "no_return_wander": 10.0}
     codes = wall(noise, 4000, range_m=np.inf).reflectivity[..., 0]
     changes = (np.diff(codes.astype(int), axis=0) != 0).mean()
-    assert 0.002 < changes < 0.3
+    assert 0.001 < changes < 0.3
     own = no_return_reflectivity(1, 16, None)
     times = np.arange(1, 101)
     for laser in range(16):
         assert set(codes[:, laser]) <= set(np.floor(times * own[laser]).clip(0, 100).astype(int))
-    assert ((codes > np.floor(own)) & (codes < 100)).mean() > 0.05
+    assert ((codes > np.floor(own)) & (codes < 100)).mean() > 0.02
     np.testing.assert_array_equal(codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0])
 
 

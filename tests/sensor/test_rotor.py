@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing, _speeds
 from vlp16emu.sensor.settings import Sensor
 from vlp16emu.units import HOUR_NS
 
@@ -50,47 +50,57 @@ def test_any_whole_speed_is_exact_after_years(rpm):
 def test_ideal_encoder_reads_the_truth():
     """Without errors the reading is the angle itself, bit by bit."""
     angle_deg = angles_deg(1000)
-    assert (Encoder(1).read(angle_deg, 0) == angle_deg).all()
+    assert (Encoder(1).read(angle_deg, 0, *EVEN) == angle_deg).all()
 
 
 def test_noise_is_white_and_as_wide_as_set():
     """Reading errors are normal with the sigma that was set, not correlated with their neighbours, and cut at the limit."""
-    error = Encoder(3, noise_deg=0.005).read(np.full(20_000, 180.0), 0) - 180.0
+    error = Encoder(3, noise_deg=0.005).read(np.full(20_000, 180.0), 0, *EVEN) - 180.0
     assert stats.kstest(error / 0.005, "norm").pvalue > 0.01
     assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.02
-    error = Encoder(3, noise_deg=0.005, noise_limit_deg=0.01).read(np.full(20_000, 90.0), 0) - 90.0
+    error = Encoder(3, noise_deg=0.005, noise_limit_deg=0.01).read(np.full(20_000, 90.0), 0, *EVEN) - 90.0
     assert np.abs(error).max() == pytest.approx(0.01)
     assert (np.abs(error) > 0.00999).mean() == pytest.approx(2 * stats.norm.sf(2), rel=0.15)
 
 
+EVEN = 0, 600.0
+"""Clock and speed of an encoder that is read at any time."""
 LINES = {"pitch_deg": 0.05, "rate_error": 0.24, "first_deg": 0.02}
 
 
-@pytest.mark.parametrize("errors", [{"noise_deg": 0.005}, {"hum": (0.002, 30.0)}, {"noise_deg": 0.0024, **LINES}])
+@pytest.mark.parametrize("errors", [{"noise_deg": 0.005}, {"hum_deg": 0.002}, {"noise_deg": 0.0024, **LINES}])
 def test_errors_belong_to_the_firing_sequence(errors):
     """A reading has the same bits whether its sequence is asked for alone or among others."""
     encoder, angle_deg = Encoder(3, **errors), angles_deg(100)
-    assert (encoder.read(angle_deg, 5)[60:70] == encoder.read(angle_deg[60:70], 65)).all()
+    clock_ns = 55_296 * np.arange(100)
+    whole, piece = (
+        encoder.read(angle_deg, 5, clock_ns, 600.0),
+        encoder.read(angle_deg[60:70], 65, clock_ns[60:70], 600.0),
+    )
+    assert (whole[60:70] == piece).all()
 
 
 @pytest.mark.parametrize("cycles", [1, 2])
 def test_errors_of_the_turn_are_sines_of_the_angle(cycles):
     """The error once, or twice, per revolution is a sine of the angle with the amplitude and phase that were set."""
     angle_deg = np.linspace(1.0, 359.0, 500)
-    error = Encoder(1, **{("once", "twice")[cycles - 1]: (0.06, 40.0)}).read(angle_deg, 0) - angle_deg
+    error = Encoder(1, **{("once", "twice")[cycles - 1]: (0.06, 40.0)}).read(angle_deg, 0, *EVEN) - angle_deg
     np.testing.assert_allclose(error, 0.06 * np.sin(np.radians(cycles * angle_deg - 40.0)), atol=1e-12)
 
 
-def test_the_hum_repeats_every_25_sequences():
-    """Its period is 12.5 sequences, and its height twice its amplitude."""
-    off = Encoder(1, hum=(0.002, 30.0)).read(np.full(100, 90.0), 5) - 90.0
-    np.testing.assert_allclose(off[:25], off[25:50], atol=1e-12)
-    assert np.ptp(off) == pytest.approx(0.004, rel=0.02)
+@pytest.mark.parametrize("rpm", [300, 600, 1200])
+def test_the_reading_is_that_of_the_last_tick(rpm):
+    """It falls behind for 1.2 us, by 1.05 us of the speed, and jumps at 0.5 us of the stamp."""
+    clock_ns = np.arange(7_200)
+    off = Encoder(1, hum_deg=0.0019).read(np.full(7_200, 90.0), 5, clock_ns, float(rpm)) - 90.0
+    np.testing.assert_allclose(off[:1_200], off[1_200:2_400], atol=1e-12)
+    assert np.flatnonzero(np.diff(off) > 0).tolist() == [499 + 1_200 * i for i in range(6)]
+    assert np.ptp(off) == pytest.approx(6 * rpm * 1.055e-6, rel=0.01)
 
 
 def test_readings_stay_in_the_circle():
     """Errors at the wrap lead to readings in [0, 360), never to 360 or less than 0."""
-    reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), 0)
+    reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), 0, *EVEN)
     assert ((reading >= 0) & (reading < 360)).all()
     assert (reading > 359).any()
     assert (reading < 1).any()
@@ -129,7 +139,8 @@ def test_a_stopped_motor_does_not_swing():
 
 def test_an_encoder_of_lines_reads_as_real_ones_do():
     """Codes modulo five and twenty and steps between blocks have the shares of real units, and on a line readings are exact."""
-    read_deg = Encoder(1, noise_deg=0.0024, **LINES).read(angles_deg(60_000), 0)
+    clock_ns = 110_592 * np.arange(60_000)
+    read_deg = Encoder(1, noise_deg=0.0017, hum_deg=0.0019, **LINES).read(angles_deg(60_000), 0, clock_ns, 600.0)
     code = np.floor(read_deg * 100 + 1e-6).astype(int)
     shares = np.bincount((code - 2) % 5) / len(code)
     np.testing.assert_allclose(shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012)  # mean of mrpt, nebula, einride
@@ -138,13 +149,35 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
         20 * last_of_four, [0.08, 0.56, 1.28, 0.94], atol=0.12
     )  # the same three: 0.17, 0.03, 0.04; 0.50, 0.67, 0.51; 1.13, 1.27, 1.44; 0.92, 0.82, 1.08
     steps = np.diff(code) % 36_000
+    assert (steps == 37).mean() < 1e-4  # none in 24 500 of real units
     found = [(steps == step).mean() for step in (38, 39, 40, 41, 42)]
     np.testing.assert_allclose(found, [0.079, 0.224, 0.548, 0.124, 0.025], atol=0.03)
     on_lines_deg = 0.02 + 0.05 * np.arange(1, 50) + 1e-9
-    np.testing.assert_allclose(Encoder(1, **LINES).read(on_lines_deg, 0), on_lines_deg, atol=1e-8)
+    np.testing.assert_allclose(Encoder(1, **LINES).read(on_lines_deg, 0, *EVEN), on_lines_deg, atol=1e-8)
 
 
 TEN_O_CLOCK_NS = 1_780_000_000 * 10**9 // HOUR_NS * HOUR_NS
+
+
+@pytest.mark.parametrize(
+    ("rpm", "slow", "fast", "share"),
+    [(300, 0.375, 0.5, 0.15), (500, 0.625, 1.0, 0.06), (600, 0.625, 1.0, 0.43), (1200, 1.25, 2.0, 0.93)],
+)
+def test_the_two_speeds_between_lines_are_those_of_real_units(rpm, slow, fast, share):
+    """Hundredths of a degree in 2.304 us, and the share of the faster, at the speeds at which units were recorded."""
+    true_cdeg = rpm * 6 * 2.304e-4
+    low, high, slow_share = (float(x) for x in _speeds(np.array(float(rpm))))
+    assert (low * true_cdeg, high * true_cdeg) == pytest.approx((slow, fast))
+    assert 1 - slow_share == pytest.approx(share, abs=0.025)
+
+
+def test_a_locked_clock_is_fast_and_slow_in_turn():
+    """It is right at each even second, ahead by its rate at odd ones, and never steps."""
+    clock = Clock((ClockSpan(0, None, 0.5),))
+    t_ns = np.arange(0, 4 * 10**9, 10**7)
+    ahead_ns = clock.reading_ns(t_ns) - t_ns
+    assert ahead_ns[[0, 100, 200, 300]].tolist() == [0, 500, 0, 500]
+    assert np.abs(np.diff(ahead_ns)).max() == 5
 
 
 def test_locked_clock_shows_the_utc_hour():

@@ -204,8 +204,9 @@ def _unit(unit: Any) -> str:
 
 
 def _turn(turn: Any) -> str:
+    turns = round(turn.revolutions, 1)
     return (
-        f"{round(turn.revolutions, 1):.12g} revolutions of {count(round(turn.sequences_per_revolution))} firing "
+        f"{turns:.12g} revolution{'' if turns == 1 else 's'} of {count(round(turn.sequences_per_revolution))} firing "
         f"sequences, {turn.azimuth_step_deg:.4g} deg apart"
     )
 

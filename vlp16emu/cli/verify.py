@@ -42,7 +42,8 @@ def verify(
     broken, whatever the notes, else with 1.
     """
     if slam is not None:
-        return _verify_bag(file, unit, slam, as_json=as_json)
+        _verify_bag(file, unit, slam, as_json=as_json)
+        return
     if file.suffix.lower() in (".mcap", ".bag") or (file / "metadata.yaml").is_file():
         raise InputError(str(file), "a bag", "a capture, or --for with the name of a SLAM program, or all")
     from vlp16emu.extras.verify import verify_units
@@ -81,7 +82,9 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
         for finding in result.findings:
             print(finding)
         verdicts = {name: f"{n} findings" if (n := len(result.of(name))) else "fit" for name in result.programs}
-        print_rows(f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts)
+        print_rows(
+            f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts
+        )
     if result.findings:
         raise typer.Exit(1)
 

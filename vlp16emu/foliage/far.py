@@ -4,19 +4,18 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import fields
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot, norm
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems
-from vlp16emu.foliage.marks import ASIDE_M, stem_beside, stem_columns, stem_lines
 from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, unpacked_block
+from vlp16emu.foliage.stems import stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.store import recalled
-from vlp16emu.types import F4, F8, I4, U1, Mesh, ShapeKey, World
+from vlp16emu.types import F4, F8, U1, Mesh, ShapeKey, World
 from vlp16emu.world.polyline import distance_m
 
 STRAY_M = 1.0
@@ -137,13 +136,12 @@ def _joined(
     bottom = min(block.bottom for block in blocks.values())
     top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
     size = (*((high - low) * _BRICKS).tolist(), top - bottom)
-    brick, first = np.zeros((*size, 2), np.uint64), np.zeros(size, np.uint32)
+    brick = np.zeros((*size, 2), np.uint64)
     surface = np.zeros((*(high - low), 9), np.uint32)
     for (ix, iy), block in blocks.items():
         i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
         here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
-        brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.stem
-        first[here] = block.first
+        brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.first
         surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
     corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
     corner_m = corner * VOXEL_M - window.origin_m
@@ -152,12 +150,11 @@ def _joined(
         tuple(corner_m.tolist()),
         tuple(corner.tolist()),
         brick,
-        first,
         *shelf.arrays,
         surface,
         cosine,
         _ground(window, tiles, rows, corner_m, size),
-        _stems(window, tiles, rows, corner_m, size),
+        _stems(window, tiles, rows),
         world.seed & 0xFFFFFFFF,
     )
 
@@ -180,44 +177,12 @@ def _ground(
     return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest)
 
 
-def _stems(
-    window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int], corner_m: F8, size: tuple[int, ...]
-) -> Stems:
+def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]) -> Stems:
     stems = np.concatenate([np.zeros(0, STEM), *(tiles[place].stems for place in rows)])
     base = np.repeat(list(rows.values()), [len(tiles[place].stems) for place in rows]).astype(np.uint32)
-    first, of = _columns(
-        stem_lines(stems, window.origin_m + np.array([*corner_m[:2], 0.0])), BRICK * size[0], BRICK * size[1]
-    )
-    foot_m = stems["foot_m"] - window.origin_m
-    radius_m = stems["radius_m"]
+    foot_m, radius_m = stems["foot_m"] - window.origin_m, stems["radius_m"]
     widest_m = np.maximum.accumulate(radius_m[:, ::-1], axis=1)[:, ::-1]
     profile = np.concatenate([np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1)
     bent_m = hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
     line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
-    return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
-
-
-@numba.njit(cache=True, nogil=True)
-def _columns(lines: F8, nx: int, ny: int) -> tuple[I4, I4]:
-    """List for each column of voxels the stems (n, 7), as `stem_lines` gives them, that may be met in it."""
-    first = np.zeros((nx, ny, 2), np.int32)
-    of, total = np.empty(0, np.int32), 0
-    for counting in (True, False):
-        for s in range(len(lines)):
-            aside_m, height_m = lines[s, 6] + ASIDE_M, lines[s, 5]
-            x0, x1, y0, y1 = stem_columns(lines[s], aside_m, 0.0, height_m)
-            for x in range(max(x0, 0), min(x1, nx - 1) + 1):
-                for y in range(max(y0, 0), min(y1, ny - 1) + 1):
-                    if not stem_beside(lines[s], aside_m, 0.0, height_m, x, y):
-                        continue
-                    if not counting:
-                        of[first[x, y, 1]] = s
-                    first[x, y, 1] += 1
-        if counting:
-            for x in range(nx):
-                for y in range(ny):
-                    count = first[x, y, 1]
-                    first[x, y, 0] = first[x, y, 1] = total
-                    total += count
-            of = np.empty(total, np.int32)
-    return first, of
+    return stems_of(line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())

@@ -12,6 +12,7 @@ from vlp16emu.elementary import hypot, matvec
 from vlp16emu.foliage.far import STRAY_M, Far
 from vlp16emu.foliage.lanes import Medium, lanes
 from vlp16emu.foliage.march import Passage
+from vlp16emu.foliage.stems import seen
 from vlp16emu.foliage.tiles import TiledWindow, TiledWorld
 from vlp16emu.raycast.build import Placed
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_of
@@ -49,7 +50,7 @@ class FarGeometry(EmbreeGeometry):
         reach_m = min(far_m, medium.near_m)
         near = self._reached(rise) if reach_m > 0.0 else self._beyond
         if reach_m < far_m:
-            return Stages(near, reach_m, self._beyond, Passage(medium, lanes()))
+            return Stages(near, reach_m, self._beyond, Passage(medium, lanes(), seen(medium.stems)))
         return Stages(near, reach_m)
 
     def _reached(self, rise: float) -> Target:

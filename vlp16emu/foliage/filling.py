@@ -8,8 +8,18 @@ import numpy as np
 
 from vlp16emu.elementary import power
 from vlp16emu.foliage.cloud import TILTS, Library
-from vlp16emu.foliage.marks import mark_ground, mark_stem
-from vlp16emu.foliage.voxel import BRICK, CODES, COLUMNS, LAW_BIT, MOST_PER_M, SHARE_BIT, TILE_BIT, VOXEL_M
+from vlp16emu.foliage.voxel import (
+    BRICK,
+    CODES,
+    COLUMNS,
+    FINER,
+    GROUND,
+    LAW_BIT,
+    MOST_PER_M,
+    SHARE_BIT,
+    TILE_BIT,
+    VOXEL_M,
+)
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
@@ -33,20 +43,17 @@ class _Voxels(NamedTuple):
 
 
 _Placed = tuple[I8, F8, I8, I8]
-_Packed = tuple[U8, U8, U4, U4, U4, U8]
+_Packed = tuple[U8, U4, U4, U4, U8]
 """Arrays of a block, in the order of `Block`."""
 
 
 @numba.njit(cache=True, nogil=True)
-def filled(
-    library: Library, placed: _Placed, lines: F8, radii: F4, ground_m: F4, low_m: float, levels: int, projection: F8
-) -> _Packed:
+def filled(library: Library, placed: _Placed, ground_m: F4, low_m: float, levels: int, projection: F8) -> _Packed:
     """Fill the arrays of a block, in the order of `Block`.
 
     Parameters
     ----------
     placed : (n,) shapes, their transforms (n, 3, 4), first surfaces and numbers of tiles
-    lines, radii : of stems, by `stem_lines` and `stem_radii`
     """
     which, relative, row, tile_of = placed
     head = np.full((COLUMNS, COLUMNS, levels * BRICK), -1, np.int32)
@@ -75,11 +82,8 @@ def filled(
             whose, corners_m = (tile_of[p], row[p] + mesh, law), library.corners_m[f]
             used = _put_face(voxels, used, T, corners_m, library.share[law], whose, add, projection)
     flags = np.zeros(head.shape, np.uint32)
-    stem = np.zeros((COLUMNS // BRICK, COLUMNS // BRICK, levels), np.uint64)
-    mark_ground(flags, ground_m, low_m)
-    for i in range(lines.shape[0]):
-        mark_stem(stem, lines[i], radii[i], low_m)
-    return _pack(head, flags, stem, node, area, used)
+    _mark_ground(flags, ground_m, low_m)
+    return _pack(head, flags, node, area, used)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -173,7 +177,19 @@ def _put_face(
 
 
 @numba.njit(cache=True, nogil=True)
-def _pack(head: I4, flags: U4, stem: U8, node: I8, area: F8, used: int) -> _Packed:
+def _mark_ground(flags: U4, ground_m: F4, low_m: float) -> None:
+    """Flag the voxels in which the ground is looked for; heights (85, 85) begin one voxel outside the tile."""
+    for i in range(flags.shape[0]):
+        for j in range(flags.shape[1]):
+            around = ground_m[FINER * i : FINER * (i + 3) + 1, FINER * j : FINER * (j + 3) + 1]
+            low, high = around.min(), around.max()
+            first, last = (math.floor((low - low_m - 0.6) / VOXEL_M), math.floor((high - low_m + 0.16) / VOXEL_M))
+            for k in range(max(first, 0), min(last, flags.shape[2] - 1) + 1):
+                flags[i, j, k] |= GROUND
+
+
+@numba.njit(cache=True, nogil=True)
+def _pack(head: I4, flags: U4, node: I8, area: F8, used: int) -> _Packed:
     nx, ny, nz = head.shape[0] // BRICK, head.shape[1] // BRICK, head.shape[2] // BRICK
     mask, first = np.zeros((nx, ny, nz), np.uint64), np.zeros((nx, ny, nz), np.uint32)
     full = np.count_nonzero((head >= 0) | (flags != 0))
@@ -204,7 +220,7 @@ def _pack(head: I4, flags: U4, stem: U8, node: I8, area: F8, used: int) -> _Pack
                         flags[i, j, k] | _code(area0) | _code(area1) << np.uint32(7) | _code(area2) << np.uint32(14)
                     )
                     n += 1
-    return mask, stem, first, record, first_owner, owner
+    return mask, first, record, first_owner, owner
 
 
 @numba.njit(cache=True, nogil=True)

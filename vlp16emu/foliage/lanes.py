@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
-from vlp16emu.types import F4, F8, I4, U4, U8
+from vlp16emu.types import F4, F8, U4, U8
 
 
 class Ground(NamedTuple):
@@ -27,17 +27,15 @@ class Ground(NamedTuple):
 
 
 class Stems(NamedTuple):
-    """Stems, and where they stand."""
+    """Stems of a window, relative to its origin."""
 
-    first: I4
-    """(4 x, 4 y, 2) where the stems of each column of voxels begin and stop in `of`."""
-    of: I4
-    """Stems of the columns, one column after the other."""
     line: F8
     """(n, 8) foot, unit axis, widest radius, and how far the stem bends off the axis at most."""
     profile: F4
     """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and how far in x and y the
     middle of the circle is off the axis."""
+    plan: F4
+    """(3, n) x and y of the middle, and radius, of a circle around the stem as seen from above."""
     surface: U4
     """(n, 2) of root flare and stem."""
     flare_m: F4
@@ -54,9 +52,7 @@ class Medium(NamedTuple):
     corner: tuple[int, int, int]
     """Corner of the grid, in voxels of the world."""
     brick: U8
-    """(x, y, z, 2) of each brick which voxels hold anything, and in which a stem may be met, as in `Block`."""
-    first: U4
-    """(x, y, z) number of each brick's first voxel."""
+    """(x, y, z, 2) of each brick which voxels hold anything, as in `Block`, and the number of the first of them."""
     record: U4
     """(m,) of voxels, as in `Block`, and of some that are in other windows only."""
     first_owner: U4
@@ -104,6 +100,10 @@ class Lanes(NamedTuple):
     """(AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record."""
     code: U4
     """(AHEAD,) scratch: these records."""
+    hash: U4
+    """(AHEAD,) scratch: hashes of the places of these voxels."""
+    lit: U8
+    """(AHEAD,) scratch: bits of the lanes before whose middles there is a leaf in these voxels."""
 
 
 class Pulse(NamedTuple):
@@ -133,8 +133,8 @@ def lanes() -> Lanes:
         row[COSINE:AT],
         np.zeros(LANES, np.uint32),
         np.zeros(6 * LANES, np.float32),
-        np.zeros(AHEAD, np.uint32),
-        np.zeros(AHEAD, np.uint32),
+        *np.zeros((3, AHEAD), np.uint32),
+        np.zeros(AHEAD, np.uint64),
     )
 
 

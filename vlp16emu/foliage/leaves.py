@@ -21,7 +21,6 @@ _VARIANTS = 32
 _COVER_STEPS, _COVER_MOST = 64, 16
 f4, u4 = np.float32, np.uint32
 _Three = tuple[int, int, int]
-_Record = tuple[np.uint32, np.uint32]
 _Whose = tuple[np.uint32, tuple[int, int], int]
 """Number of the record of a voxel, its tile, and the knot of the light's elevation."""
 
@@ -98,30 +97,19 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def meet_foliage(
-    M: Medium,
-    pulse: Pulse,
-    axes: _Three,
-    corner: _Three,
-    cell: _Three,
-    record: _Record,
-    weights: Weights,
-    alive: np.uint64,
-) -> bool:
-    """Cut the lanes with the foliage of a voxel; return True if any meets a leaf.
+def lit_lanes(
+    M: Medium, pulse: Pulse, axes: _Three, corner: _Three, cell: _Three, code: np.uint32, weights: Weights
+) -> tuple[np.uint32, np.uint64]:
+    """Return the hash of a voxel's place, and bits of the lanes that meet a leaf of it; without a branch.
 
     Parameters
     ----------
     axes : the main one, across the slabs, and the two others
     corner, cell : of the grid in voxels of the world, and the voxel in the grid, along these axes
-    record : number and code of the voxel
-    alive : bits of the lanes that go on
+    code : of the voxel
     """
-    main, _, _ = axes
-    (k, i1, i2), (number, code) = cell, record
+    (main, one, two), (k, i1, i2) = axes, cell
     low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
-    if not low | high:
-        return False
     g, g1, g2 = k + corner[0], i1 + corner[1], i2 + corner[2]
     a = g if main == 0 else g1
     b = g if main == 1 else (g1 if main == 0 else g2)
@@ -135,35 +123,48 @@ def meet_foliage(
     cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
     count = int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))
     bits = _MASK[main, int(h & u4(_VARIANTS - 1)), count]
-    if not bits:
-        return False
-    x = k if main == 0 else i1
-    y = k if main == 1 else (i1 if main == 0 else i2)
-    whose = number, (x // COLUMNS, y // COLUMNS), weights.knot
-    return _meet_leaves(M, pulse, axes, k, h, bits, whose, alive)
+    line, middle_m, (r1, r2) = pulse.lanes.line, (f4(k) + f4(0.5)) * f4(VOXEL_M), _mirrors(h, one, two)
+    lit = np.uint64(0)
+    if pulse.n == 1:
+        lit = (bits >> np.uint64(_column(line, 0, middle_m, r1, r2))) & np.uint64(1)
+    else:
+        for lane in range(LANES):
+            lit |= ((bits >> np.uint64(_column(line, lane, middle_m, r1, r2))) & np.uint64(1)) << np.uint64(lane)
+    return h, lit
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _meet_leaves(
-    M: Medium, pulse: Pulse, axes: _Three, k: int, h: np.uint32, bits: np.uint64, whose: _Whose, alive: np.uint64
+def _mirrors(h: np.uint32, one: int, two: int) -> tuple[np.int32, np.int32]:
+    """Return how columns are mirrored along two axes."""
+    return np.int32((h >> u4(5 + 3 * one)) & u4(7)), np.int32((h >> u4(5 + 3 * two)) & u4(7))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def meet_leaves(
+    M: Medium, pulse: Pulse, axes: _Three, cell: _Three, number: np.uint32, knot: int, h: np.uint32, lit: np.uint64
 ) -> bool:
-    L, near_m, (main, one, two) = pulse.lanes, pulse.near_m, axes
-    variant = int(h & u4(_VARIANTS - 1))
-    mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
+    """Cut lanes with their leaves in a voxel; return True if any meets one before all else.
+
+    Parameters
+    ----------
+    axes, cell : as of `lit_lanes`; `h` and `lit` are what it returns, less the lanes that have ended
+    number : of the voxel's record
+    knot : of the light's elevation
+    """
+    (main, one, two), (k, i1, i2) = axes, cell
+    x = k if main == 0 else i1
+    y = k if main == 1 else (i1 if main == 0 else i2)
+    whose = number, (x // COLUMNS, y // COLUMNS), knot
+    L, near_m, variant = pulse.lanes, pulse.near_m, int(h & u4(_VARIANTS - 1))
     line, range_m = L.line, L.range_m
-    middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
-    r1, r2 = np.int32(mirror[one]), np.int32(mirror[two])
-    lit = np.uint64(0)
-    for lane in range(LANES):
-        column = _column(line, lane, middle_m, r1, r2)
-        lit |= ((bits >> np.uint64(column)) & np.uint64(1)) << np.uint64(lane)
-    lit &= alive
+    middle_m, (r1, r2) = (f4(k) + f4(0.5)) * f4(VOXEL_M), _mirrors(h, one, two)
+    mirror = int((h >> u4(5 + 3 * main)) & u4(7)) << 5
     met = False
     while lit:
         lane = int(lowest(lit))
         lit &= lit - np.uint64(1)
         leaf = int(_LEAF_OF[main, variant, _column(line, lane, middle_m, r1, r2)])
-        place = int(_PLACE[variant, leaf, main]) ^ (mirror[main] << 5)
+        place = int(_PLACE[variant, leaf, main]) ^ mirror
         along_m = (f4(k) + (f4(place) + f4(0.5)) * f4(1.0 / 256.0)) * f4(VOXEL_M)
         at_m = (along_m - line[4 * LANES + lane]) * line[5 * LANES + lane]
         if near_m <= at_m < range_m[lane]:

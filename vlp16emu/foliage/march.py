@@ -1,8 +1,9 @@
 """The march of light through the far medium: ground as a grid, stems as tapered cones, foliage as voxels.
 
-A pulse goes through slabs of voxels along the axis that it is most parallel to. The voxel that its middle passes in a slab
-decides for all its sub-rays: how much foliage there is in it (`vlp16emu.foliage.leaves`), and whether ground or a stem may
-be met, which each sub-ray is then cut with exactly (`vlp16emu.foliage.cuts`).
+A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to where they end it, it goes through slabs of voxels
+along the axis that it is most parallel to. The voxel that its middle passes in a slab decides for all its sub-rays: how much
+foliage there is in it (`vlp16emu.foliage.leaves`), and whether ground may be met, which each sub-ray is then cut with exactly
+(`vlp16emu.foliage.ground`).
 """
 
 from typing import Any, NamedTuple
@@ -10,13 +11,14 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from vlp16emu.foliage.cuts import meet_ground, meet_stem
+from vlp16emu.foliage.ground import meet_ground
 from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
-from vlp16emu.foliage.leaves import meet_foliage, weights_of
+from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
+from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE
 from vlp16emu.raycast.kernel import Cast, go_on
-from vlp16emu.types import F4, U4, U8
+from vlp16emu.types import F4, U8
 
 f4, u4 = np.float32, np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
@@ -27,7 +29,8 @@ class Passage(NamedTuple):
 
     medium: Medium
     lanes: Lanes
-    """Scratch of the cast's own."""
+    """Scratch of the cast's own; `ahead` likewise."""
+    ahead: Seen
 
 
 class _Way(NamedTuple):
@@ -66,9 +69,16 @@ class _Grid(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def march(M: Medium, bricks: U8, firsts: U4, pulse: Pulse) -> None:
-    """Follow the lanes of a pulse through the medium; `bricks` and `firsts` are `M.brick` and `M.first` in one row."""
+def march(M: Medium, bricks: U8, ahead: Seen, stems: int, pulse: Pulse) -> None:
+    """Follow the lanes of a pulse through the medium.
+
+    Parameters
+    ----------
+    bricks : `M.brick` in one row
+    ahead, stems : the stems that it may meet, by `see_stems`, and how many
+    """
     L, n, near_m, axis = pulse.lanes, pulse.n, pulse.near_m, pulse.axis
+    meet_stems(M.stems, ahead, stems, pulse)
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
     way = _way(corner_m, axis, near_m)
     axes, length = (way.main, way.one, way.two), way.length
@@ -78,23 +88,18 @@ def march(M: Medium, bricks: U8, firsts: U4, pulse: Pulse) -> None:
     first, stop = _crossing(way, grid.size)
     slab = -_floor(-first)
     slabs = _floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
-    tested = (np.int32(-1), np.int32(-1))
     while slab <= slabs:
-        voxels, stems = _look(L, way, grid, bricks, slab, slabs)
-        if stems:
-            tested, met = _meet_stems(M, pulse, way, slab, stems, tested)
-            if met:
-                alive, slabs = _shorter(L, way, n, alive, slab, slabs)
-        _read(M, L, bricks, firsts, voxels)
+        voxels = _lit(M, pulse, way, grid, weights, bricks, slab, _look(L, way, grid, bricks, slab, slabs))
         while voxels:
-            ahead = int(lowest(voxels))
+            at = int(lowest(voxels))
             voxels &= voxels - np.uint64(1)
-            here = slab + ahead
+            here = slab + at
             if here > slabs:
                 break
-            record = L.place[ahead], L.code[ahead]
-            met = meet_foliage(M, pulse, axes, grid.corner, _voxel(way, here), record, weights, alive)
-            if record[1] & GROUND:
+            lit, met = L.lit[at] & alive, False
+            if lit:
+                met = meet_leaves(M, pulse, axes, _voxel(way, here), L.place[at], weights.knot, L.hash[at], lit)
+            if L.code[at] & GROUND:
                 met |= meet_ground(M.ground, pulse, way.to_middle + f4(here) * length, length)
             if met:
                 alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
@@ -106,25 +111,6 @@ def _floor(x: np.float32) -> int:
     """Round a number below 2**31 down, without the call that `math.floor` is for float32."""
     whole = np.int32(x)
     return int(whole) - int(x < f4(whole))
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _meet_stems(
-    M: Medium, pulse: Pulse, way: _Way, slab: int, stems: np.uint64, tested: tuple[np.int32, np.int32]
-) -> tuple[tuple[np.int32, np.int32], bool]:
-    """Cut the lanes with the stems of slabs, but the last two tested; return the last two, and True if any is met."""
-    met = False
-    while stems:
-        ahead = int(lowest(stems))
-        stems &= stems - np.uint64(1)
-        k, i1, i2 = _voxel(way, slab + ahead)
-        i, j = (k, i1) if way.main == 0 else ((i1, k) if way.main == 1 else (i1, i2))
-        for entry in range(M.stems.first[i, j, 0], M.stems.first[i, j, 1]):
-            stem = M.stems.of[entry]
-            if stem not in tested:
-                tested = (stem, tested[0])
-                met |= meet_stem(M.stems, pulse, stem)
-    return tested, met
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
@@ -184,8 +170,8 @@ def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -> tuple[np.uint64, np.uint64]:
-    """Find the voxels of the next slabs: bits of those that are not empty, and of those in which a stem may be met."""
+def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -> np.uint64:
+    """Find the voxels of the next slabs: bits of those that are not empty."""
     place = L.place
     begin, k, step = f4(slab), f4(way.k), f4(way.step)
     p1, p2, d1, d2 = way.p1, way.p2, way.d1, way.d2
@@ -198,26 +184,33 @@ def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -
         brick = u4(u4(i >> 2) * s_main) + u4(u4(i1 >> 2) * s_one) + u4(u4(i2 >> 2) * s_two)
         bit = u4(u4(i & 3) << b_main) | u4(u4(i1 & 3) << b_one) | u4(u4(i2 & 3) << b_two)
         place[ahead] = u4(min(u4(brick), last) << u4(6)) | bit
-    voxels = stems = np.uint64(0)
+    voxels = np.uint64(0)
     for ahead in range(AHEAD):
         pair, place_in = np.uint64(place[ahead] >> u4(6)) << np.uint64(1), np.uint64(place[ahead] & u4(63))
         voxels |= ((bricks[pair] >> place_in) & np.uint64(1)) << np.uint64(ahead)
-        stems |= ((bricks[pair + np.uint64(1)] >> place_in) & np.uint64(1)) << np.uint64(ahead)
-    asked = (np.uint64(1) << np.uint64(min(slabs - slab + 1, AHEAD))) - np.uint64(1)
-    return voxels & asked, stems & asked
+    return voxels & ((np.uint64(1) << np.uint64(min(slabs - slab + 1, AHEAD))) - np.uint64(1))
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _read(M: Medium, L: Lanes, bricks: U8, firsts: U4, voxels: np.uint64) -> None:
-    """Look up the records of voxels, one after the other, so that memory is waited for once."""
-    place, code, records = L.place, L.code, M.record
+def _lit(
+    M: Medium, pulse: Pulse, way: _Way, grid: _Grid, weights: Weights, bricks: U8, slab: int, voxels: np.uint64
+) -> np.uint64:
+    """Return the bits of those voxels in which a lane may meet a leaf or the ground.
+
+    There is no branch in this loop, so that memory is waited for once, and arithmetic of voxels overlaps.
+    """
+    L, records, axes, asked = pulse.lanes, M.record, (way.main, way.one, way.two), np.uint64(0)
     while voxels:
-        ahead = int(lowest(voxels))
+        at = int(lowest(voxels))
         voxels &= voxels - np.uint64(1)
-        brick, bit = np.uint64(place[ahead] >> u4(6)), np.uint64(place[ahead] & u4(63))
-        before_it = bricks[brick << np.uint64(1)] & ((np.uint64(1) << bit) - np.uint64(1))
-        number = u4(np.uint64(firsts[brick]) + ones(before_it))
-        place[ahead], code[ahead] = number, records[number]
+        pair, bit = np.uint64(L.place[at] >> u4(6)) << np.uint64(1), np.uint64(L.place[at] & u4(63))
+        before_it = bricks[pair] & ((np.uint64(1) << bit) - np.uint64(1))
+        number = bricks[pair + np.uint64(1)] + ones(before_it)
+        code = records[number]
+        h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(way, slab + at), code, weights)
+        L.place[at], L.code[at], L.hash[at], L.lit[at] = u4(number), code, h, lit
+        asked |= np.uint64((lit | np.uint64(code & GROUND)) != 0) << np.uint64(at)
+    return asked
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
@@ -237,17 +230,11 @@ def _lines(
     corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, axes: tuple[int, int, int]
 ) -> tuple[np.uint64, np.float32]:
     """Lay the lanes' lines; return which of them go on from `near_m`, and the farthest range asked for."""
-    row, line, scale = L.row, L.line, f4(LANES / VOXEL_M)
-    main, one, two = axes
-    along, across, up = LANES * main, LANES * one, LANES * two
-    c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
-    for lane in range(LANES):
-        inverse, begin = f4(1.0) / row[DIRECTION + along + lane], row[along + lane] - c_main
-        d1 = row[DIRECTION + across + lane] * inverse * scale
-        d2 = row[DIRECTION + up + lane] * inverse * scale
-        line[lane], line[LANES + lane] = (row[across + lane] - c_one) * scale - begin * d1, d1
-        line[2 * LANES + lane], line[3 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2, d2
-        line[4 * LANES + lane], line[5 * LANES + lane] = begin, inverse
+    row = L.row
+    if n == 1:
+        _lay_lines(corner_m, row, L.line, 1, axes)
+    else:
+        _lay_lines(corner_m, row, L.line, LANES, axes)
     alive, last_m = np.uint64(0), f4(0.0)
     for lane in range(n):
         if row[RANGE + lane] > near_m:
@@ -256,12 +243,30 @@ def _lines(
     return alive, last_m
 
 
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _lay_lines(corner_m: tuple[float, float, float], row: F4, line: F4, lanes: int, axes: tuple[int, int, int]) -> None:
+    (main, one, two), scale = axes, f4(LANES / VOXEL_M)
+    along, across, up = LANES * main, LANES * one, LANES * two
+    c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
+    for lane in range(lanes):
+        inverse, begin = f4(1.0) / row[DIRECTION + along + lane], row[along + lane] - c_main
+        d1 = row[DIRECTION + across + lane] * inverse * scale
+        d2 = row[DIRECTION + up + lane] * inverse * scale
+        line[lane], line[LANES + lane] = (row[across + lane] - c_one) * scale - begin * d1, d1
+        line[2 * LANES + lane], line[3 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2, d2
+        line[4 * LANES + lane], line[5 * LANES + lane] = begin, inverse
+
+
 def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    (medium, L), light, batch = passage, cast.light, cast.batch
+    (medium, L, ahead), light, batch = passage, cast.light, cast.batch
     row, surface, near_m = batch.row, batch.surface, f4(medium.near_m)
-    own_row, own_surface, bricks, firsts = (L.row, L.surface, medium.brick.reshape(-1), medium.first.reshape(-1))
+    own_row, own_surface, bricks = L.row, L.surface, medium.brick.reshape(-1)
     aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
     spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
+    pulses = batch.todo[:todo]
+    stems = see_stems(
+        medium.stems, ahead, batch.axes_row, pulses, batch.missed, medium.near_m, light.far_m, aside_m, spread
+    )
     for t in range(todo):
         q = batch.todo[t]
         if not batch.missed[q]:
@@ -270,7 +275,7 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
             own_row[a] = row[q, a]
         for lane in range(LANES):
             own_surface[lane] = surface[q, lane]
-        march(medium, bricks, firsts, Pulse(L, count, near_m, batch.axes_row[q], aside_m, spread))
+        march(medium, bricks, ahead, stems, Pulse(L, count, near_m, batch.axes_row[q], aside_m, spread))
         for a in range(RANGE, COSINE + LANES):
             row[q, a] = own_row[a]
         for lane in range(LANES):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.foliage.cloud import PROJECTION, Library
 from vlp16emu.foliage.filling import filled
-from vlp16emu.foliage.marks import stem_lines, stem_radii
+from vlp16emu.foliage.stems import stem_lines
 from vlp16emu.foliage.tiles import FarTile
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
 from vlp16emu.store import Bundle
@@ -39,8 +39,6 @@ class Block:
     """Level of the lowest bricks, in bricks from a height of 0."""
     mask: U8
     """(10, 10, n) which voxels of each brick hold anything: bit 16 x + 4 y + z."""
-    stem: U8
-    """(10, 10, n) likewise in which of them a stem may be met."""
     first: U4
     """(10, 10, n) record of the first of them that holds anything."""
     record: U4
@@ -68,7 +66,7 @@ def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, Far
     lines, brick_m = stem_lines(stems, corner_m), BRICK * VOXEL_M
     low_m, high_m = _span(library, placed[0], placed[1], lines, ground_m)
     bottom, levels = math.floor(low_m / brick_m), math.ceil(high_m / brick_m) - math.floor(low_m / brick_m)
-    own = lines, stem_radii(stems), ground_m.astype(np.float32), bottom * brick_m, max(levels, 1), PROJECTION
+    own = ground_m.astype(np.float32), bottom * brick_m, max(levels, 1), PROJECTION
     return Block(bottom + round(corner_m[2] / brick_m), *filled(library, placed, *own))
 
 
@@ -128,7 +126,6 @@ class Laid(NamedTuple):
 
     bottom: int
     mask: U8
-    stem: U8
     first: U4
     """Records in the array of the shelf."""
     records: slice
@@ -176,7 +173,7 @@ class Shelf:
         self._record[records], self._owner[owners] = block.record, block.owner
         np.add(block.first_owner, np.uint32(owners.start), out=self._first_owner[records])
         first = block.first + np.uint32(records.start)
-        self.blocks[name] = Laid(block.bottom, block.mask.copy(), block.stem.copy(), first, records, owners)
+        self.blocks[name] = Laid(block.bottom, block.mask.copy(), first, records, owners)
 
     def keep(self, user: object, names: Iterable[Name]) -> None:
         """Keep blocks in their places for as long as there is somebody that uses them."""

@@ -18,22 +18,31 @@ _TARGETS = {
 """Targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first."""
 
 
+_WITHOUT_KERNELS = {"vlp16emu.pytest", "vlp16emu.kernels", "vlp16emu.kernels.hook"}
+"""What may be loaded in a program that does not use us: a plugin of pytest is in every session."""
+
+
 def keep_compiled() -> None:
-    """Prepare numba as soon as it is loaded, and before any kernel is; loading it here would delay each `--help`."""
-    if "numba" in sys.modules:
-        _prepare()
-    else:
-        sys.meta_path.insert(0, _NumbaFinder())
+    """Prepare numba as soon as it and this package are used, and before any kernel is; loading it here would delay each `--help`."""
+    sys.meta_path.insert(0, _NumbaFinder())
+
+
+def _has_kernels(name: str) -> bool:
+    return name.startswith("vlp16emu.") and name not in _WITHOUT_KERNELS
 
 
 class _NumbaFinder:
-    """Finder of one module, numba, which is prepared right after it is loaded."""
+    """Finder of one module, numba, which is prepared right after it is loaded; or before a module of ours if that is later."""
 
     def find_spec(
         self, name: str, path: "Sequence[str] | None" = None, target: "ModuleType | None" = None
     ) -> ModuleSpec | None:
         """Find numba, once."""
-        if name != "numba":
+        if "numba" in sys.modules and _has_kernels(name):
+            sys.meta_path.remove(self)
+            _prepare()
+            return None
+        if name != "numba" or not any(map(_has_kernels, list(sys.modules))):
             return None
         sys.meta_path.remove(self)
         spec = PathFinder.find_spec(name, path, target)

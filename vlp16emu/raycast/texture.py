@@ -20,35 +20,13 @@ _SAME_M = 0.1
 _SPREAD = math.sqrt(3.0)
 """Half-width of an even distribution of variance one."""
 _CELL_BITS = 2
-"""Four patches across have a contrast of their own: the surfaces of which a wall, a floor or bark is made."""
-_LN_STRENGTH = 0.9
+"""Four patches across have a contrast of their own: a wall, a floor or bark is made of such surfaces."""
+_LN_STRENGTH = 1.0
 """Spread of the logarithm of the contrast over surfaces: the scatter of reflectivity, with white errors, has 0.65 to 0.74 on real units."""
-_STRENGTH = exp(
-    _LN_STRENGTH
-    * np.array(
-        [
-            -1.863,
-            -1.318,
-            -1.01,
-            -0.776,
-            -0.579,
-            -0.402,
-            -0.237,
-            -0.078,
-            0.078,
-            0.237,
-            0.402,
-            0.579,
-            0.776,
-            1.01,
-            1.318,
-            1.863,
-        ]
-    )
-    - 0.5 * _LN_STRENGTH * _LN_STRENGTH
-)
-"""Sixteen equal shares of a log-normal distribution of mean one, by the middle of each."""
-_FLATTEST, _DARKEST = 0.25, 0.05
+_NORMAL = np.array([0.078, 0.237, 0.402, 0.579, 0.776, 1.01, 1.318, 1.863])
+_STRENGTH = exp(_LN_STRENGTH * np.concatenate([-_NORMAL, _NORMAL]) - _LN_STRENGTH * _LN_STRENGTH) * 1.2264
+"""Sixteen equal shares of a log-normal distribution by the middle of each, with a mean square of one."""
+_FLATTEST, _DARKEST = 0.15, 0.05
 """Cosine of incidence at which the contrast no longer grows, as unevenness turns a slanted surface by more of its cosine; and the least
 brightness."""
 _STANDING_OUT = math.sqrt(11.0)

@@ -26,6 +26,8 @@ from vlp16emu.returns.echoes import (
 from vlp16emu.returns.lost import lose, raised, two_surfaces
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOT,
+    RANGE_TAIL,
+    REFLECTIVITY_TAIL,
     code_step,
     heavier,
     no_return_multiples,
@@ -42,7 +44,7 @@ _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
 _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
 _CODES_PER_M = 500.0  # of the distance on the wire, 2 mm
-_MOST_SILENT = 255.0
+_MOST_SILENT = 100.0  # where wandering no-returns end on einride
 _DARKENED = 40.0  # code at which reflectivity moves no range
 _Pair = tuple[float, float]
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
@@ -101,7 +103,7 @@ def detect(
         wander = detector.noise.no_return_wander
         knots = np.zeros((0, lasers))
         if wander:
-            knots = no_return_multiples(constants.seed, first, shape[0], lasers, wander)
+            knots = no_return_multiples(constants.seed, first, shape[0], detector.no_return, wander)
         _mark_silent(constants, detector.no_return, knots, first, block, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity)
@@ -291,7 +293,9 @@ def _measure(
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _DARKENED)
     sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * shown
-    counts = sigma * (heavier(other_noise) if constants.heavy_tails else other_noise)
+    if constants.heavy_tails:
+        range_noise, other_noise = heavier(range_noise, RANGE_TAIL), heavier(other_noise, REFLECTIVITY_TAIL)
+    counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * range_sigma_m(constants, reflectance, amplitude)
     if measured_m > constants.max_range_m:
@@ -357,6 +361,7 @@ def _write(
         sigma_m = range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:  # noise may put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
+            drawn = heavier(drawn, RANGE_TAIL) if constants.heavy_tails else drawn
             if at_m + error_m + drawn * sigma_m > constants.max_range_m:
                 _leave_out(peaks, chosen, peak)
     for column in range(3):

@@ -17,17 +17,10 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, U1, U4
 
 _LOSS, _EDGE = ZERO + Purpose.LOSS, ZERO + Purpose.NO_RETURN
-_SPANS = (
-    (
-        0.25,
-        0.75,
-    ),  # of pulses that meet two surfaces, half of the light each: 8 to 29 % of records at a step of 0.3 to 1.4 m
-    (0.10, 1.00),  # up by 100 codes: 0.9 to 8 % of records at 20 or more on one surface
-    (0.01, 0.20),  # down by as much: 0 to 3 %
-    (0.003, 0.03),  # of black pulses nearer than 4 m: 0.2 to 1.2 % at codes 1 to 3
-    (0.0002, 0.001),  # of all others: 0.03 to 0.12 % at codes from 50 on
-    (35.0, 120.0),  # code of a return beside which half of the no-returns are raised
-)
+# Of pulses that meet two surfaces, half of the light each: 8 to 29 % of records at a step of 0.3 to 1.4 m on real units; up and down by
+# 100 codes: 1.2 to 5.2 % at 20 codes or more on one surface; of black pulses nearer than 4 m: 0.2 to 1.2 % at codes 1 to 3; of all: 0.03 to
+# 0.12 % at codes from 50 on; and the code of a return beside which half of the no-returns are raised.
+_SPANS = (0.2, 0.6), (0.25, 2.0), (0.01, 0.2), (0.003, 0.03), (0.0002, 0.001), (35.0, 120.0)
 _STEP_M = 0.25
 """Difference of ranges from which on two surfaces of one pulse are a step: 0 to 12 % of records are lost at 0.12 to 0.2 m."""
 _BLACK, _NEAR_M = 9.0, 4.0
@@ -37,8 +30,9 @@ _ODD_ALONE, _EVEN_ALONE = 0.33, 0.37
 _REACH, _ON = 3, 0.4
 """Most no-returns in a row that are raised beside a return, and the share of those that go on: 56 to 78 % are alone on real units."""
 _UNEQUAL = 0.03
-"""Share of raised pairs of dual return of which one block is not: 0.065 % of all pairs without range."""
-_FULL = 255.0
+"""Share of raised pairs of dual return in which only one block is raised: 0.065 % of all pairs without range."""
+_NEARLY_WHITE, _FULL = 80.0, 255.0
+"""Code from which on too much light shows as more than 100, and the greatest there is."""
 
 
 def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
@@ -117,7 +111,7 @@ def lose(
     shown = 0.0
     if lost < jump and rise > 0.0:  # too bright: the height of the peak is seen, its place is not
         shown = np.float64(reflectivity[0]) * (0.7 + 1.6 * how)
-        shown = _multiple(min(shown, 100.0 if code < 60.0 else _FULL), no_return)
+        shown = _multiple(min(shown, 100.0 if code < _NEARLY_WHITE else _FULL), no_return)
     for column in range(3):
         distance_m[column], reflectivity[column] = 0.0, np.uint8(shown if column < 2 else 0.0)
 
@@ -161,7 +155,7 @@ def raised(
                 drawn, how = uniform_pair(seed, _EDGE, first + at, laser | (side + 2) << 12)
                 if drawn < share * y / (1.0 + y):
                     power6 = how * how * how
-                    ratio = (0.35 + 1.1 * how + 1.6 * power6 * power6) * (1.0 if away == 1 else 0.7)
+                    ratio = (0.3 + 0.95 * how + 1.6 * power6 * power6) * (1.0 if away == 1 else 0.7)
                     most = max(most, code * ratio, 2.0 * no_return)
                     alone = (64.0 * how) % 1.0 < _UNEQUAL
                 break

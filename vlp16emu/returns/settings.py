@@ -95,7 +95,7 @@ class Noise(Preset):
     and 3 at times. 0 sends every code."""
     heavy_tails: bool = False
     """Whether white errors of reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real units, instead of
-    Gaussian; those of range are Gaussian."""
+    Gaussian, and those of range a little so, with 3.3."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly these."""
     odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0

@@ -114,7 +114,9 @@ def _files(
     if not _is_bag(name):
         check_ending(paths[0])
         if options.bag is not None:
-            raise InputError("--for and --tf", f"found the capture {paths[0]}", "a bag: .mcap, .bag or a slash at the end")
+            raise InputError(
+                "--for and --tf", f"found the capture {paths[0]}", "a bag: .mcap, .bag or a slash at the end"
+            )
         return _captures(paths, links)
     if options.split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")

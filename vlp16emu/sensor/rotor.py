@@ -181,7 +181,7 @@ class Encoder:
             noise_deg=section.azimuth_noise_deg,
             noise_limit_deg=0.1,  # so that no reading of an even encoder is behind the one before it (assumption)
             pitch_deg=section.encoder_pitch_deg,
-            rate_error=section.encoder_rate_error * (1.0 + spread * (0.2 * own[7] - 0.1)),
+            rate_error=section.encoder_rate_error,
             first_deg=math.floor(20.0 * own[6]) / 100,
             slow_shares=np.clip(_SLOW_SHARES + spread * (0.3 * own[8:] - 0.15), 0.0, 1.0).tolist(),
         )

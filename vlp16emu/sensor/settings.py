@@ -17,7 +17,7 @@ _PRESETS: dict[str, dict[str, object]] = {
     "steady": {},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "azimuth_noise_deg": 0.0019,
+        "azimuth_noise_deg": 0.0017,
         "encoder_pitch_deg": 0.05,
         "twice_per_turn_deg": 0.0078,
         "hum_deg": 0.0019,
@@ -65,8 +65,8 @@ class Lidar(Preset):
     eccentricity_phase_deg: Degrees = 40.0
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
-    """White error of each azimuth reading, one sigma; with an encoder of lines at 600 rpm, of when a line is seen: 0.0019 is an even spread
-    over 1.8 us, at all speeds. 0 switches it off."""
+    """White error of each azimuth reading, one sigma; with an encoder of lines at 600 rpm, of when a line is seen: 0.0017 is an even spread
+    over 1.6 us, at all speeds. 0 switches it off."""
     encoder_pitch_deg: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
     encoder."""

@@ -55,6 +55,23 @@ class Wind(Section):
     0.08 (Moore and Maguire, Trees 19, 2005)."""
 
 
+class People(Section):
+    """People beside a carrier who walks, as upright cylinders: shoulders, and a head on them."""
+
+    behind_m: Annotated[float, Field(ge=0, le=100)] = 1.5
+    """Distance of a companion who follows behind the carrier, and hides a sector of what is seen; 0 for none (assumption)."""
+    passes_every_s: Annotated[float, Field(ge=0, le=86_400)] = 40.0
+    """Time from one person to the next who comes towards the carrier on the same way, and passes; 0 for none (assumption)."""
+    passes_at_m: Annotated[float, Field(ge=0.6, le=100)] = 1.0
+    """How far to the side such a person passes (assumption)."""
+    stature_m: Annotated[float, Field(ge=1, le=2.5)] = 1.74
+    """Height; median of British men (City University of Hong Kong, online anthropometry, chapter 2)."""
+    shoulders_m: Annotated[float, Field(ge=0.2, le=1)] = 0.5
+    """Width of the shoulders; the median of the same, 0.465 m, with 0.04 m for outdoor clothing."""
+    reflectance: Fraction = 0.5
+    """Lambertian, at 903 nm (assumption)."""
+
+
 class HallThing(Finish):
     """Something of known shape."""
 
@@ -106,9 +123,9 @@ class Hall(WorldSection):
     """Height of the ceiling."""
     wall_reflectance: Fraction = 0.6
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
-    texture: Texture = 0.08
-    """Share by which it varies over patches of some 0.2 m, one sigma; things in the hall have none. Neighbouring returns
-    of real sensors from walls scatter as with 0.08."""
+    texture: Texture = 0.16
+    """Share by which it varies over patches of some 0.2 m, one sigma over all; pieces of a wall of some 1.6 m differ
+    by a factor of e. Things in the hall have none. With 0.16 neighbouring returns from walls scatter as on real units."""
     relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     """How far walls, floor and ceiling stand out and back over patches of a few centimetres, one sigma; ground truth has
     it too. Walls of the rooms that real sensors stood in have 0.002 to 0.005 m; without it, the hall is flat."""

@@ -83,6 +83,8 @@ def test_where_nothing_is_met_that_is_said():
 
 SMALL = (
     "motion={kind='static',x_m=0.0,y_m=0.0}",
+    "seed=5",
+    "world.stems_per_ha=150",
     "sensor.max_range_m=25",
     "sensor.eccentricity_deg=0.0",
     "sensor.azimuth_noise_deg=0.0",

@@ -25,13 +25,22 @@ def test_an_ideal_host_changes_nothing():
 @pytest.mark.parametrize(("preset", "low_us", "high_us"), [("quiet_pc", 14, 40), ("busy_pc", 300, 640)])
 def test_a_preset_has_the_spacing_of_real_captures(preset, low_us, high_us):
     """Spacing scatters as on real hosts (14 to 640 us), stamps never fall, and the clock is 6 ppm fast."""
-    stamps = stamps_ns(preset=preset, host_spread=0.0)
+    stamps = stamps_ns(preset=preset, host_spread=0.0, ppm=6.0, ahead_ms=0.0)
     due = np.array([packet.due_ns for packet in PACKETS])
     assert low_us < np.diff(stamps).std() / 1e3 < high_us
     assert (np.diff(stamps) >= 0).all()
     late_ns = stamps - due
     assert late_ns.min() >= 0
     assert np.polyfit((due - START_NS) * 1e-9, late_ns * 1e-3, 1)[0] == pytest.approx(6.0, abs=1.5)
+
+
+def test_hosts_differ_in_their_clocks():
+    """Over many seeds the rate is within -15 to 20 ppm for most, and the offset within some milliseconds, before or behind."""
+    clocks = [HostClock(CaptureClock(), seed, START_NS)._section for seed in range(200)]
+    ppm, ahead_ms = np.array([(clock.ppm, clock.ahead_ms) for clock in clocks]).T
+    assert 0.8 < ((ppm > -15) & (ppm < 20)).mean() < 1.0
+    assert np.abs(ahead_ms).max() < 15
+    assert 0.35 < (ahead_ms > 0).mean() < 0.65
 
 
 def test_a_piece_has_the_stamps_of_the_whole():

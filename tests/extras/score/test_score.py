@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from vlp16emu.cli import app
 from vlp16emu.emulator import Emulator
@@ -85,7 +86,7 @@ def test_alignment_is_that_of_evo(truth, capsys):
     s, z, w = math.sqrt(0.5), rows[:, 6], rows[:, 7]
     turned[:, 6:] = np.column_stack([s * z + s * w, s * w - s * z])
     np.savetxt(truth / "turned.tum", turned, fmt="%.9f")
-    for alignment, low, high in (("none", 5, 20), ("yaw", 0, 1e-6), ("se3", 0, 1e-6)):
+    for alignment, low, high in (("none", 5, 20), ("start", 0, 1e-6), ("yaw", 0, 1e-6), ("se3", 0, 1e-6)):
         _, card = scored(capsys, truth, "--trajectory", truth / "turned.tum", "--align", alignment)
         assert low <= card["scores"]["ate_m"] <= high
         assert card["scores"]["rpe_m"] < 1e-6
@@ -182,6 +183,53 @@ def test_own_numbers_of_trees_are_kept(truth, capsys):
     assert card["trees"][0]["dbh_error_m"] == pytest.approx(0.01)
 
 
+def walk_of(path, duration_s=130.0, rate_hz=20):
+    """Trajectory of a person who walks east at 1 m/s and sways at each pace, as rows of TUM."""
+    t_s = np.arange(0, duration_s, 1 / rate_hz)
+    sway = 2 * np.pi * 0.95 * t_s
+    place_m = t_s, 0.03 * np.sin(sway), 0.02 * np.sin(2 * sway)
+    rows = np.column_stack(
+        [1000 + t_s, *place_m, np.sin(0.02 * np.sin(sway)), *np.zeros((2, len(t_s))), np.cos(0.02 * np.sin(sway))]
+    )
+    np.savetxt(path, rows, fmt="%.9f")
+    return rows
+
+
+def test_odometry_that_begins_anywhere_scores_as_if_it_began_at_the_truth(truth, capsys):
+    """By default the first pose is laid on the truth: one that drifts by 1 % of the path has that drift over 10 and 100 m."""
+    rows = walk_of(truth / "trajectory.tum")
+    rows[:, 1] *= 1.01
+    turn = Rotation.from_euler("zyx", [70, 10, 5], degrees=True)
+    rows[:, 1:4] = turn.apply(rows[:, 1:4]) + [400.0, -7.0, 3.0]
+    rows[:, 4:] = (turn * Rotation.from_quat(rows[:, 4:])).as_quat()
+    np.savetxt(truth / "odometry.tum", rows[::2], fmt="%.9f")
+    _, card = scored(capsys, truth, "--trajectory", truth / "odometry.tum")
+    scores = card["scores"]
+    # The sway makes the path longer than the way east, on which the drift is.
+    assert scores["drift_10m_percent"] == pytest.approx(1.0, rel=0.05)
+    assert scores["drift_100m_percent"] == pytest.approx(1.0, rel=0.05)
+    assert scores["ate_max_m"] == pytest.approx(1.3, rel=0.01)
+    assert scores["stamp_offset_s"] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("late_s", [0.1, -0.064])
+def test_late_stamps_are_found(truth, capsys, late_s):
+    """An estimate whose stamps are late is told what to add to them; a motion without swing, or a path of 9 m, tells nothing."""
+    rows = walk_of(truth / "trajectory.tum", 20.0)
+    rows = rows[20:-20:2]
+    rows[:, 0] += late_s
+    np.savetxt(truth / "late.tum", rows, fmt="%.9f")
+    _, card = scored(capsys, truth, "--trajectory", truth / "late.tum")
+    assert card["scores"]["stamp_offset_s"] == pytest.approx(-late_s, abs=2e-3)
+    assert card["scores"]["drift_100m_percent"] is None
+
+
+def test_an_even_motion_says_nothing_about_stamps(truth, capsys):
+    """On an arc at a steady speed each offset is as good as any other."""
+    _, card = scored(capsys, truth, "--trajectory", truth / "trajectory.tum")
+    assert card["scores"]["stamp_offset_s"] is None
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -193,7 +241,7 @@ def test_own_numbers_of_trees_are_kept(truth, capsys):
         (["--map", "trajectory.tum"], "found suffix '.tum'"),
         (["--map", "late.csv"], "x, y and z"),
         (["--map", "none.ply"], "no such file"),
-        (["--trajectory", "trajectory.tum", "--align", "up"], "none, yaw or se3"),
+        (["--trajectory", "trajectory.tum", "--align", "up"], "start, none, yaw or se3"),
         (["--trajectory", "trajectory.tum", "--require", "ate_m=3"], "found ate_m=3"),
     ],
 )

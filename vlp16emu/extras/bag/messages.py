@@ -160,7 +160,8 @@ class TrueMessages:
     def fixed(self, t_ns: int) -> None:
         """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; what spins has none."""
         mounts = [
-            (frame, given_mount(unit, "body_T_sensor")) for unit, frame in zip(self._rig["units"], self._frames, strict=True)
+            (frame, given_mount(unit, "body_T_sensor"))
+            for unit, frame in zip(self._rig["units"], self._frames, strict=True)
         ]
         if mounts[0][1] is not None:
             antenna = mounts[0][1].copy()
@@ -211,7 +212,7 @@ def _placed(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
     return T[:3, 3].tolist(), turn.tolist()
 
 
-def _moved(numbers: Sequence[float], sensor_T_base: NDArray[np.float64]) -> list[float]:
+def _moved(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
     """Return pose and rates (13,) of a base from those of a sensor that is fixed to it."""
     from scipy.spatial.transform import Rotation
 

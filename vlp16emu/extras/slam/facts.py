@@ -43,7 +43,6 @@ class Facts:
     """Contents of a bag."""
 
     clouds: Clouds
-    cloud_topics: list[str]
     imu_topic: str
     imu_frame: str
     imu: NDArray[np.float64]
@@ -114,8 +113,10 @@ def _read(path: Path, reader: Any) -> Facts:
     topics = {kind: list(dict.fromkeys(names)) for kind, names in topics.items()}
     if not topics[_CLOUD]:
         raise CaptureError(str(path), "no point clouds", "messages of sensor_msgs/PointCloud2")
-    cloud, imu = (_likest(names, ours) for names, ours in zip(topics.values(), ("velodyne_points", "imu/data"), strict=True))
-    facts = Facts(Clouds(topic=cloud), topics[_CLOUD], imu, "", np.empty((0, 11)), {}, {})
+    cloud, imu = (
+        _likest(names, ours) for names, ours in zip(topics.values(), ("velodyne_points", "imu/data"), strict=True)
+    )
+    facts = Facts(Clouds(topic=cloud), imu, "", np.empty((0, 11)), {}, {})
     wanted, samples = {cloud, imu, "/tf", "/tf_static"}, []
     start_s = reader.start_time // S_NS
     for connection, _, raw in reader.messages([one for one in reader.connections if one.topic in wanted]):
@@ -144,7 +145,11 @@ def _stamp_s(message: Any, start_s: int) -> float:
 
 def _sample(message: Any, start_s: int) -> list[float]:
     w, a, q = message.angular_velocity, message.linear_acceleration, message.orientation
-    covariances = message.orientation_covariance, message.angular_velocity_covariance, message.linear_acceleration_covariance
+    covariances = (
+        message.orientation_covariance,
+        message.angular_velocity_covariance,
+        message.linear_acceleration_covariance,
+    )
     length = float(np.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2))
     return [_stamp_s(message, start_s), w.x, w.y, w.z, a.x, a.y, a.z, length, *(float(one[0]) for one in covariances)]
 
@@ -152,8 +157,8 @@ def _sample(message: Any, start_s: int) -> list[float]:
 def _add_cloud(clouds: Clouds, message: Any, start_s: int) -> None:
     names, end = [one.name for one in message.fields], "><"[not message.is_bigendian]
     kinds = [np.dtype(end + _KINDS.get(one.datatype, "u1")) for one in message.fields]
-    layout = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
-    points = np.frombuffer(message.data, np.dtype({**layout, "itemsize": message.point_step}))  # type: ignore[call-overload]
+    layout: Any = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
+    points: NDArray[Any] = np.frombuffer(message.data, np.dtype({**layout, "itemsize": message.point_step}))
     clouds.frame, clouds.fields = message.header.frame_id, dict(zip(names, kinds, strict=True))
     clouds.time_name = next((name for name in TIME_NAMES if name in names), None)
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1)
@@ -183,4 +188,4 @@ def _add_transforms(facts: Facts, message: Any, *, fixed: bool) -> None:
             p, q = one.transform.translation, one.transform.rotation
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (p.x, p.y, p.z)
-            facts.fixed[child] = parent, T
+            facts.fixed.setdefault(child, (parent, T))  # a second parent is a finding of its own

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ _EARLY_S = 1e-3
 """Time before the stamp that rounding does not explain."""
 _GRAVITY_M_S2 = 9.80665
 _TILT_DEG = 30.0
-"""No person carries a body of which the vertical axis leans more than this."""
+"""No person carries a body whose vertical axis leans more than this."""
 _SWEEP_S, _IMU_HZ, _SLOW_HZ, _BEAMS = 0.1, 200.0, 100.0, 16
 """What the configurations of `protocol/slam` are for, and the rate below which programs deskew badly."""
 
@@ -150,7 +151,7 @@ def _of_clouds(facts: Facts) -> dict[str, Any]:
     early_s = float(np.median(earliest)) * scale
     kinds = {name: kind.name for name, kind in clouds.fields.items()}
     sines = [(ring, total / n) for ring, (total, n) in sorted(clouds.rings.items()) if n]
-    wrong = [f"{a[0]} is above ring {b[0]}" for a, b in zip(sines, sines[1:], strict=False) if a[1] >= b[1]]
+    wrong = [f"{a[0]} is above ring {b[0]}" for a, b in pairwise(sines) if a[1] >= b[1]]
     gaps_s = steps_s[steps_s > 1.5 * sweep_s]
     return {
         "topic": clouds.topic,
@@ -220,7 +221,11 @@ def _of_frames(facts: Facts) -> dict[str, Any]:
     else:
         tree = "" if lidar in facts.fixed or lidar == "base_link" else f"nothing says where {lidar} is"
     taken = ("base_link", *[name for name in (lidar, unit) if name])
-    edges = [f"{min(facts.parents[child])} -> {child}" for child in taken if child in facts.parents and child not in facts.fixed]
+    edges = [
+        f"{min(facts.parents[child])} -> {child}"
+        for child in taken
+        if child in facts.parents and child not in facts.fixed
+    ]
     apart = np.eye(4) if T is None else T
     turned = math.degrees(math.acos(max(-1.0, min(1.0, (float(np.trace(apart[:3, :3])) - 1) / 2))))
     names = pose_names("lidar", "imu", apart) | pose_names("imu", "lidar", np.linalg.inv(apart))

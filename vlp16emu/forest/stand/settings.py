@@ -288,7 +288,7 @@ class Woods(WorldSection):
     moss: Moss = Moss()
     litter: Litter = Litter()
     ivy: Ivy = Ivy()
-    texture: Texture = 0.085
+    texture: Texture = 0.12
     """Share by which the reflectance of ground, bark and stones varies over patches, of some 0.08 m on bark and 0.2 m else, one sigma; leaves have
     none, as each lies at an angle of its own. Assumption: neighbouring returns then scatter as those of real sensors in
     rooms and streets do."""

@@ -1,0 +1,265 @@
+"""Bags held against what SLAM programs need: ours, damaged ones, and one of a real sensor."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vlp16emu.cli.app import run
+from vlp16emu.emulator import Emulator
+from vlp16emu.extras.bag import write_bag
+from vlp16emu.extras.slam import fitness, programs
+
+pytest.importorskip("rosbags", reason="the extra ros is not installed")
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+SETTINGS = {"beam.model": "none", "imu.preset": "consumer", "imu.attitude": True}
+CAPTURE = Path(__file__).resolve().parents[4] / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu", "tf2_msgs/msg/TFMessage")
+
+
+@pytest.fixture(scope="module")
+def rest(tmp_path_factory):
+    """Messages of a bag of a sensor at rest, as (topic, time, message): 0.6 s of clouds, and 3.2 s of the inertial unit around them."""
+    folder = tmp_path_factory.mktemp("rest")
+    emulator = Emulator("static_bench", SETTINGS)
+    emulator.record(folder / "rest.mcap", start_s=2.5, duration_s=0.6)
+    with AnyReader([folder / "rest.mcap"]) as reader:
+        found = [
+            (c.topic, t_ns, reader.deserialize(raw, c.msgtype))
+            for c, t_ns, raw in reader.messages()
+            if c.msgtype in TYPES
+        ]
+    samples = [one for one in found if one[0] == "/imu/data"]
+    first_ns = samples[0][1]
+    for n in range(1, 520):  # the same rest before
+        _, _, sample = samples[n % len(samples)]
+        found.append(moved(("/imu/data", first_ns - n * 5_000_000, sample)))
+    return sorted(found, key=lambda one: one[1])
+
+
+def copy_of(message, **fields):
+    return type(message)(
+        **{
+            name: fields.get(name, getattr(message, name))
+            for name in message.__dataclass_fields__
+            if name != "__msgtype__"
+        }
+    )
+
+
+def moved(one, by_ns=0):
+    """Stamp a message with the time at which it is in the bag, less or more."""
+    topic, t_ns, message = one
+    sec, nanosec = divmod(t_ns + by_ns, 10**9)
+    header = copy_of(message.header, stamp=copy_of(message.header.stamp, sec=sec, nanosec=nanosec))
+    return topic, t_ns, copy_of(message, header=header)
+
+
+def write(path, found):
+    """Write messages as a bag of ROS 2 by rosbags alone."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {}
+        for topic, t_ns, message in found:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, message.__msgtype__, typestore=STORE)
+            writer.write(connections[topic], t_ns, STORE.serialize_cdr(message, message.__msgtype__))
+    return path
+
+
+def points(change, **fields):
+    """Damage of all clouds: `change` takes and returns their points."""
+
+    def damage(one):
+        topic, t_ns, message = one
+        if topic != "/velodyne_points":
+            return one
+        made = change(message.data.view(POINT).copy())
+        names = {field.name: copy_of(field, **fields.get(field.name, {})) for field in message.fields}
+        data = made.view(np.uint8)
+        own = {key: value for key, value in fields.items() if key in message.__dataclass_fields__}
+        return (
+            topic,
+            t_ns,
+            copy_of(message, data=data, fields=list(names.values()), width=len(made), row_step=len(data), **own),
+        )
+
+    return damage
+
+
+def scaled(factor, offset=0.0):
+    def change(made):
+        made["time"] = made["time"] * factor + offset
+        return made
+
+    return change
+
+
+def reversed_rings(made):
+    made["ring"] = 15 - made["ring"]
+    return made
+
+
+def with_a_hole(made):
+    made["x"][7] = np.nan
+    return made
+
+
+def samples(change):
+    """Damage of all samples: `change` takes a message and returns its new fields."""
+    return lambda one: (*one[:2], copy_of(one[2], **change(one[2]))) if one[0] == "/imu/data" else one
+
+
+def force(message, R):
+    a = message.linear_acceleration
+    x, y, z = np.asarray(R) @ [a.x, a.y, a.z]
+    return {"linear_acceleration": copy_of(a, x=x, y=y, z=z)}
+
+
+def turning(message):
+    return {"angular_velocity": copy_of(message.angular_velocity, z=0.6)}
+
+
+def no_attitude(message):
+    q = copy_of(message.orientation, x=0.0, y=0.0, z=0.0, w=0.0)
+    return {"orientation": q, "orientation_covariance": np.array([-1.0, *[0.0] * 8])}
+
+
+def renamed(**names):
+    return lambda one: (names.get(one[0].strip("/").replace("/", "_"), one[0]), *one[1:])
+
+
+def second_parent(one):
+    if one[0] != "/tf_static":
+        return one
+    first = one[2].transforms[0]
+    return (
+        *one[:2],
+        copy_of(one[2], transforms=[*one[2].transforms, copy_of(first, header=copy_of(first.header, frame_id="map"))]),
+    )
+
+
+def apart(one):
+    if one[0] != "/tf_static":
+        return one
+    shift = next(t for t in one[2].transforms if t.child_frame_id == "imu")
+    T = copy_of(shift.transform, translation=copy_of(shift.transform.translation, x=0.05))
+    return (
+        *one[:2],
+        copy_of(one[2], transforms=[t if t is not shift else copy_of(t, transform=T) for t in one[2].transforms]),
+    )
+
+
+def moving_body(one):
+    if one[0] != "/tf":
+        return one
+    return (*one[:2], copy_of(one[2], transforms=[copy_of(t, child_frame_id="base_link") for t in one[2].transforms]))
+
+
+def every(n, topic, *, only_middle=False):
+    """Keep one message of n on a topic, or leave out some in the middle."""
+    count = [0]
+
+    def damage(one):
+        if one[0] != topic:
+            return one
+        count[0] += 1
+        keep = count[0] not in (3, 4) if only_middle else count[0] % n == 0
+        return one if keep else None
+
+    return damage
+
+
+DAMAGES = {
+    "us": (points(scaled(1e6)), "time-unit", {"fast-lio2": "preprocess/timestamp_unit: 2", "rko-lio": "multiplier_to_seconds: 1e-06"}),
+    "ns": (points(scaled(1e9)), "time-unit", {"point-lio": "preprocess/timestamp_unit: 3", "lio-sam": "seconds"}),
+    "stamp of the last point": (points(scaled(1.0, -0.1)), "time-zero", {"fast-lio2": "timestamp_first_packet", "dlio": "timestamp_first_packet"}),
+    "unsorted": (points(lambda made: made[::-1].copy()), "time-last", {"cartographer": "a CHECK ends it", "a-loam": "azimuth"}),
+    "other name": (points(lambda made: made, time={"name": "t"}), "time-name", {"dlio": "instead of `t`"}),
+    "no times": (points(lambda made: made, time={"name": "age"}), "no-time", {"mola": "without a message", "kiss-icp": "nothing is deskewed"}),
+    "rings upside down": (points(reversed_rings), "ring-order", {"lio-sam": "across beams", "lego-loam": "in the sky"}),
+    "signed rings": (points(lambda made: made, ring={"datatype": 3}), "ring", {"lio-sam": "uint16"}),
+    "holes": (points(with_a_hole), "density", {"lio-sam": "it stops", "kiss-icp": "not their times"}),
+    "clouds elsewhere": (renamed(velodyne_points="/points"), "cloud-topic", {"glim": "points_topic: /points", "kiss-icp": "--topic /points"}),
+    "unit elsewhere": (renamed(imu_data="/imu"), "imu-topic", {"fast-lio2": "common/imu_topic: /imu", "cartographer": "imu:=/imu"}),
+    "half the scans": (every(2, "/velodyne_points"), "sweep", {"lio-sam": "Horizon_SCAN: 36", "hdl-graph-slam": "scan_period: 0.2"}),
+    "a gap": (every(0, "/velodyne_points", only_middle=True), "cloud-gaps", {"kiss-icp": "every scan"}),
+    "no unit": (every(10**9, "/imu/data"), "no-imu", {"fast-lio2": "6 axes", "lio-sam": "9 axes"}),
+    "in g": (samples(lambda one: force(one, np.eye(3) / 9.81)), "gravity-unit", {"point-lio": "mapping/acc_norm: 1", "glim": "acc_scale: 9.8"}),
+    "upside down": (samples(lambda one: force(one, -np.eye(3))), "gravity-axis", {"fast-lio2": "mapping/extrinsic_R", "lio-sam": "extrinsicRot"}),
+    "100 Hz": (every(2, "/imu/data"), "imu-rate", {"point-lio": "mapping/imu_time_inte: 0.01"}),
+    "6 axes": (samples(no_attitude), "attitude", {"lio-sam": "Invalid quaternion"}),
+    "no covariance": (
+        samples(lambda one: {"angular_velocity_covariance": np.array([-1.0, *[0.0] * 8])}),
+        "covariance",
+        {"cartographer": "a CHECK ends it"},
+    ),
+    "another clock": (lambda one: moved(one, 3600 * 10**9) if one[0] == "/imu/data" else one, "clock", {"fast-lio2": "common/time_offset_lidar_to_imu"}),
+    "lever arm": (apart, "extrinsics", {"fast-lio2": "[-0.05, 0.0, 0.0]", "lio-sam": "[0.05, 0.0, 0.0]", "glim": "[0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]"}),
+    "two parents": (second_parent, "frames", {"cartographer": "one tree", "mola": "one tree"}),
+    "truth moves base_link": (moving_body, "tf-map", {"cartographer": "map -> base_link", "hdl-graph-slam": "map -> base_link"}),
+    "walks at once": (samples(turning), "rest", {"dlio": "3 s of rest", "rko-lio": "initialization_phase: false"}),
+}  # fmt: skip
+"""Damage, the rule that it breaks, and what programs are to be told."""
+
+
+def test_our_bag_is_fit_for_all(rest, tmp_path):
+    """A bag with rest, an attitude and the default rig is what all 13 configurations are for."""
+    found = fitness(write(tmp_path / "bag", rest), "all")
+    assert [str(one) for one in found.findings] == []
+    assert list(found.programs) == list(programs())
+    assert found.summary["samples"] > 600
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_each_damage_is_found(rest, tmp_path, name):
+    """A damaged bag has the one finding, with the parameter of each program; programs that do not mind have none."""
+    damage, rule, told = DAMAGES[name]
+    found = fitness(write(tmp_path / "bag", [made for one in rest if (made := damage(one))]), "all")
+    assert {one.rule for one in found.findings} == {rule}
+    assert {one.program for one in found.findings} == {one.name for one in programs().values() if rule in one.needs}
+    for program, words in told.items():
+        (finding,) = found.of(program)
+        assert words in str(finding)
+        assert "\n" not in str(finding)
+
+
+def test_a_bag_of_a_real_sensor(tmp_path, capsys):
+    """A capture of a real unit becomes a bag that is fit for what needs no inertial unit and no transforms, and the others say which."""
+    if not CAPTURE.exists():
+        pytest.skip("no shared captures")
+    write_bag(CAPTURE, tmp_path / "real.mcap")
+    assert run(["verify", f"{tmp_path}/real.mcap", "--for", "all", "--json"]) == 1
+    programs_found = json.loads(capsys.readouterr().out)["programs"]
+    fit = {name for name, one in programs_found.items() if one["fit"]}
+    assert fit == {"lego-loam", "a-loam", "genz-icp"}
+    rules = {finding["rule"] for one in programs_found.values() for finding in one["findings"]}
+    assert rules == {"no-imu", "frames", "frame-base"}
+    assert run(["verify", f"{tmp_path}/real.mcap", "--for", "a-loam"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("verify {bag} --for slam", "--for: found slam; expected fast-lio2"),
+        ("verify {bag}", "a bag; expected a capture, or --for"),
+        ("verify {bag} --for all --unit 1", "--unit: found 1"),
+        ("verify {folder}/none.mcap --for all", "none.mcap: no bag"),
+        ("verify {folder}/empty.mcap --for all", "empty.mcap: no bag"),
+        ("verify {folder}/blind --for all", "no point clouds"),
+    ],
+)
+def test_what_is_no_bag_is_one_line(rest, tmp_path, capsys, words, line):
+    """No bag, an empty or blind one, and a program of another name give one line and exit code 2."""
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    bag = write(tmp_path / "bag", rest[:50])
+    write(tmp_path / "blind", [one for one in rest[:50] if one[0] == "/imu/data"])
+    assert run([word.format(bag=bag, folder=tmp_path) for word in words.split()]) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == 1

@@ -1,0 +1,106 @@
+"""Records that real units lose, and the codes of no-returns beside returns: rates of the captures."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.returns.detect import detect
+from vlp16emu.returns.lost import loss_rates
+from vlp16emu.types import Hits, PlantPart
+
+LOSSES = {"records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
+LASERS = 16
+
+
+def seen(detector, firings, surfaces, range_m, surface, noise=LOSSES, *, index=0, block=None, **unit):
+    """Detect (k, L, s) sub-rays at right angles."""
+    k, lasers, s = np.shape(range_m)
+    hits = Hits(
+        np.full((k, lasers), s, np.uint16),
+        np.asarray(range_m, np.float32).reshape(-1),
+        np.broadcast_to(surface, np.shape(range_m)).astype(np.uint32).reshape(-1),
+        np.ones(k * lasers * s, np.float32),
+    )
+    return detect(firings(k, index), hits, surfaces, detector(noise, **unit), truth=False, block=block)
+
+
+def lost(out):
+    return out.distance_m[..., 0] == 0
+
+
+def test_an_even_wall_is_nearly_whole(detector, firings, table):
+    """Between equal ranges and codes 0.02 to 0.1 % are lost where it is bright, and more where it is black and near."""
+    range_m = np.full((4000, LASERS, 1), 3.0)
+    bright, black = (
+        np.mean([lost(seen(detector, firings, table(one), range_m, 0, seed=seed)).mean() for seed in range(5)])
+        for one in (0.7, 0.02)
+    )
+    assert 0.0001 < bright < 0.0012
+    assert 0.003 < black < 0.02
+
+
+def test_a_step_of_brightness_costs_a_record(detector, firings, table):
+    """Of records at a step up of 50 codes 6 % or more are lost, one tenth as many at a step down; the codes of the former are high."""
+    surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
+    outs = [
+        seen(detector, firings, table(0.1, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(6)
+    ]
+    up, down = (np.concatenate([lost(out)[first::20].ravel() for out in outs]) for first in (10, 20))
+    assert 0.05 < up.mean() < 0.5
+    assert down.mean() < 0.3 * up.mean()
+    codes = np.concatenate([out.reflectivity[10::20, :, 0][lost(out)[10::20]] for out in outs])
+    assert 40 < np.median(codes) <= 100
+
+
+@pytest.mark.parametrize(("smooth", "least", "most"), [(False, 0.2, 0.6), (True, 0.0, 0.001)])
+def test_two_surfaces_in_a_pulse_cost_it(detector, firings, table, smooth, least, most):
+    """Half of the light each, half a metre apart, lose 0.2 to 0.6 of the records by unit; the slant of one smooth surface none."""
+    surfaces = table(0.5, 0.5)
+    surfaces["part"] = PlantPart.NONE if smooth else PlantPart.LEAF
+    range_m = np.broadcast_to(np.repeat([3.0, 3.5], 4), (500, LASERS, 8))
+    rates = [lost(seen(detector, firings, surfaces, range_m, 0, seed=seed)).mean() for seed in range(12)]
+    assert least - 0.02 <= min(rates) <= max(rates) <= most + 0.02
+
+
+def test_blocks_make_the_whole(detector, firings, table):
+    """A run in blocks has the same bytes wherever it is cut, between them."""
+    rng = np.random.default_rng(3)
+    surface = rng.integers(0, 2, (960, LASERS, 1))
+    range_m = np.where(rng.random((960, LASERS, 1)) < 0.1, np.inf, 3.0)
+    whole = seen(detector, firings, table(0.1, 0.6), range_m, surface, block=96)
+    for first, stop in ((0, 480), (96, 192), (480, 960)):
+        part = seen(detector, firings, table(0.1, 0.6), range_m[first:stop], surface[first:stop], index=first, block=96)
+        np.testing.assert_array_equal(part.distance_m, whole.distance_m[first:stop])
+        np.testing.assert_array_equal(part.reflectivity, whole.reflectivity[first:stop])
+
+
+def test_no_returns_beside_returns_are_raised(detector, firings, table):
+    """More often the brighter the return is (mrpt, nebula, 2014: 0.01 to 0.1 at 10, 0.33 to 0.82 at 70), by about its code, mostly alone."""
+    range_m = np.full((16_000, LASERS, 1), np.inf)
+    range_m[::16] = 3.0
+    share, ratio = [], []
+    for reflectance in (0.1, 0.7):
+        outs = [seen(detector, firings, table(reflectance), range_m, 0, LOSSES, seed=s) for s in range(8)]
+        codes = np.concatenate([out.reflectivity[..., 0][1::16].ravel() for out in outs]).astype(float)
+        base = np.concatenate([np.tile(out.reflectivity[8, :, 0], 1000) for out in outs])
+        raised = codes > 1.5 * np.maximum(base, 1)
+        share.append(raised.mean())
+        ratio.append(np.quantile(codes[raised] / (100 * reflectance), [0.25, 0.5, 0.75]))
+    assert 0.01 < share[0] < 0.15
+    assert 0.3 < share[1] < 0.85
+    np.testing.assert_allclose(ratio[1], [0.52, 0.78, 1.3], rtol=0.2)
+
+
+def test_dual_return_loses_single_blocks(detector, firings, table):
+    """Of pulses with two echoes some are without the odd block alone; pairs without range differ in code now and then."""
+    range_m = np.broadcast_to(np.repeat([3.0, 9.0], 4), (4000, LASERS, 8))
+    out = seen(detector, firings, table(0.2, 0.9), range_m, np.repeat([0, 1], 4))
+    strongest, last = out.distance_m[..., 0] == 0, out.distance_m[..., 1] == 0
+    alone = (strongest | ((out.distance_m[..., 2] == 0) & (out.reflectivity[..., 2] > 0))) & ~last
+    assert 0.2 < alone.mean() / lost(out).mean() < 2.0
+    assert 0 < (last & ~strongest).mean() < 0.3 * alone.mean()
+
+
+def test_an_ideal_unit_loses_nothing(detector):
+    """All rates are 0 unless records are lost, so that nothing is drawn."""
+    assert set(detector().constants.lost) == {0.0}
+    assert set(loss_rates(5, 0.0, raised=False)) == {0.0}

@@ -1,0 +1,88 @@
+"""Lanes cut with the ground."""
+
+import math
+
+import numba
+import numpy as np
+
+from vlp16emu.foliage.lanes import Ground, Pulse
+from vlp16emu.foliage.voxel import BRICK, FINER, VOXEL_M
+
+f4 = np.float32
+_Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
+_Slope = tuple[np.float32, np.float32, np.float32]
+"""Height over the ground, and how the ground rises along x and y."""
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) -> bool:
+    """Cut the lanes with the ground within a slab; return True if any meets it."""
+    L, axis = pulse.lanes, pulse.axis
+    last_m = middle_m + f4(0.5) * length
+    clear_m = _over_ground(ground, (axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]), last_m)[0]
+    steepest = f4(1.0 + ground.steepest)
+    if clear_m > steepest * (pulse.spread * last_m + pulse.aside_m):
+        return False
+    met, range_m = False, L.range_m
+    first_m = max(middle_m - f4(0.5) * length, pulse.near_m)
+    for lane in range(pulse.n):
+        if range_m[lane] <= first_m:
+            continue
+        x, y, z = L.origin_m[0, lane], L.origin_m[1, lane], L.origin_m[2, lane]
+        dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
+        ray = x, y, z, dx, dy, dz
+        below = _over_ground(ground, ray, last_m)
+        if not below[0] <= 0:
+            continue
+        at_m, gx, gy = _ground_at(ground, ray, first_m, last_m, below)
+        if at_m < range_m[lane]:
+            range_m[lane] = at_m
+            L.cosine[lane] = min(abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0))
+            across = f4(1.0 / (BRICK * VOXEL_M))
+            i = min(max(int((x + dx * at_m - f4(ground.corner_x_m)) * across), 0), ground.surface.shape[0] - 1)
+            j = min(max(int((y + dy * at_m - f4(ground.corner_y_m)) * across), 0), ground.surface.shape[1] - 1)
+            L.surface[lane] = ground.surface[i, j]
+            met = True
+    return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float32, below: _Slope) -> _Slope:
+    """Return range and slope where a ray meets the ground in a slab, at whose end it is `below` it."""
+    (_, _, _, dx, dy, dz), at_m, slope = ray, last_m, below
+    low_m, c_low = first_m, f4(0.0)
+    for _ in range(4):  # flat but for the edges of its triangles: along the slope, and then by secants
+        falls = dz - slope[1] * dx - slope[2] * dy
+        if slope[0] <= 0 and falls < f4(-1e-4) and c_low == 0:
+            at_m = max(at_m - slope[0] / falls, first_m)
+        else:
+            at_m = low_m + (at_m - low_m) * c_low / (c_low - slope[0])
+        slope = _over_ground(ground, ray, at_m)
+        if abs(slope[0]) < f4(5e-4) or at_m <= first_m:
+            break
+        if slope[0] > 0:
+            low_m, c_low, at_m, slope = at_m, slope[0], last_m, below
+    falls = dz - slope[1] * dx - slope[2] * dy
+    if abs(falls) > f4(1e-4):  # where light grazes, what is left in height is long in range
+        at_m = min(max(at_m - slope[0] / falls, low_m), last_m)
+    return at_m, slope[1], slope[2]
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _over_ground(ground: Ground, ray: _Ray, at_m: float) -> _Slope:
+    """Return the height of a ray over the ground at a range, and the slope there; no ground is infinitely deep."""
+    (x, y, z, dx, dy, dz), ground_m = ray, ground.height_m
+    u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)
+    v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(FINER / VOXEL_M)
+    i = min(max(int(u), 0), ground_m.shape[0] - 2)
+    j = min(max(int(v), 0), ground_m.shape[1] - 2)
+    s, t = u - f4(i), v - f4(j)
+    h00, h11 = ground_m[i, j], ground_m[i + 1, j + 1]
+    if s >= t:
+        h10 = ground_m[i + 1, j]
+        gx, gy = h10 - h00, h11 - h10
+    else:
+        h01 = ground_m[i, j + 1]
+        gx, gy = h11 - h01, h01 - h00
+    height = h00 + gx * s + gy * t
+    return z + dz * at_m - height, gx * f4(FINER / VOXEL_M), gy * f4(FINER / VOXEL_M)

@@ -1,0 +1,363 @@
+"""Stems seen from the sensor, and lanes cut with them.
+
+From 15 m on a sensor moves past stems slowly, and the pulses of eight firing sequences look into a narrow sector. So the
+stems of a sector are listed once for all of its pulses, nearest first, and a pulse knows where its rays end on wood before it
+goes through foliage.
+"""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import hypot
+from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE
+from vlp16emu.types import F4, F8, I4, I8, U1, U4
+
+f4 = np.float32
+_BLOCK = 8
+"""Stems that are looked at together."""
+_ROWS = 9
+"""Rows of a block: foot, unit axis, lowest and highest end along the axis, reach beside it."""
+_LOW, _HIGH, _REACH = 6 * _BLOCK, 7 * _BLOCK, 8 * _BLOCK
+_ROUNDING_M = f4(0.01)
+"""More than float32 rounds within 200 m."""
+_WIDE = 0.7
+"""Sine, and cosine, of the half-width of a sector beyond which all stems of the window are listed."""
+
+
+class Seen(NamedTuple):
+    """Stems that some pulses may meet, nearest first; room for all of a window."""
+
+    row: F4
+    """(blocks * 72,) of each block of eight `_ROWS` rows."""
+    stem: I4
+    """(8 * blocks,) their numbers."""
+    from_m: F4
+    """(8 * blocks,) least range at which each may be met."""
+    is_seen: U1
+    """(8 * blocks,) scratch."""
+
+
+class _Sector(NamedTuple):
+    """Directions of pulses as seen from above; all are in it if its middle is (0, 0)."""
+
+    x_m: float
+    y_m: float
+    """A place, from which the pulses begin within `away_m`."""
+    away_m: float
+    mx: float
+    my: float
+    """Unit vector along the middle."""
+    right: tuple[float, float]
+    """Cosine and sine of the edge to the right, from the middle; `left` likewise."""
+    left: tuple[float, float]
+    level: float
+    """Least length of a pulse's unit direction as seen from above."""
+
+
+def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
+    """Axes of stems: (n, 7) lower end relative to an origin, rise per metre of height in x and y, height, widest reach."""
+    axis = stems["axis"]
+    low_m, high_m = stems["along_m"][:, 0] * axis[:, 2], stems["along_m"][:, -1] * axis[:, 2]
+    slope = axis[:, :2] / axis[:, 2:]
+    foot_m = stems["foot_m"] - origin_m
+    lower = foot_m + np.column_stack([slope * low_m[:, None], low_m])
+    reach_m = stems["radius_m"] + hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
+    return np.column_stack([lower, slope, high_m - low_m, reach_m.max(axis=1)])
+
+
+def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
+    """Return stems, seen from above too; parameters as of `Stems`."""
+    along_m = profile[:, 0].astype(np.float64)
+    middle_m, half_m = (along_m[:, -1] + along_m[:, 0]) / 2, (along_m[:, -1] - along_m[:, 0]) / 2
+    x_m, y_m = (line[:, axis] + middle_m * line[:, 3 + axis] for axis in range(2))
+    lean = hypot(line[:, 3], line[:, 4])
+    plan = np.stack([x_m, y_m, half_m * lean + line[:, 6] + line[:, 7]]).astype(np.float32)
+    return Stems(line, profile, plan, surface, flare_m)
+
+
+def seen(stems: Stems) -> Seen:
+    """Make room for what is seen of some stems."""
+    blocks = -(-len(stems.line) // _BLOCK)
+    return Seen(
+        np.zeros(blocks * _ROWS * _BLOCK, np.float32),
+        np.zeros(blocks * _BLOCK, np.int32),
+        np.zeros(blocks * _BLOCK, np.float32),
+        np.zeros(blocks * _BLOCK, np.uint8),
+    )
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def see_stems(
+    stems: Stems,
+    out: Seen,
+    axes: F4,
+    pulses: I8,
+    goes_on: NDArray[np.bool_],
+    near_m: float,
+    far_m: float,
+    aside_m: float,
+    spread: float,
+) -> int:
+    """List the stems that pulses may meet, nearest first, and return how many.
+
+    Parameters
+    ----------
+    axes : (n, 6 or more) origins and directions of the middles of pulses
+    pulses : (m,) numbers of those asked for
+    goes_on : (n,) which of these are asked for
+    near_m, far_m : range at which the medium begins, and at which light is given up
+    aside_m, spread : as in `Pulse`
+    """
+    sector = _sector(axes, pulses, goes_on, spread)
+    count, plan, is_seen = 0, stems.plan, out.is_seen
+    x_m, y_m, mx, my = f4(sector.x_m), f4(sector.y_m), f4(sector.mx), f4(sector.my)
+    (cos_right, sin_right), (cos_left, sin_left) = sector.right, sector.left
+    cos_right, sin_right, cos_left, sin_left = f4(cos_right), f4(sin_right), f4(cos_left), f4(sin_left)
+    margin_m, begin_m = f4(sector.away_m + aside_m) + _ROUNDING_M, f4(near_m * sector.level)
+    end_m = f4(far_m)
+    for i in range(plan.shape[1]):
+        x, y, reach_m = plan[0, i] - x_m, plan[1, i] - y_m, plan[2, i] + margin_m
+        along, across, distance_m = mx * x + my * y, mx * y - my * x, np.sqrt(x * x + y * y)
+        inside = (cos_left * across - sin_left * along <= reach_m) & (
+            cos_right * across - sin_right * along >= -reach_m
+        )
+        is_seen[i] = inside & (along >= -reach_m) & (distance_m + reach_m >= begin_m) & (distance_m - reach_m <= end_m)
+    is_narrow = mx != f4(0.0) or my != f4(0.0)
+    for i in range(plan.shape[1]):
+        if is_seen[i]:
+            x, y = plan[0, i] - x_m, plan[1, i] - y_m
+            from_m = np.sqrt(x * x + y * y) - plan[2, i] - margin_m if is_narrow else f4(0.0)
+            a = count
+            while is_narrow and a > 0 and out.from_m[a - 1] > from_m:
+                out.from_m[a], out.stem[a] = out.from_m[a - 1], out.stem[a - 1]
+                a -= 1
+            out.from_m[a], out.stem[a] = from_m, i
+            count += 1
+    for a in range(count):
+        stem, at = out.stem[a], (a // _BLOCK) * _ROWS * _BLOCK + a % _BLOCK
+        line, profile = stems.line[stem], stems.profile[stem]
+        for row in range(6):
+            out.row[at + _BLOCK * row] = f4(line[row])
+        out.row[at + _LOW], out.row[at + _HIGH] = profile[0, 0], profile[0, -1]
+        out.row[at + _REACH] = f4(line[6] + line[7]) + _ROUNDING_M
+    return count
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _sector(axes: F4, pulses: I8, goes_on: NDArray[np.bool_], spread: float) -> _Sector:
+    """Return the sector into which pulses look."""
+    x_m = y_m = mx = my = 0.0
+    level2 = 1.0
+    for q in pulses:
+        if goes_on[q]:
+            x_m, y_m, dx, dy = axes[q, 0], axes[q, 1], axes[q, 3], axes[q, 4]
+            mx, my, level2 = mx + dx, my + dy, min(level2, dx * dx + dy * dy)
+    length = math.sqrt(mx * mx + my * my)
+    everywhere = _Sector(x_m, y_m, np.inf, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0)
+    if length == 0.0 or level2 < 0.25:
+        return everywhere
+    mx, my, level = mx / length, my / length, math.sqrt(level2)
+    right = left = away_m = 0.0
+    for q in pulses:
+        if goes_on[q]:
+            dx, dy = axes[q, 3], axes[q, 4]
+            size = math.sqrt(dx * dx + dy * dy)
+            if mx * dx + my * dy < _WIDE * size:
+                return everywhere
+            across = (mx * dy - my * dx) / size
+            right, left = min(right, across), max(left, across)
+            away_m = max(away_m, abs(axes[q, 0] - x_m) + abs(axes[q, 1] - y_m))
+    wider = 1.1 * spread / level + 1e-3
+    right, left = right - wider, left + wider
+    if max(-right, left) > _WIDE:
+        return everywhere
+    edges = (math.sqrt(1.0 - right * right), right), (math.sqrt(1.0 - left * left), left)
+    return _Sector(x_m, y_m, away_m, mx, my, edges[0], edges[1], level)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def meet_stems(stems: Stems, ahead: Seen, count: int, pulse: Pulse) -> None:
+    """Cut the lanes with the stems ahead, `count` of them, as long as a lane goes on."""
+    row, from_m = pulse.lanes.row, ahead.from_m
+    last_m = _farthest(row, pulse.n)
+    for begin in range(0, count, _BLOCK):
+        if from_m[begin] > last_m:
+            break
+        close = _close(ahead.row, begin * _ROWS, pulse, last_m)
+        close &= (np.uint64(1) << np.uint64(min(count - begin, _BLOCK))) - np.uint64(1)
+        while close:
+            at = begin + int(lowest(close))
+            close &= close - np.uint64(1)
+            if from_m[at] <= last_m and meet_stem(stems, pulse, ahead.stem[at]):
+                last_m = _farthest(row, pulse.n)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _farthest(row: F4, n: int) -> np.float32:
+    last_m = row[RANGE]
+    for lane in range(1, n):
+        last_m = max(last_m, row[RANGE + lane])
+    return last_m
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
+    """Return bits of those stems of a block, whose rows begin at `at`, whose axes the pulse comes near enough.
+
+    It says no only where `meet_stem`, which is exact, has no hit.
+    """
+    axis, near_m, aside_m, spread = pulse.axis, pulse.near_m, pulse.aside_m, pulse.spread
+    ox, oy, oz, dx, dy, dz = axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]
+    close = np.uint64(0)
+    for i in range(_BLOCK):
+        sx, sy, sz = row[at + 3 * _BLOCK + i], row[at + 4 * _BLOCK + i], row[at + 5 * _BLOCK + i]
+        qx, qy, qz = ox - row[at + i], oy - row[at + _BLOCK + i], oz - row[at + 2 * _BLOCK + i]
+        up, lift = dx * sx + dy * sy + dz * sz, qx * sx + qy * sy + qz * sz
+        wx, wy, wz = dx - up * sx, dy - up * sy, dz - up * sz
+        square = wx * wx + wy * wy + wz * wz
+        nearest_m = -(qx * wx + qy * wy + qz * wz) / square
+        px, py, pz = qx - lift * sx + nearest_m * wx, qy - lift * sy + nearest_m * wy, qz - lift * sz + nearest_m * wz
+        margin_m = spread * abs(nearest_m) + aside_m
+        within_m = row[at + _REACH + i] + margin_m
+        # Where the pulse is within so much of the axis, along itself and along the axis.
+        around_m = within_m / square
+        height_m, over_m = lift + nearest_m * up, around_m * abs(up) + within_m
+        is_close = (px * px + py * py + pz * pz <= within_m * within_m) & (
+            (height_m + over_m >= row[at + _LOW + i]) & (height_m - over_m <= row[at + _HIGH + i])
+        )
+        is_close &= (nearest_m + around_m >= near_m) & (nearest_m - around_m <= last_m)
+        is_close |= square < f4(1e-3)  # nearly along the axis: rounding is large
+        close |= np.uint64(is_close) << np.uint64(i)
+    return close
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
+    """Cut the lanes with a stem: a circle about its axis, bent and as wide as at the height where it is met."""
+    axis = pulse.axis
+    s, profile = stems.line[stem], stems.profile[stem]
+    sx, sy, sz = s[3], s[4], s[5]
+    up = axis[3] * sx + axis[4] * sy + axis[5] * sz
+    wx, wy, wz = axis[3] - up * sx, axis[4] - up * sy, axis[5] - up * sz
+    square = wx * wx + wy * wy + wz * wz
+    if square < 1e-9:
+        return False
+    # Range and height at which the middle of the pulse is nearest to the axis, and how far it is from it there.
+    q = axis[0] - s[0], axis[1] - s[1], axis[2] - s[2]
+    nearest_m, height_m, off2 = _nearest(q, (sx, sy, sz), (wx, wy, wz), up, square)
+    margin_m = pulse.spread * abs(nearest_m) + pulse.aside_m
+    within_m = s[6] + s[7] + margin_m
+    if off2 > within_m * within_m:
+        return False
+    # The same of the axis as it runs at that height.
+    knot = _knot(profile, height_m)
+    share = (height_m - profile[0, knot]) / (profile[0, knot + 1] - profile[0, knot])
+    share = min(max(share, 0.0), 1.0)
+    bent_x = profile[3, knot] + share * (profile[3, knot + 1] - profile[3, knot])
+    bent_y = profile[4, knot] + share * (profile[4, knot + 1] - profile[4, knot])
+    q = q[0] - bent_x, q[1] - bent_y, q[2]
+    nearest_m, height_m, off2 = _nearest(q, (sx, sy, sz), (wx, wy, wz), up, square)
+    widest_m = profile[2, _knot(profile, height_m - margin_m - s[6] * abs(up))]
+    within_m = widest_m + margin_m
+    if off2 > within_m * within_m:
+        return False
+    # The cone that the stem is where the middle meets it; the beam is too narrow to leave it by more than a little.
+    knot = _knot(profile, height_m - up * math.sqrt(max(widest_m * widest_m - off2, 0.0) / square))
+    taper = (profile[1, knot + 1] - profile[1, knot]) / (profile[0, knot + 1] - profile[0, knot])
+    cone = (
+        (f4(s[0] + bent_x + height_m * sx), f4(s[1] + bent_y + height_m * sy), f4(s[2] + height_m * sz)),
+        (f4(sx), f4(sy), f4(sz)),
+        f4(nearest_m),
+        f4(height_m),
+        f4(profile[1, knot] + taper * (height_m - profile[0, knot])),
+        taper,
+    )
+    if pulse.n == 1:
+        _cut_cone(pulse.lanes.row, 1, *cone)
+    else:
+        _cut_cone(pulse.lanes.row, LANES, *cone)
+    return _keep_nearest(stems, pulse, stem)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _nearest(
+    q: tuple[float, float, float],
+    s: tuple[float, float, float],
+    w: tuple[float, float, float],
+    up: float,
+    square: float,
+) -> tuple[float, float, float]:
+    """Return range, height along the axis and squared distance where a ray from `q` is nearest to an axis along `s`.
+
+    The ray's direction is `up` along the axis and `w` across it, whose length squared is `square`.
+    """
+    lift = q[0] * s[0] + q[1] * s[1] + q[2] * s[2]
+    nearest_m = -(q[0] * w[0] + q[1] * w[1] + q[2] * w[2]) / square
+    px, py, pz = (
+        q[0] - lift * s[0] + nearest_m * w[0],
+        q[1] - lift * s[1] + nearest_m * w[1],
+        q[2] - lift * s[2] + nearest_m * w[2],
+    )
+    return nearest_m, lift + nearest_m * up, px * px + py * py + pz * pz
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _keep_nearest(stems: Stems, pulse: Pulse, stem: int) -> bool:
+    """Keep hits of a stem's cone that are nearest, and within the stem; return True if there is any."""
+    L, near_m = pulse.lanes, pulse.near_m
+    met, row, flare_m, along_m = False, L.row, stems.flare_m[stem], stems.profile[stem, 0]
+    for lane in range(pulse.n):
+        at_m, height_m = row[AT + lane], row[HEIGHT + lane]
+        if near_m <= at_m < row[RANGE + lane] and along_m[0] <= height_m <= along_m[-1]:
+            row[RANGE + lane], row[COSINE + lane] = at_m, row[FACING + lane]
+            L.surface[lane] = stems.surface[stem, 0 if height_m < flare_m else 1]
+            met = True
+    return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _cut_cone(
+    row: F4,
+    lanes: int,
+    middle_m: tuple[np.float32, np.float32, np.float32],
+    axis: tuple[np.float32, np.float32, np.float32],
+    from_m: np.float32,
+    height_m: np.float32,
+    radius_m: np.float32,
+    taper: np.float32,
+) -> None:
+    """Cut lanes with a cone, looked at from the middle of its circle at a height; `from_m` is the range there."""
+    sx, sy, sz = axis
+    for lane in range(lanes):
+        dx, dy, dz = (row[DIRECTION + lane], row[DIRECTION + LANES + lane], row[DIRECTION + 2 * LANES + lane])
+        x = row[ORIGIN + lane] + from_m * dx - middle_m[0]
+        y = row[ORIGIN + LANES + lane] + from_m * dy - middle_m[1]
+        z = row[ORIGIN + 2 * LANES + lane] + from_m * dz - middle_m[2]
+        lift, up = x * sx + y * sy + z * sz, dx * sx + dy * sy + dz * sz
+        x, y, z = x - lift * sx, y - lift * sy, z - lift * sz
+        dx, dy, dz = dx - up * sx, dy - up * sy, dz - up * sz
+        # Radius as it changes along the ray, and where its square is that of the distance from the axis.
+        begin_m, change = radius_m + taper * lift, taper * up
+        along, square = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
+        a, b = square - change * change, begin_m * change - along
+        inside = b * b - a * (x * x + y * y + z * z - begin_m * begin_m)
+        on_m = (b - np.sqrt(max(inside, f4(0.0)))) / a
+        there_m = begin_m + change * on_m
+        met = (inside > f4(0.0)) & (a > f4(0.0)) & (there_m > f4(0.0))
+        row[AT + lane] = from_m + on_m if met else f4(np.inf)
+        row[HEIGHT + lane] = height_m + lift + up * on_m
+        row[FACING + lane] = min(max(-(along + square * on_m) / there_m, f4(0.0)), f4(1.0))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _knot(profile: F4, height_m: float) -> int:
+    """Find the knot of a profile at or below a height; the last but one from there on, the first below all."""
+    knot, at_m = 0, f4(height_m)
+    for i in range(1, profile.shape[1] - 1):
+        knot += profile[0, i] <= at_m
+    return knot

@@ -1,0 +1,61 @@
+"""pytest plugin: the fixture `vlp16`, a sensor that sends packets to free ports while a test runs.
+
+Nothing of the emulator is loaded, and numba is left alone, in a session whose tests do not ask for the fixture.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from vlp16emu.run.live import Live
+
+_LOOK_AHEAD = 128
+"""Packets that are computed before the first one leaves, 0.17 s: a hall is made several times as fast as it is sent."""
+_LONGEST_S = 7 * 86_400.0
+"""Longest run of a scene."""
+_LAST = pytest.StashKey[Any]()
+"""The engine of the test before, whose world is used again."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that names the scene."""
+    meaning = "Scene of the fixture vlp16, where no marker names one (vlp16emu)."
+    parser.getgroup("vlp16emu").addoption("--vlp16-scene", metavar="SCENE", help=meaning)
+    parser.addini("vlp16_scene", meaning, default="static_bench")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the marker."""
+    line = (
+        "vlp16(scene, settings, **options): scene of the fixture vlp16, values by key, and options of vlp16emu.stream."
+    )
+    config.addinivalue_line("markers", line)
+
+
+@pytest.fixture
+def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
+    """Stream a scene while a test runs: `vlp16emu.Live`, whose first packet has left.
+
+    The scene is the marker's, `--vlp16-scene`, or `vlp16_scene` of the ini file; static_bench otherwise, a hall with
+    posts, boxes and balls and a sensor without errors. It ends with the test, or where a walk does.
+    """
+    from vlp16emu.run.live import Live
+    from vlp16emu.run.run import Run
+
+    marker, config = request.node.get_closest_marker("vlp16"), request.config
+    scene, settings, options = _asked(*marker.args, **marker.kwargs) if marker else _asked()
+    scene = scene or config.getoption("--vlp16-scene") or config.getini("vlp16_scene")
+    run = Run.of(scene, settings, like=config.stash.get(_LAST, None))
+    config.stash[_LAST] = run.engine
+    end_s = min(run.engine.parts.motion.run_time_s, _LONGEST_S)
+    with Live(run, **{"look_ahead": _LOOK_AHEAD, "duration_s": end_s} | options) as live:
+        yield live
+
+
+def _asked(
+    scene: Any = None, settings: Mapping[str, object] | Sequence[str] = (), **options: Any
+) -> tuple[Any, Mapping[str, object] | Sequence[str], dict[str, Any]]:
+    """Return what a marker asks for."""
+    return scene, settings, options
