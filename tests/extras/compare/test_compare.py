@@ -138,8 +138,8 @@ def test_a_fitted_unit_is_like_the_real_one(real, recorded):
 FITTED = (
     "range.beat",
     "range.white",
-    "reflectivity.e",
-    "reflectivity.s",
+    "reflectivity.equal_60",
+    "reflectivity.scatter_60",
     "no_return.above_0",
     "no_return.mean",
     "rotation.o",
