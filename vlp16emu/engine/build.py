@@ -299,7 +299,7 @@ def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
     angle_deg, error_rpm = section.start_azimuth_deg or 0.0, section.speed_error_rpm
     if phase_deg is not None:
         angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
-    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm)
+    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm, is_exact=section.rotation_spread == 0.0)
     rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
     beams = with_angle_errors(
         beams_of(section),

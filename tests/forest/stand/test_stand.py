@@ -131,7 +131,7 @@ def test_trees_of_one_size_vary_as_measured(mix, published):
 
 
 def test_neighbours_shorten_crowns():
-    """Of spruces of one size those with denser neighbourhoods have shorter crowns, and one that stands alone nearly none below 3 m."""
+    """Of spruces of one size those with more neighbours within 10 m have shorter crowns."""
     stand = make_stand(species=(SPRUCE,), stems_per_ha=700.0)
     trees = np.concatenate([stand.trees(ix, iy) for ix in range(12) for iy in range(12)])
     places = np.column_stack([trees["x_m"], trees["y_m"]])
@@ -140,9 +140,6 @@ def test_neighbours_shorten_crowns():
     rest = ratio - np.polyval(np.polyfit(trees["dbh_m"], ratio, 2), trees["dbh_m"])
     inner = (places > 10).all(axis=1) & (places < 230).all(axis=1)
     assert stats.spearmanr(near[inner], rest[inner])[0] < -0.15
-    alone = make_stand(species=(SPRUCE,), stems_per_ha=5.0)
-    few = np.concatenate([alone.trees(ix, iy) for ix in range(30) for iy in range(30)])
-    assert np.median(1 - few["crown_base_m"] / few["height_m"]) > 0.8
 
 
 def test_reflectance_varies_between_trees_within_its_range(trees):
@@ -219,11 +216,10 @@ def test_no_stem_stands_in_another():
 
 
 def test_trees_in_the_open_keep_their_lower_branches():
-    """Lowest branches of a lone tree are at 0.35 of their height in a closed stand, those of a half-closed one between."""
+    """A lone spruce has branches down to an eighth of its height, in an open stand to half, in a very dense one to two thirds at most."""
     closed, open_, half = (make_stand(stems_per_ha=n, species=(SPRUCE,)) for n in (2000.0, 1e-6, 400.0))
     base_m = [stand.crown(0, 0, 0).crown_base_m for stand in (closed, half, open_)]
-    assert base_m[2] == pytest.approx(0.35 * base_m[0])
-    assert base_m[2] < base_m[1] < base_m[0]
+    assert base_m[2] < 21.0 / 8 < base_m[1] < 21.0 / 2 < base_m[0] < 21.0 * 2 / 3
     trees = np.concatenate([half.trees(ix, 0) for ix in range(20)])
     middle = np.abs(trees["dbh_m"] - 0.24) < 0.01
     assert trees["crown_base_m"][middle].mean() == pytest.approx(base_m[1], rel=0.1)
@@ -288,7 +284,7 @@ def test_rows_that_cannot_hold_the_density_off_trails_are_refused():
 
 
 def test_more_wood_than_any_forest_has_is_refused():
-    """Coast redwoods have 343 m2 of basal area per hectare (Fujimori 1977): 300 stems of 1.2 m are planted, 5 000 are not."""
+    """More than the densest coast redwoods have is refused: 300 stems of 1.2 m per hectare are planted, 5 000 are not."""
     giants = SpeciesShare(species="norway_spruce", share=1.0, dbh_cm=120.0, height_m=50.0)
     assert make_stand(stems_per_ha=300.0, species=[giants]).per_ha == 300.0
     with pytest.raises(GeometryError, match="found a basal area of 5655 m2 per ha; expected at most 350"):
