@@ -144,6 +144,10 @@ def test_a_motion_of_ones_own_has_the_derivatives_of_its_poses(tmp_path):
     assert rate.max() == pytest.approx(0.3 * np.sqrt(9.81 / 2.0), rel=1e-4)
 
 
+LINES = "import sys; from vlp16emu.cli.app import run; sys.exit(max(run(line.split()) for line in sys.argv[1:]))"
+"""A program that carries out command lines."""
+
+
 @pytest.fixture(scope="module")
 def outside(tmp_path_factory):
     """A folder with a package that adds a world, a scene, a sensor, a verb, and a world and a verb that are broken."""
@@ -173,21 +177,22 @@ def outside(tmp_path_factory):
 
 def test_another_package_adds_a_world_that_is_recorded_and_listed(outside, tmp_path):
     """`record` finds the scene of another package and its world, `scenes` lists it, and `schema` has its keys."""
-    run_python(outside, "-m", "vlp16emu", "record", "dune_walk", tmp_path / "dunes.pcap", "--duration=0.2")
+    said = run_python(
+        outside, "-c", LINES, f"record dune_walk {tmp_path}/dunes.pcap --duration=0.2", "scenes", "schema"
+    )
     assert sum(len(scan.xyz_m) for scan in decode(tmp_path / "dunes.pcap")) > 5_000
-    assert "dune_walk" in run_python(outside, "-m", "vlp16emu", "scenes")
-    schema = json.loads(run_python(outside, "-m", "vlp16emu", "schema"))
+    before, _, tree = said.partition("\n{")
+    assert "\n  dune_walk " in before
+    schema = json.loads("{" + tree)
     assert set(schema["properties"]["world"]["discriminator"]["mapping"]) == {"dunes", "forest", "hall", "plot"}
 
 
 def test_another_package_adds_a_sensor_and_a_verb(outside):
     """A scene names the sensor by its word, and the command line has the verb."""
     cloud = outside / "d.ply"
-    run_python(
-        outside, "-m", "vlp16emu", "points", "static_bench", cloud, "--duration=0.1", "--set=sensor.model=dense-32"
-    )
+    points = f"points static_bench {cloud} --duration=0.1 --set=sensor.model=dense-32"
+    assert run_python(outside, "-c", LINES, points, "greet you").endswith("hello you\n")
     assert b"element vertex" in cloud.read_bytes()[:2000]
-    assert run_python(outside, "-m", "vlp16emu", "greet", "you") == "hello you\n"
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.output import OutputFile, OutputFolder
+from vlp16emu.output import OutputFile, OutputFolder, report
 
 CHILD = """
 import sys
@@ -275,3 +275,38 @@ def test_an_error_leaves_no_new_folder(tmp_path):
     with pytest.raises(ValueError), OutputFolder(tmp_path / "x"):  # noqa: PT011
         raise ValueError
     assert list(tmp_path.iterdir()) == []
+
+
+def written(folder, *texts):
+    """Write the files of a report."""
+    with report(folder, ("x.json", "x.html")) as files:
+        for file, text in zip(files, texts, strict=True):
+            file.write(text.encode())
+
+
+def test_a_report_replaces_reports_and_nothing_else(tmp_path):
+    """Files of an earlier report are replaced; one that does not name vlp16emu as its writer stays, and so do the others."""
+    folder = tmp_path / "new" / "report"
+    written(folder, "vlp16emu 1", "of vlp16emu")
+    written(folder, "vlp16emu 2", "of vlp16emu")
+    (folder / "x.html").write_text("mine")
+    with pytest.raises(OutputError, match=r"report: x\.html is there, and no earlier report; expected another folder"):
+        written(folder, "vlp16emu 3", "of vlp16emu")
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {"x.json": "vlp16emu 2", "x.html": "mine"}
+
+
+def _written_in_part(folder):
+    with report(folder, ("x.json", "x.html")) as files:
+        files[0].write(b"vlp16emu 2")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_report_is_whole_or_as_before(tmp_path):
+    """If the disk is full for one of the files of a report, none of them takes its name."""
+    written(tmp_path, "vlp16emu 1", "of vlp16emu")
+    with pytest.raises(RunError, match="No space left on device; no file is written"):
+        _written_in_part(tmp_path)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "x.json": "vlp16emu 1",
+        "x.html": "of vlp16emu",
+    }

@@ -61,7 +61,7 @@ def test_a_wheel_has_the_command_and_the_licence(wheel):
         "[console_scripts]",
         "vlp16emu",
         "=",
-        "vlp16emu.cli:main",
+        "vlp16emu.__main__:main",
     ]
     metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
     assert (metadata["License-Expression"], metadata["Requires-Python"]) == ("MIT", ">=3.11")

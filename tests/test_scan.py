@@ -59,6 +59,7 @@ def test_scans_are_those_of_the_capture(hall, tmp_path, mode):
         {
             "sensor.return_mode": mode,
             "beam.model": "fixed",
+            "beam.rays": 8,
             "gps.connected": True,
             "start_utc": datetime(2026, 5, 20, 8, 59, 59, 900_000, UTC),
         },

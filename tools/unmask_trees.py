@@ -4,6 +4,7 @@ python tools/unmask_trees.py WINDOWS.npz
 """
 
 import sys
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -26,6 +27,7 @@ class Data:
     def __init__(self, path: str) -> None:
         file = np.load(path)
         self.names, self.features = file["names"], file["features"]
+        self.groups = np.array([name.partition(".")[0] for name in self.names])
         self.unit, self.scene, self.seed = file["unit"], file["scene"], file["seed"]
         self.patches, self.stratum = file["patches"], file["stratum"]
         self.real = self.scene == "real"
@@ -33,12 +35,12 @@ class Data:
 
 
 def scene_share(data: Data) -> Array:
-    """Return the share of each feature's variance over emulated windows that is between the scenes (f,)."""
-    ours, scene = data.features[~data.real], data.scene[~data.real]
-    means = np.stack([np.nanmean(ours[scene == one], axis=0) for one in np.unique(scene)])
-    counts = np.stack([np.isfinite(ours[scene == one]).sum(axis=0) for one in np.unique(scene)])
-    between = (counts * (means - np.nanmean(ours, axis=0)) ** 2).sum(axis=0) / counts.sum(axis=0)
-    return between / np.maximum(np.nanvar(ours, axis=0), 1e-30)
+    """Return the share of each feature's variance over emulated windows that is between the scenes (f,), which weigh alike."""
+    own = [data.features[~data.real & (data.scene == one)] for one in dict.fromkeys(data.scene[~data.real])]
+    with warnings.catch_warnings(action="ignore"):  # a scene may be without a feature
+        between = np.nanvar([np.nanmean(of, axis=0) for of in own], axis=0)
+        within = np.nanmean([np.nanvar(of, axis=0) for of in own], axis=0)
+    return np.where(data.groups == "scene", 1.0, between / np.maximum(between + within, 1e-30))
 
 
 def shown_by_all(data: Data) -> Array:
@@ -67,7 +69,7 @@ def weights_of(data: Data, rows: Array, positive: Array) -> Array:
 
 def tree() -> HistGradientBoostingClassifier:
     return HistGradientBoostingClassifier(
-        max_depth=3, max_iter=120, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
+        max_depth=3, max_iter=60, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
     )
 
 
@@ -132,28 +134,29 @@ def importance(model: HistGradientBoostingClassifier, x: Array) -> Array:
     return out
 
 
-def report(data: Data, names: Array, x: Array, title: str) -> None:
-    """Print the areas of the trees for one set of features, and the features that carried them."""
+def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> None:
+    """Print the areas of the trees for some features; for `whole` also of real units against each other, and what carried them."""
+    names, x = data.names[wanted], data.features[:, wanted]
     carried, areas = np.zeros(len(names)), []
     for _, learnt, ranked in folds(data):
-        logit, model, whole = summarised(data, x, learnt, ranked, data.real)
+        logit, model, filled = summarised(data, x, learnt, ranked, data.real)
         areas.append(area(data.real[ranked], logit))
-        carried += importance(model, whole[ranked])
-    chance = null(data, x)
-    cells = " ".join(f"{one:.2f}" for one in areas)
-    print(
-        f"| {title} ({len(names)}) | {np.mean(areas):.2f} | {cells} | {np.mean(chance):.2f} +- {np.std(chance):.2f} |",
-        flush=True,
-    )
-    strongest = np.argsort(-carried)[:STRONGEST]
-    for i in strongest:
-        middles = [f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True]]
-        ours = np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9))
+        carried += importance(model, filled[ranked]) if whole else 0.0
+    chance = null(data, x) if whole else []
+    between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if whole else ""
+    print(f"| {title} ({len(names)}) | {line(areas)} | {between} |", flush=True)
+    if not whole:
+        return
+    for i in np.argsort(-carried)[:STRONGEST]:
         seen = np.isfinite(x[:, i])
         single = area(data.real[seen], x[seen, i])
-        print(
-            f"|   {names[i]} | {max(single, 1 - single):.2f} | {' '.join(middles)} | {' ... '.join(f'{v:.3g}' for v in ours)} |"
-        )
+        real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
+        ours = " ... ".join(f"{value:.3g}" for value in np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9)))
+        print(f"| - {names[i]} | {max(single, 1 - single):.2f} | {real} | {ours} |")
+
+
+def line(areas: list[float]) -> str:
+    return f"{np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in areas)}"
 
 
 def main() -> None:
@@ -166,17 +169,15 @@ def main() -> None:
         f"Real units: {', '.join(data.units[True])}. A row of a feature: its own area, its middle on these, and P10, P50, P90 of ours.\n"
     )
     print("| Trees | area | left out: each real unit | real against real |\n|---|---|---|---|")
-    groups = np.array([name.partition(".")[0] for name in data.names])
-    unit = counts & ~of_scene & (groups != "arrival")
-    report(data, data.names[unit], data.features[:, unit], "features of units")
-    for group in dict.fromkeys(groups[unit]):
-        own = unit & (groups == group)
-        report(data, data.names[own], data.features[:, own], f"{group} alone")
-    report(data, data.names[counts & of_scene], data.features[:, counts & of_scene], "features of scenes")
+    of_unit = counts & ~of_scene & (data.groups != "arrival")
+    report(data, of_unit, "features of units", whole=True)
+    for group in dict.fromkeys(data.groups[of_unit]):
+        report(data, of_unit & (data.groups == group), f"{group} alone")
+    report(data, counts & of_scene & (data.groups != "arrival"), "features of scenes")
     areas = [area(data.real[ranked], raw(data, learnt, ranked, data.real)) for _, learnt, ranked in folds(data)]
-    print(f"| raw patches | {np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in areas)} | |")
+    print(f"| raw patches | {line(areas)} | |")
     print(
-        f"\nOf the scene, as more than {SCENE_SHARE:.0%} of their variance is between scenes: {', '.join(data.names[counts & of_scene])}"
+        f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: {', '.join(data.names[counts & of_scene])}"
     )
 
 

@@ -187,7 +187,7 @@ def _ranges(d: Array, r: Array, number: Array) -> Features:
 def _codes(d: Array, r: Array) -> Features:
     flat, level = _flat(d), r[1:-1]
     change, bend = np.abs(r[2:] - r[1:-1]), np.diff(r, 2, axis=0).astype(float)
-    out = _shares("code", r[d > 0], CODES) | _unevenness("code", r[d > 0], (2, 3, 5))
+    out = _shares("scene.code", r[d > 0], CODES) | _unevenness("code", r[d > 0], (2, 3, 5))
     for low, high in pairwise(LEVELS):
         at = flat & (level >= low) & (level < high)
         out |= _shares(f"code.change_at_{low}", change[at], CHANGES)

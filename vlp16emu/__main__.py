@@ -1,6 +1,16 @@
 """`python -m vlp16emu` is `vlp16emu`."""
 
-from vlp16emu.cli import main
+import signal
+
+
+def main() -> None:
+    """Run the program; until it is loaded, Ctrl-C ends it without a word."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from vlp16emu.cli import main as run
+
+    run()
+
 
 if __name__ == "__main__":
     main()

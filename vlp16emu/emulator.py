@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Engine, Parts
 from vlp16emu.engine.scans import scans_of, world_T_sensor
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.run.keeping_up import KeptUp, keep_up
 from vlp16emu.run.options import RecordOptions, StreamOptions
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
@@ -208,6 +209,20 @@ class Emulator:
         hooks = StreamHooks(**{name: options.pop(name) for name in names})
         asked = StreamOptions(**options)
         return stream_run(self.run, asked, hooks)
+
+    def keep_up(self, speed: float = 1.0) -> KeptUp:
+        """Measure this machine for some seconds, and set the beam and the reach so that a stream leaves a fifth of its time free.
+
+        Parameters
+        ----------
+        speed : simulated seconds per second of the stream
+
+        Returns
+        -------
+        The rung of the ladder that is taken; its settings are those of `vlp16emu record --set`, with the same bytes
+        """
+        self.run, kept = keep_up(self.run, speed)
+        return kept
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
         """Bring a pose into a live scene, from any thread; parameters, result and errors as `PoseInput.put`.

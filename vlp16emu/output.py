@@ -11,7 +11,7 @@ import shutil
 import sys
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -23,6 +23,8 @@ STDOUT = Path("-")
 _LONGEST_NAME_BYTES = 240
 """Of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added."""
 _RIGHTS = 0o777
+_MARK, _MARK_WITHIN = b"vlp16emu", 4096
+"""What the files of a report name as their writer, and in how many of their first bytes."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 """Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h."""
 
@@ -220,6 +222,40 @@ def write_json(path: Path, tree: Mapping[str, Any]) -> None:
     """Write a file of one JSON object, in place of an earlier one; errors as for `OutputFile`."""
     with OutputFile(path) as output, output.writing() as file:
         file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
+
+
+@contextmanager
+def report(folder: Path, names: Iterable[str]) -> Iterator[list[BinaryIO]]:
+    """Open the files of a report in a folder, which is made; they take their names together at the end of the block.
+
+    Each file says within its first 4096 bytes that vlp16emu has written it, and replaces none that does not say so.
+
+    Raises
+    ------
+    OutputError
+        If the folder or a file cannot be made, or a file that no report has is in its place
+    RunError
+        If a file cannot be written to its end
+    """
+    where = f"--out {folder}"
+    with ExitStack() as stack:
+        with _opening(where, "a folder that can be written"):
+            folder.mkdir(parents=True, exist_ok=True)
+            for path in (folder / name for name in names):
+                if path.is_file():
+                    with path.open("rb") as file:
+                        is_report = _MARK in file.read(_MARK_WITHIN)
+                    if not is_report:
+                        raise OutputError(where, f"{path.name} is there, and no earlier report", "another folder")
+        outputs = [stack.enter_context(OutputFile(folder / name, where=f"{where}/{name}")) for name in names]
+        try:
+            yield [output.file for output in outputs]
+            for output in outputs:
+                output.file.flush()
+        except OSError as error:
+            raise RunError(f"{where}: {error.strerror or error}; no file is written") from error
+        for output in outputs:
+            output.keep()
 
 
 def final_name(path: Path) -> Path:

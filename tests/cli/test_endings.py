@@ -103,6 +103,29 @@ scenario.load = load
 """
 
 
+INTERRUPTED_IMPORT = """
+import os, signal
+import vlp16emu.scenario as scenario
+
+class Noted:
+    def __set_name__(self, owner, name):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+def load(*_, **__):
+    class Made:
+        here = Noted()
+
+scenario.load = load
+"""
+
+
+def test_a_signal_while_a_class_is_made_ends_the_run(program):
+    """Python up to 3.11 wraps what a signal raises in `__set_name__`, as in imports, into a RuntimeError: still 130 and no line."""
+    process = program("record", "static_bench", "x.pcap", before=INTERRUPTED_IMPORT)
+    assert process.communicate(timeout=100) == ("", "")
+    assert process.returncode == 130
+
+
 @pytest.mark.parametrize(
     ("before", "code", "said"),
     [(NOISY, 2, "error: scene 'nope': unknown name; expected "), (FULL, 1, "error: the system: Too many open files\n")],

@@ -86,7 +86,7 @@ def test_a_walk_is_counted_and_measured(cli):
 )
 def test_people_read_whether_a_stream_keeps_up(factor, line):
     """The page says yes or no; a speed that leaves nothing to spare is called that."""
-    assert StreamOutlook(factor >= 1, factor, 0.05, ()).verdict == line
+    assert StreamOutlook(factor >= 1, factor, 0.05, (), "").verdict == line
 
 
 def test_people_get_a_page(cli):

@@ -1,15 +1,16 @@
 """`vlp16emu accuracy`: error against run time."""
 
 import json
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings
 from vlp16emu.cli.printer import count, print_files, print_json, print_table, tree_of
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import Progress, make_folder
+from vlp16emu.cli.terminal import Progress
 from vlp16emu.options import Option
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def accuracy(
     distances is held against the explicit one by means, with 8 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
-    from vlp16emu.output import OutputFile
+    from vlp16emu.output import report
     from vlp16emu.scenario import load
 
     scenario = load(scene, settings or [])
@@ -48,26 +49,23 @@ def accuracy(
         from vlp16emu.extras.plots import check_matplotlib
 
         check_matplotlib()
-        make_folder(out)
     name = Path(scene).stem
-    files = [] if out is None else [out / f"accuracy_{name}{suffix}" for suffix in (".json", ".png")]
+    names = [f"accuracy_{name}.json", f"accuracy_{name}.png"]
     compile_first(scenario.world.kind)
-    with ExitStack() as stack:
-        outputs = [stack.enter_context(OutputFile(file, where=f"--out {file}")) for file in files]
+    with report(out, names) if out else nullcontext() as files:
         measured = _measured(scenario, name, pulses)
         tree = _tree(measured)
-        if outputs:
+        if files:
             from vlp16emu.extras.accuracy.curve import draw_accuracy
 
-            with outputs[0].writing() as file:
-                file.write(f"{json.dumps(tree, indent=2)}\n".encode())
-            with outputs[1].writing() as file:
-                draw_accuracy(file, measured)
+            files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
+            draw_accuracy(files[1], measured)
+    paths = [out / name for name in names] if out else []
     if as_json:
-        print_json(tree | {"files": [str(file) for file in files]})
+        print_json(tree | {"files": [str(path) for path in paths]})
         return
     _print(measured)
-    print_files(files)
+    print_files(paths)
 
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
@@ -91,11 +89,15 @@ def _tree(measured: "Accuracy") -> dict[str, Any]:
     from vlp16emu.extras.accuracy.curve import Kind, choices, fitted_order, front
 
     tree: dict[str, Any] = tree_of(measured)
-    return tree | {
-        "front": [row.name for row in front(measured.rows)],
-        "fits": {kind: tree_of(fit) for kind in Kind if (fit := fitted_order(measured.rows, kind))},
-        "choices": [{"wanted_m": one.wanted_m, "take": one.row.name} for one in choices(measured.rows)],
-    }
+    return (
+        {"written_by": f"vlp16emu {version('vlp16emu')}"}
+        | tree
+        | {
+            "front": [row.name for row in front(measured.rows)],
+            "fits": {kind: tree_of(fit) for kind in Kind if (fit := fitted_order(measured.rows, kind))},
+            "choices": [{"wanted_m": one.wanted_m, "take": one.row.name} for one in choices(measured.rows)],
+        }
+    )
 
 
 def _print(measured: "Accuracy") -> None:

@@ -23,6 +23,8 @@ from vlp16emu.errors import InputError, Vlp16emuError
 _LEFT_S = 0.8
 """How long a command that is interrupted may take to remove what it has not finished."""
 
+_was_interrupted = threading.Event()
+
 _EXAMPLES = {
     "record": (
         "birch_walk walk.pcap --duration 10",
@@ -165,8 +167,13 @@ def main() -> None:
         code = run(sys.argv[1:])
         gc.freeze()  # Python need not look through all of it at the end
         print(end="", flush=True)
-    except OSError as error:
-        code = _code_of(error, code)
+    except Exception as error:
+        if _was_interrupted.is_set():  # Python raises another error where a class is being made
+            code = INTERRUPTED
+        elif isinstance(error, OSError):
+            code = _code_of(error, code)
+        else:
+            raise
     if code == INTERRUPTED:
         os._exit(code)  # Python would wait for threads that grow and cast what nobody wants any more
     sys.exit(code)
@@ -192,6 +199,7 @@ def _code_of(error: OSError, code: int | None) -> int:
 
 def _interrupt(_signal: int, _frame: object) -> None:
     """End the command, within a second whatever it does; the next signal ends the process at once."""
+    _was_interrupted.set()
     for number in ENDINGS:
         signal.signal(number, lambda *_: os._exit(INTERRUPTED))
     timer = threading.Timer(_LEFT_S, os._exit, [INTERRUPTED])

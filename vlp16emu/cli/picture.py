@@ -100,4 +100,5 @@ def _of_scene(
     way_m = emulator.parts.motion.poses_at(t_ns).world_p_body_m
     species, rings = species_of(emulator.parts.world), len(emulator.parts.units[0].head.beams.elevation_deg)
     sweeps, inputs = sweeps_of_scene(emulator, *span), emulator.run.files
-    return draw_picture(sweeps, out, look, way_m=way_m, rings=rings, species=species, stop=stop, inputs=inputs)
+    with emulator.engine.windows.stopped_by(stop):
+        return draw_picture(sweeps, out, look, way_m=way_m, rings=rings, species=species, stop=stop, inputs=inputs)

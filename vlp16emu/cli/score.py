@@ -1,6 +1,8 @@
 """`vlp16emu score`: what a pipeline under test made of a run, against its ground truth."""
 
 import json
+from contextlib import nullcontext
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +10,6 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson
 from vlp16emu.cli.printer import print_json, print_rows
-from vlp16emu.cli.terminal import make_folder
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.options import Option
 
@@ -29,20 +30,18 @@ def score(
     from vlp16emu.extras.plots import check_matplotlib
     from vlp16emu.extras.score.card import limits_of, make_card
     from vlp16emu.extras.score.page import page
-    from vlp16emu.output import OutputFile
+    from vlp16emu.output import report
 
     limits = limits_of(require or ())
     if out is not None:
         check_matplotlib()
-    card = make_card(inputs)
-    missed = card.missed(limits)
-    tree = {**card.tree(), "missed": missed}
-    if out is not None:
-        make_folder(out)
-        texts = {"score.json": json.dumps(tree, indent=2) + "\n", "score.html": page(card, missed)}
-        for name, text in texts.items():
-            with OutputFile(out / name) as output, output.writing() as file:
-                file.write(text.encode())
+    with report(out, ("score.json", "score.html")) if out else nullcontext() as files:
+        card = make_card(inputs)
+        missed = card.missed(limits)
+        tree = {"written_by": f"vlp16emu {version('vlp16emu')}", **card.tree(), "missed": missed}
+        if files:
+            files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
+            files[1].write(page(card, missed).encode())
     if as_json:
         print_json(tree)
     else:

@@ -7,10 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import Self
-
-from vlp16emu.errors import OutputError
 
 ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 """Signals that end a run."""
@@ -126,17 +123,3 @@ class Progress:
                 self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
             else:
                 print(line, file=sys.stderr, flush=True)
-
-
-def make_folder(out: Path) -> None:
-    """Make the folder of a report, before anything heavy.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be made
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error

@@ -92,7 +92,8 @@ def _parameter(leaf: Declared) -> inspect.Parameter:
     option, default = leaf.option, None if leaf.default is MISSING else leaf.default
     kind: Any = object | None  # click would take two values for a tuple
     if leaf.kind is bool:
-        kind, default, info = bool, False, typer.Option(leaf.name, help=option.help)
+        kind, default = (bool | None, None) if leaf.default is None else (bool, False)
+        info = typer.Option(leaf.name, help=option.help)
     elif leaf.kind is list:
         kind, info = list[str] | None, typer.Option(leaf.name, help=option.help, metavar=option.metavar)
     else:

@@ -17,7 +17,7 @@ from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
-from vlp16emu.run.keeping_up import settings_that_keep_up, speed_beside_sender
+from vlp16emu.run.ladder import rung_for, settings_that_keep_up, speed_beside_sender
 from vlp16emu.types import Window
 from vlp16emu.world.furnished import MeshKey
 
@@ -72,6 +72,8 @@ class StreamOutlook:
     """Share of a core that sending takes."""
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` that are enough, each by itself; none if it keeps up."""
+    rung: str
+    """What `stream --keep-up` takes, by this speed."""
 
     @property
     def verdict(self) -> str:
@@ -156,4 +158,5 @@ def stream_outlook(engine: Engine, engine_speed: float, threads: int) -> StreamO
     speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)
     keeps_up = speed >= 1.0
     options = [] if keeps_up else settings_that_keep_up(engine.scenario, speed, 1.0)
-    return StreamOutlook(keeps_up, speed, share, tuple(options))
+    rung = rung_for(engine.scenario, engine_speed, 1.0)
+    return StreamOutlook(keeps_up, speed, share, tuple(options), rung.name if rung else "the scene as it is")

@@ -64,7 +64,7 @@ def plotted(
         figure = Figure(figsize=(size_px[0] / dpi, size_px[1] / dpi), dpi=dpi, layout=layout)
         yield figure
         if few_colours is None:
-            figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
+            figure.savefig(file, format="png", metadata={"Software": "vlp16emu"}, pil_kwargs={"optimize": True})
             return
         from PIL import Image
 

@@ -230,23 +230,31 @@ def _lines(
     corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, axes: tuple[int, int, int]
 ) -> tuple[np.uint64, np.float32]:
     """Lay the lanes' lines; return which of them go on from `near_m`, and the farthest range asked for."""
-    row, line, scale = L.row, L.line, f4(LANES / VOXEL_M)
-    main, one, two = axes
-    along, across, up = LANES * main, LANES * one, LANES * two
-    c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
-    for lane in range(LANES):
-        inverse, begin = f4(1.0) / row[DIRECTION + along + lane], row[along + lane] - c_main
-        d1 = row[DIRECTION + across + lane] * inverse * scale
-        d2 = row[DIRECTION + up + lane] * inverse * scale
-        line[lane], line[LANES + lane] = (row[across + lane] - c_one) * scale - begin * d1, d1
-        line[2 * LANES + lane], line[3 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2, d2
-        line[4 * LANES + lane], line[5 * LANES + lane] = begin, inverse
+    row = L.row
+    if n == 1:
+        _lay_lines(corner_m, row, L.line, 1, axes)
+    else:
+        _lay_lines(corner_m, row, L.line, LANES, axes)
     alive, last_m = np.uint64(0), f4(0.0)
     for lane in range(n):
         if row[RANGE + lane] > near_m:
             alive |= np.uint64(1) << np.uint64(lane)
             last_m = max(last_m, row[RANGE + lane])
     return alive, last_m
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _lay_lines(corner_m: tuple[float, float, float], row: F4, line: F4, lanes: int, axes: tuple[int, int, int]) -> None:
+    (main, one, two), scale = axes, f4(LANES / VOXEL_M)
+    along, across, up = LANES * main, LANES * one, LANES * two
+    c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
+    for lane in range(lanes):
+        inverse, begin = f4(1.0) / row[DIRECTION + along + lane], row[along + lane] - c_main
+        d1 = row[DIRECTION + across + lane] * inverse * scale
+        d2 = row[DIRECTION + up + lane] * inverse * scale
+        line[lane], line[LANES + lane] = (row[across + lane] - c_one) * scale - begin * d1, d1
+        line[2 * LANES + lane], line[3 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2, d2
+        line[4 * LANES + lane], line[5 * LANES + lane] = begin, inverse
 
 
 def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np.float32) -> None:

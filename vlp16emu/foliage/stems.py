@@ -26,7 +26,7 @@ _LOW, _HIGH, _REACH = 6 * _BLOCK, 7 * _BLOCK, 8 * _BLOCK
 _ROUNDING_M = f4(0.01)
 """More than float32 rounds within 200 m."""
 _WIDE = 0.7
-"""Sine, and cosine, of the half-width of a sector beyond which stems are not told apart by their direction."""
+"""Sine, and cosine, of the half-width of a sector beyond which all stems of the window are listed."""
 
 
 class Seen(NamedTuple):
@@ -47,7 +47,7 @@ class _Sector(NamedTuple):
 
     x_m: float
     y_m: float
-    """A place, of which the pulses begin within `away_m`."""
+    """A place, from which the pulses begin within `away_m`."""
     away_m: float
     mx: float
     my: float

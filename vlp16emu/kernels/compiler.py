@@ -92,6 +92,9 @@ class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
 
+_ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+
+
 def table(group: str | None = None) -> list[dict[str, Any]]:
     """Return the table, or the part of it that a group of runs needs."""
     rows: list[dict[str, Any]] = json.loads(_TABLE.read_text(encoding="utf-8"))
@@ -116,7 +119,13 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     files: dict[str, list[dict[str, Any]]] = {}
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
-    with get_context("fork").Pool(min(_cores(), len(files)), _leave_signals) as pool:
+    # A child that a signal meets before `_leave_signals` would end as this process does.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
+    try:
+        pool = get_context("fork").Pool(min(_cores(), len(files)), _leave_signals)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with pool:
         done = 0
         for count in pool.imap_unordered(_compile, files.values()):
             done += count
@@ -163,10 +172,12 @@ def _compile(rows: list[dict[str, Any]]) -> int:
 
 
 def _leave_signals() -> None:
-    """Let the parent decide when a child ends: Ctrl-C in a terminal reaches all of them. A child has nothing to say."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # once the parent is gone, a result has no taker
+    """Let the parent decide when a child ends, and report it: Ctrl-C in a terminal reaches all of them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # once the parent is gone, a result has no taker
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)
 
 
 def _cores() -> int:

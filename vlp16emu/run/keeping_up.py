@@ -1,49 +1,79 @@
-"""Settings with which this machine keeps up with a stream."""
+"""The rung of the ladder on which this machine keeps up with a stream, by measurement."""
 
 import math
+import os
+import time
+from dataclasses import dataclass, replace
 
-from vlp16emu.scenario import Scenario
+from vlp16emu.run.ladder import FREE, Rung, below, gain
+from vlp16emu.run.run import Run
 
-_MARGIN = 0.9
-"""Share of the engine's speed that is asked for: it varies along the walk."""
-_SHORT_M = 45.0
-_STALLED = 0.1
-"""Speed below which the engine waits for something, so that its speed says nothing of settings."""
-_ONE_RAY_GAIN, _SHORT_GAIN = 4.0, 2.0
-"""About how much faster a forest is with one ray for each pulse, and with a reach of 45 m: `scenes/OUTPUTS.md`, "Packets"."""
+_WARM_S, _MEASURED_S = 0.1, 1.5
+"""Simulated seconds that open the window and load the kernels, and those that are measured."""
 
 
-def settings_that_keep_up(scenario: Scenario, engine_speed: float, speed: float) -> list[str]:
-    """Return options of `stream` with which the engine keeps up, each enough by itself; if it is stalled, those that make it faster.
+@dataclass(frozen=True, slots=True)
+class KeptUp:
+    """Rung of a stream, as measured on this machine."""
+
+    rung: Rung | None
+    """None for the scene as it is."""
+    speed: float
+    """Simulated seconds per second on it."""
+    enough: bool
+    """True if the rung leaves a fifth of the time free."""
+    cores: int
+    """Cores that this process may use."""
+    cores_as_it_is: int
+    """Cores like these with which the scene would keep up as it is."""
+
+    @property
+    def line(self) -> str:
+        """What was found, in words."""
+        measured = f"measured {self.speed:.2g} x real time on {self.cores} cores"
+        if self.rung is None:
+            taken = "the scene as it is"
+        else:
+            error = f"mean range error about {self.rung.error_mm:g} mm in reference_forest"
+            taken = f"{self.rung.name} ({self.rung.options}; {error})"
+        line = f"keep-up: {taken}: {measured}"
+        if not self.enough:
+            line += ", which leaves less than a fifth of the time free: packets may be late"
+        return line if self.rung is None and self.enough else f"{line}; as it is with {self.cores_as_it_is} cores"
+
+
+def keep_up(run: Run, speed: float) -> tuple[Run, KeptUp]:
+    """Measure this machine for some seconds, and return the run on the best rung that leaves a fifth of its time free.
+
+    The run as it is comes first; then the rungs that would be fast enough by their gains, from the best one down. A run on
+    a rung has the bytes of a recording with its settings.
 
     Parameters
     ----------
-    engine_speed : simulated seconds per second, as measured
+    run : with the settings of the user
     speed : simulated seconds per second asked for
     """
-    gains = dict[str, float]()
-    if scenario.beam.model != "none":
-        gains["--set beam.model=none"] = _ONE_RAY_GAIN
-    if scenario.sensor.max_range_m > _SHORT_M:
-        gains[f"--set sensor.max_range_m={_SHORT_M:g}"] = _SHORT_GAIN
-    if len(gains) > 1:
-        gains[" ".join(gains)] = math.prod(gains.values())
-    if engine_speed < _STALLED:
-        return list(gains)[:2]
-    needed = speed / (_MARGIN * engine_speed)
-    enough = [options for options, gain in gains.items() if gain >= needed]
-    slower = float(f"{_MARGIN * min(engine_speed, speed):.2g}")
-    return [*enough[:2], f"--speed {slower:g}"]
+    needed = speed / (1 - FREE)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    own = measured = _speed(run)
+    taken, chosen = run, None
+    if measured < needed:
+        lower = below(run.scenario)
+        hopeful = [rung for rung in lower if own * gain(run.scenario, rung) >= needed]
+        for rung in hopeful or lower[-1:]:
+            taken, chosen = run.with_texts(rung.settings), rung
+            measured = _speed(taken)
+            if measured >= needed:
+                break
+    return taken, KeptUp(chosen, measured, measured >= needed, cores, math.ceil(cores * needed / own))
 
 
-def speed_beside_sender(engine_speed: float, sender_share: float, threads: int, cores: int) -> float:
-    """Return the engine's speed if the sending thread takes its share of the same cores.
-
-    Parameters
-    ----------
-    engine_speed : simulated seconds per second without other work
-    sender_share : processor seconds per second of the sending thread, in [0, 1)
-    threads : workers of the engine
-    cores : of the machine
-    """
-    return engine_speed * min((cores - sender_share) / min(threads, cores), 1.0)
+def _speed(run: Run) -> float:
+    """Compute a stretch of a run, and return the simulated seconds per second."""
+    engine, (_, stop_s) = replace(run.engine, taps=()), run.scenario.span_s(0.0, None)
+    for _ in engine.packets(0.0, min(_WARM_S, stop_s)):
+        pass
+    stop_s, began_s = min(_MEASURED_S, stop_s), time.perf_counter()
+    for _ in engine.packets(0.0, stop_s):
+        pass
+    return stop_s / (time.perf_counter() - began_s)

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from vlp16emu.engine import Unit
 from vlp16emu.output import write_json
-from vlp16emu.run.keeping_up import settings_that_keep_up
+from vlp16emu.run.ladder import settings_that_keep_up
 from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of

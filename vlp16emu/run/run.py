@@ -108,6 +108,13 @@ class Run:
         """Return a run with some settings changed, if they are not as wanted."""
         if all(attrgetter(key)(self.scenario) == value for key, value in settings.items()):
             return self
+        return self._changed(settings)
+
+    def with_texts(self, settings: Sequence[str]) -> Self:
+        """Return a run with some settings changed, each KEY=VALUE as on the command line."""
+        return self._changed(settings)
+
+    def _changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
         engine, is_audited = self.engine, self.audit is not None
         changed = type(self).of(self.scenario, settings, threads=engine.threads, audit=is_audited, like=engine)
         engine = replace(changed.engine, truth_of=engine.truth_of)

@@ -2,18 +2,20 @@
 
 import pytest
 
-from vlp16emu.run.keeping_up import settings_that_keep_up, speed_beside_sender
+from vlp16emu.emulator import Emulator
+from vlp16emu.run import keeping_up
+from vlp16emu.run.ladder import LADDER, rung_for, settings_that_keep_up, speed_beside_sender
 from vlp16emu.scenario import load
 
-ONE_RAY, SHORT = "--set beam.model=none", "--set sensor.max_range_m=45"
+FEW, ONE_RAY, SHORT = (rung.options for rung in LADDER[2:])
 
 
 @pytest.mark.parametrize(
     ("speed", "expected"),
     [
-        (0.9, [ONE_RAY, SHORT, "--speed 0.81"]),
-        (0.4, [ONE_RAY, f"{ONE_RAY} {SHORT}", "--speed 0.36"]),
-        (0.2, [f"{ONE_RAY} {SHORT}", "--speed 0.18"]),
+        (0.9, [FEW, ONE_RAY, "--speed 0.81"]),
+        (0.4, [ONE_RAY, SHORT, "--speed 0.36"]),
+        (0.2, [SHORT, "--speed 0.18"]),
         (0.11, ["--speed 0.099"]),
         (0.01, [ONE_RAY, SHORT]),
     ],
@@ -34,3 +36,40 @@ def test_the_sender_takes_its_share_only_where_no_core_is_free():
     assert speed_beside_sender(2.0, 0.1, 2, 2) == pytest.approx(1.9)
     assert speed_beside_sender(2.0, 0.1, 1, 2) == 2.0
     assert speed_beside_sender(2.0, 0.1, 8, 2) == pytest.approx(1.9)
+
+
+@pytest.mark.parametrize(
+    ("speed", "rung"),
+    [(2.0, None), (1.25, None), (1.2, LADDER[1]), (1.0, LADDER[2]), (0.5, LADDER[3]), (0.05, LADDER[4])],
+)
+def test_the_best_rung_that_leaves_a_fifth_free_is_forecast(speed, rung):
+    """A rung is as much faster as the ladder says, and the last one is taken where none is enough."""
+    assert rung_for(load("reference_forest"), speed, 1.0) == rung
+
+
+@pytest.mark.parametrize(
+    ("speeds", "taken", "enough", "cores"),
+    [([1.3], None, True, 2), ([1.0, 1.1, 1.9], "one ray", True, 3), ([0.1, 0.6], "one ray, to 45 m", False, 25)],
+)
+def test_a_stream_takes_the_first_rung_that_is_measured_to_be_enough(monkeypatch, speeds, taken, enough, cores):
+    """Rungs are measured from the best one that may be enough down; the emulator then has the settings of the one taken."""
+    left = iter(speeds)
+    monkeypatch.setattr(keeping_up, "_speed", lambda _run: next(left))
+    monkeypatch.setattr("os.sched_getaffinity", lambda _process: {0, 1}, raising=False)
+    emulator = Emulator("static_bench", {"beam.model": "adaptive", "beam.rays": 64})
+    kept = emulator.keep_up()
+    assert (kept.rung.name if kept.rung else None, kept.enough, kept.cores_as_it_is) == (taken, enough, cores)
+    assert next(left, None) is None
+    asked = load("static_bench", ["beam.model=adaptive", *(kept.rung.settings if kept.rung else [])])
+    assert emulator.scenario == asked
+
+
+def test_the_line_names_rung_settings_error_and_cores(monkeypatch):
+    """One line says all that one needs to record the same bytes."""
+    kept = keeping_up.KeptUp(LADDER[2], 1.4, enough=True, cores=2, cores_as_it_is=3)
+    assert kept.line == (
+        "keep-up: 4 sub-rays (--set beam.model=fixed --set beam.rays=4; mean range error about 75 mm in "
+        "reference_forest): measured 1.4 x real time on 2 cores; as it is with 3 cores"
+    )
+    monkeypatch.setattr(keeping_up, "_speed", lambda _run: 8.0)
+    assert Emulator("static_bench").keep_up().line.startswith("keep-up: the scene as it is: measured 8 x real time on ")

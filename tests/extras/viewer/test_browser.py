@@ -21,6 +21,8 @@ CHROMIUM = shutil.which("chromium")
 pytestmark = [pytest.mark.skipif(CHROMIUM is None, reason="no chromium"), pytest.mark.usefixtures("kept_woods")]
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 900, "height": 700}
+SMALL = {"width": 450, "height": 350}
+"""Software draws a quarter of the pixels in a quarter of the time."""
 WAIT_MS = 120_000
 
 SCENE = """# mine
@@ -42,7 +44,7 @@ species = [{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.
 
 
 @contextmanager
-def page_of(*words):
+def page_of(*words, size=SIZE):
     """Page of a command when the first points are drawn."""
     command = [sys.executable, "-m", "vlp16emu", *map(str, words)]
     with (
@@ -51,7 +53,7 @@ def page_of(*words):
         playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as browser,
     ):
         try:
-            page = browser.new_page(viewport=SIZE)
+            page = browser.new_page(viewport=size)
             page.goto(re.search(r"http\S+", program.stdout.readline())[0])
             page.get_by_text(re.compile("points (by|in)")).wait_for(timeout=WAIT_MS)
             yield page
@@ -136,8 +138,8 @@ def test_a_stream_is_looked_on(tmp_path):
     ports = "--data-port", data, "--position-port", position
     to_and_fro = "duration_s=300", "motion.back_and_forth=true", "motion.laps=40"
     settings = [word for setting in to_and_fro for word in ("--set", setting)]
-    with page_of("stream", scene, "--view", *settings, *ports) as page:
-        seen_by(page, near)
-        seen_by(page, stem, 1000)
+    with page_of("stream", scene, "--view", *settings, *ports, size=SMALL) as page:
+        seen_by(page, near, 5)
+        seen_by(page, stem, 250)
     for one in listening:
         one.close()

@@ -79,12 +79,23 @@ def test_an_inventory_is_a_stem_list(tmp_path):
         assert back[name] == pytest.approx(trees[name], abs=1e-4)
 
 
-def test_missing_crowns_follow_the_species(tmp_path):
-    """An empty crown cell is filled by the species' equations, with the thickest fifth of the list as top height."""
-    tree, spruce = read(tmp_path)[2], species_table()["norway_spruce"]
-    dbh_cm, height_m = np.array([40.0]), np.array([28.0])
-    assert tree["crown_width_m"] == spruce.crown_width_m(dbh_cm)[0]
-    assert tree["crown_base_m"] == spruce.crown_base_m(dbh_cm, height_m, 28.0)[0]
+def test_missing_crowns_follow_species_and_neighbours(tmp_path):
+    """Empty crown cells are filled by the species' equations, shorter among neighbours, with the spread of the species, by seed."""
+    rows = [f"{3 * (i % 20)},{3 * (i // 20)},norway_spruce,28,24" for i in range(400)]
+    rows += [f"{1000 + 30 * (i % 20)},{30 * (i // 20)},norway_spruce,28,24" for i in range(400)]
+    file = tmp_path / "many.csv"
+    file.write_text("\n".join(["x,y,species,dbh_cm,height_m", *rows]), encoding="utf-8")
+    trees = read_stem_list(file, species_table(), NO_ORIGIN, 3)
+    ratio = (1 - trees["crown_base_m"] / trees["height_m"]).reshape(2, 400)
+    dense, alone = np.median(ratio, axis=1)
+    assert dense < 0.6 < 0.75 < alone
+    spruce = species_table()["norway_spruce"]
+    assert np.log(ratio / (1 - ratio))[1].std() == pytest.approx(spruce.spread.crown_ratio, rel=0.12)
+    assert np.log(trees["crown_width_m"]).std() == pytest.approx(spruce.spread.crown_width, rel=0.12)
+    assert trees["crown_width_m"].mean() == pytest.approx(spruce.crown_width_m(np.array([28.0]))[0], rel=0.02)
+    again, other = (read_stem_list(file, species_table(), NO_ORIGIN, seed) for seed in (3, 4))
+    assert np.array_equal(again, trees)
+    assert not np.array_equal(other["crown_base_m"], trees["crown_base_m"])
 
 
 def test_missing_heights_follow_the_measured_ones(tmp_path):

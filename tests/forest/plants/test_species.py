@@ -8,6 +8,7 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.plants.flora import shrub_table, species_table, tapers
+from vlp16emu.forest.stand.stand import TREE
 
 TEXT = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
 
@@ -55,7 +56,9 @@ def test_numbers_are_unique_and_never_change():
 
 def test_every_equation_and_optical_number_says_where_it_comes_from():
     """In the shipped file such a line ends in a comment that names a source or the word assumption."""
-    keys = "height_curve|crown_width|crown_base|diameters|taper|fia|leaf_area_index|inclination|clumping"
+    keys = (
+        "height_curve|spread|crown_width|crown_base|open_crown|diameters|taper|fia|leaf_area_index|inclination|clumping"
+    )
     lines = re.findall(rf"(?m)^(?:{keys}|biomass|\w+_reflectance|leaf_transmittance|spread_m) = .*$", TEXT)
     assert len(lines) > 150
     unnamed = [line for line in lines if not re.search(r"#.*(\[[A-Z]\]|assumption|bears no|\(\d{4}\)|\d{4}\()", line)]
@@ -71,7 +74,9 @@ def test_a_users_plants_come_after_our_own(write):
     assert list(table) == [*species_table(), "holm_oak"]
     assert table["holm_oak"].taper == species_table()["english_oak"].taper
     assert list(shrub_table(path)) == [*shrub_table(), "filbert"]
-    assert tapers(np.array([1000, 1]), table=table).shape == (2, 12)
+    trees = np.zeros(2, TREE)
+    trees["species"] = [1000, 1]
+    assert tapers(trees, table=table).shape == (2, 13)
     assert "holm_oak" not in species_table()
 
 
@@ -87,6 +92,7 @@ def test_a_users_plants_come_after_our_own(write):
         ("bark_reflectance = 0.4 ", "bark_reflectance = 40 ", "holm_oak.bark_reflectance: found 40; expected a number from 0 to 1"),
         ("leaf_transmittance = 0.487", "leaf_transmittance = 0.6", "holm_oak.leaf_transmittance: found 0.6; expected at most 1 with leaf_reflectance = 0.454"),
         ('"uniform"', '"logistic"', 'holm_oak.height_curve.model: found "logistic"; expected "uniform" or "curtis_arney"'),
+        ('"logistic"', '"exponential"', 'holm_oak.crown_base.model: found "exponential"; expected "logistic" or "ratio"'),
         ("[0.14657227, 3.78686023]", "[0.14657227]", "holm_oak.height_curve.coefficients: found a list of 1; expected 2 numbers for 'uniform'"),
         ('kind = "leaf"', 'kind = "frond"', 'holm_oak.foliage.kind: found "frond"; expected "leaf" or "shoot"'),
         ("inclination = [2.55, 1.61]", "inclination = []", "holm_oak.foliage.inclination: found a list of 0; expected mu and nu for leaves"),

@@ -98,7 +98,7 @@ def test_sections_have_the_area_of_published_tapers():
         rings = stem_rings(trees)
         rings.forms.forks[:, 0] = 0
         own = np.setdiff1d(np.arange(20), rings.forked)
-        taper_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], rings.above_ground_m)
+        taper_m = taper_radius_m(tapers(trees), trees["dbh_m"], trees["height_m"], rings.above_ground_m)
         sides = int(rings.sides[0])
         away_m = rings.forms.outline(
             vertex_angles(trees, sides), rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2
@@ -224,7 +224,7 @@ def test_both_leaders_together_are_as_thick_as_one():
     above = np.flatnonzero(rings.above_ground_m[0] > rings.fork_m[0])[1]
     z = rings.above_ground_m[0, above]
     second_m = np.interp(z, leaders.above_ground_m[0], leaders.radius_m[0])
-    whole_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.array([[z]]))[0, 0]
+    whole_m = taper_radius_m(tapers(trees), trees["dbh_m"], trees["height_m"], np.array([[z]]))[0, 0]
     assert np.hypot(rings.radius_m[0, above], second_m) == pytest.approx(whole_m, rel=0.01)
     gap_m = np.linalg.norm(
         leaders.axis_m(leaders.above_ground_m) - axis_m(trees, rings.forms, leaders.above_ground_m), axis=2

@@ -1,5 +1,7 @@
 """Windows on the forest."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -30,14 +32,20 @@ def placed(window):
     return found
 
 
-def test_surfaces_belong_to_the_meshes_they_show(forest, track_m):
+@pytest.fixture(scope="module")
+def shape(forest):
+    """Meshes of a shape, which takes long to make."""
+    return cache(forest.shape)
+
+
+def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
     """Each tile's rows are its ground and the stems of its trees in order; each crown's are the parts of one tree."""
     window, trees = forest.window(track_m), forest.trees(track_m)
     used = np.zeros(len(window.surfaces), int)
-    meshes = {key: len(forest.shape(key)) for key in window.shapes}
+    meshes = {key: len(shape(key)) for key in window.shapes}
     stems = []
-    for shape, first in zip(window.shape, window.first_surface, strict=True):
-        key = window.shapes[shape]
+    for which, first in zip(window.shape, window.first_surface, strict=True):
+        key = window.shapes[which]
         rows = window.surfaces[first : first + meshes[key]]
         used[first : first + len(rows)] += 1
         if isinstance(key, TileKey):
@@ -57,14 +65,14 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, track_m):
     assert stems == trees["id"].tolist()
 
 
-def test_stems_and_crowns_are_where_the_records_say(forest, track_m):
+def test_stems_and_crowns_are_where_the_records_say(forest, shape, track_m):
     """The tip of a stem's mesh, the top of its crown's axis and the tree record agree to a millimetre."""
     window, trees = forest.window(track_m), forest.trees(track_m)
     tips, tops = {}, {}
-    for shape, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
-        key = window.shapes[shape]
+    for which, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
+        key = window.shapes[which]
         if isinstance(key, TileKey):
-            for j, stem in enumerate(forest.shape(key)[1:], start=1):
+            for j, stem in enumerate(shape(key)[1:], start=1):
                 tips[int(window.surfaces[first + j]["instance"])] = T[:, :3] @ stem.vertices_m[-1] + T[:, 3]
         else:
             tops[int(window.surfaces[first]["instance"])] = T @ [0, 0, key.crown_length_m, 1]

@@ -1,5 +1,6 @@
 """Where plants stand and stones lie."""
 
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -43,6 +44,12 @@ def points_of(pattern, across=ACROSS):
     return np.concatenate([pattern.points(*tile) for tile in tiles])
 
 
+@cache
+def field(make, per_ha):
+    """Points of a pattern, which several tests look at."""
+    return points_of(make(per_ha))
+
+
 def clark_evans(points, per_ha):
     """Mean distance to the nearest neighbour over that of scattered points, border left out (Clark, Evans 1954)."""
     nearest = cKDTree(points).query(points, k=2)[0][:, 1]
@@ -72,7 +79,7 @@ def test_density_is_as_set(make, per_ha):
     """Over 23 hectares the number is right within 3 sigma: of a Poisson count, or of clumps of eight on average."""
     expected = per_ha * (ACROSS * TILE_M) ** 2 / 10_000
     sigma = np.sqrt(expected * (9 if make is clusters else 1))
-    assert abs(len(points_of(make(per_ha))) - expected) < 3 * sigma
+    assert abs(len(field(make, per_ha)) - expected) < 3 * sigma
 
 
 @pytest.mark.parametrize("make", [scattered, patchy, hard_core, clusters, rows])
@@ -88,9 +95,8 @@ def test_points_lie_on_the_tile_that_was_asked_for(make):
 @pytest.mark.parametrize("per_ha", [30.0, 700.0, 4000.0])
 def test_no_two_are_nearer_than_the_hard_core(per_ha):
     """The hard core holds across the edges of tiles."""
-    pattern = hard_core(per_ha)
-    points = points_of(pattern)
-    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= pattern.distance_m
+    points = field(hard_core, per_ha)
+    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= hard_core(per_ha).distance_m
 
 
 def test_clark_evans_of_trees_that_keep_apart():

@@ -145,9 +145,9 @@ def test_stiffness_is_that_of_the_mass_at_its_frequency():
     assert 1.0 < inertia_kg_m2 / cone_kg_m2 < 1.8
 
 
-def test_stems_of_their_own_are_the_stems_of_the_tile(make_forest, loose, track_m):
+def test_stems_of_their_own_are_the_stems_of_the_tile(full_forest, loose, track_m):
     """Loose stems have the meshes, places, surfaces and numbers that they have in the shapes of tiles."""
-    rooted, window = make_forest(with_layers=True).window(track_m), loose.window(track_m)
+    rooted, window = full_forest.window(track_m), loose.window(track_m)
     meshes, places = {}, {}
     for i, which in enumerate(window.shape):
         if isinstance(key := window.shapes[which], StemKey):
@@ -155,11 +155,10 @@ def test_stems_of_their_own_are_the_stems_of_the_tile(make_forest, loose, track_
             meshes[int(rows["instance"][0])] = rows.tobytes(), loose.shape(key)
             places[int(rows["instance"][0])] = window.world_T_shape[i].tobytes()
     count = 0
-    forest = make_forest(with_layers=True)
     for i, which in enumerate(rooted.shape):
         if not isinstance(key := rooted.shapes[which], TileKey):
             continue
-        _, *stems = forest.shape(key)
+        _, *stems = full_forest.shape(key)
         rows = rooted.surfaces[rooted.first_surface[i] + 1 :][: len(stems)]
         for n in range(0, len(stems), 2):
             number = int(rows["instance"][n])

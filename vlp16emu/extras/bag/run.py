@@ -74,7 +74,8 @@ def _odometry(to: TrueMessages, true: Kinematics) -> None:
 
 def _inertial(to: TrueMessages, read: Inertial) -> None:
     rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
-    for sample in zip(read.t_ns.tolist(), rates, strict=True):
+    stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+    for sample in zip(stamps_ns.tolist(), rates, strict=True):
         to.inertial(*sample)
 
 

@@ -142,7 +142,7 @@ def read_stems(path: Path) -> tuple[Stem, ...]:
     """
     table = read_table(path, _COLUMNS, "a CSV of stems with columns x and y", InputError)
     places = table.numbers("x_m", "y_m", "z_m", "dbh_m")
-    # Stem maps are of breast height (Laino et al. 2024, 3DFin), where a lean has carried the axis away from the foot.
+    # Stem maps are of breast height, as those of 3DFin (dendromatics, `tree_locator`: the section nearest to 1.3 m), where a lean has carried the axis away from the foot.
     breast_m = table.numbers("x_breast_m", "y_breast_m")
     places[:, :2] = np.where(np.isnan(breast_m), places[:, :2], breast_m)
     own_numbers = zip(*(table.texts(name) for name in _NUMBERS), strict=True)

@@ -29,7 +29,8 @@ _SIZE_PX = 1100, 460
 def page(card: ScoreCard, missed: Sequence[str]) -> str:
     """Return a card and the thresholds that it misses as HTML; matplotlib is needed if there is something to draw."""
     parts = [
-        f"<!doctype html><meta charset=utf-8><title>Score card</title><style>{_STYLE}</style><h1>Score card</h1>",
+        "<!doctype html><meta charset=utf-8><meta name=generator content=vlp16emu><title>Score card</title>",
+        f"<style>{_STYLE}</style><h1>Score card</h1>",
         *(f'<p class="missed">missed: {escape(line)}</p>' for line in missed),
         _table(("score", "value"), list(card.scores.items())),
         *(f"<p>{escape(group)}: {escape(note)}</p>" for group, note in card.notes.items()),

@@ -137,7 +137,7 @@ def draw_picture(
     way_m : (k, 3) path of the sensor; None to look around the origin
     rings : number of lasers of the sensor
     species : names by number
-    stop : ends the picture between two revolutions
+    stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
     inputs : files that are read, which the picture may not replace
     """
     spare(inputs, path)
@@ -145,6 +145,8 @@ def draw_picture(
     suffix = path.suffix.lower()
     first = next(sweeps, None)
     if first is None:
+        if stop.is_set():
+            raise KeyboardInterrupt
         raise InputError("picture", "no whole revolution", "at least one in the span")
     known = layers_of_scan(first.scan)
     colour = look.colour or ("natural" if "natural" in known else "reflectivity")

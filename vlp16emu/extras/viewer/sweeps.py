@@ -1,6 +1,8 @@
 """Sweeps by time: of a scene, computed on demand, and of a capture, with the faults of its packets."""
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -61,9 +63,10 @@ def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
 
 
 def sweeps_of_scene(emulator: Emulator, start_s: float, duration_s: float | None, unit: int = 1) -> Iterator[Sweep]:
-    """Yield the revolutions of a scene's sensor with labels."""
-    for scan in emulator.scans(start_s=start_s, duration_s=duration_s, unit=unit, truth=True):
-        yield Sweep(scan, placed(scan.xyz_m, emulator.world_T_sensor(scan.t_ns, unit=unit)))
+    """Yield the revolutions of a scene's sensor with labels, until its windows are stopped."""
+    with suppress(CancelledError):
+        for scan in emulator.scans(start_s=start_s, duration_s=duration_s, unit=unit, truth=True):
+            yield Sweep(scan, placed(scan.xyz_m, emulator.world_T_sensor(scan.t_ns, unit=unit)))
 
 
 def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:

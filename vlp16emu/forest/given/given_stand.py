@@ -33,6 +33,7 @@ _COLUMNS = {
     "height_m": Column({"height_m": 1.0}, 2.0, 130.0, is_filled=False),
     "crown_base_m": replace(optional("crown_base_m"), low=0.0, high=130.0),
     "crown_width_m": replace(optional("crown_width_m"), low=0.1, high=60.0),
+    "taper": replace(optional("taper"), low=-0.9, high=3.0),
     "lean_deg": replace(optional("lean_deg"), low=0.0, high=45.0),
     "lean_azimuth_deg": replace(optional("lean_azimuth_deg"), low=0.0, high=360.0),
     "lean_towards_deg": replace(optional("lean_towards_deg"), low=0.0, high=360.0),
@@ -46,14 +47,13 @@ def read_stem_list(
 
     The first line names the columns, in any order, between commas, semicolons or tabs: x and y (in m; also
     `x_m`, `y_m`), `species` (a name of the species table, common or scientific), `dbh_cm` or `dbh_m`, `height_m`, and if known
-    `crown_base_m`, `crown_width_m`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
+    `crown_base_m`, `crown_width_m`, `taper`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
     `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is a stem list too. Others
     are ignored, heights above sea level too: trees stand on the scene's ground.
 
     Cells from `height_m` on may be empty. Then heights follow the species' height curve through the
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
-    species' own equations, with the mean height of the thickest fifth of the list as top height; a stem
-    without lean is upright.
+    species' own equations, neighbours and residual spread, drawn by the seed as the taper is; a stem without lean is upright.
 
     Raises GeometryError naming file, line and column of what is missing, no number, out of its limits, no species, or
     listed twice.
@@ -111,7 +111,8 @@ def _set_crowns(trees: Trees, table: Table, species: list[Species], seed: int) -
     from scipy.spatial import cKDTree  # here: it takes a while to load
 
     dbh_cm, height_m, xy_m = 100 * trees["dbh_m"], trees["height_m"], places_m(trees, "xy")
-    trees["crown_base_m"], trees["crown_width_m"] = table.numbers("crown_base_m"), table.numbers("crown_width_m")
+    for name in ("crown_base_m", "crown_width_m", "taper"):
+        trees[name] = table.numbers(name)
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
     _, ratio, wide, taper = residuals(generator(seed, Growth.GIVEN_TREE, 1).standard_normal((len(trees), 4))).T
     rival_m2 = np.zeros((len(trees), 2))
@@ -119,7 +120,7 @@ def _set_crowns(trees: Trees, table: Table, species: list[Species], seed: int) -
     for one in kinds:
         own = trees["species"] == one.number
         rival_m2[own] = one.rival_m2(dbh_cm[own])
-        trees["taper"][own] = one.taper_of(taper[own])
+        trees["taper"][own] = np.where(np.isnan(trees["taper"]), one.taper_of(taper), trees["taper"])[own]
     pressure = np.zeros((2, len(trees)))
     for i, near in enumerate(cKDTree(xy_m).query_ball_point(xy_m, RIVALS_M)):
         larger = (dbh_cm[near] > dbh_cm[i])[None]

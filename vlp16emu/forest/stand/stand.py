@@ -64,7 +64,8 @@ _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the p
 _STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
 _MOST_BASAL_M2_PER_HA = 350.0
-"""Of all storeys: coast redwoods, the densest known, have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59)."""
+"""Of all storeys. Coast redwoods, the densest known, are said to have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59, which
+could not be read; Busing and Fujimori 2005, 10.1007/s11258-005-2322-8, give that stand 3000 to 5200 t of stems per ha)."""
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
@@ -78,9 +79,6 @@ class _Cohort:
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
         dbh_cm = raw_cm * self._scale
         self.sample_cm = dbh_cm
-        # The mean of squares is as much more than the square of the mean.
-        wider = math.exp(self.species.spread.crown_width**2)
-        self.mean_crown_m2 = wider * float(np.mean(_projection_m2(self.species.crown_width_m(dbh_cm))))
 
     def dbh_cm(self, probability: Array) -> Array:
         """Quantiles of diameter, scaled to the stand's quadratic mean."""
@@ -200,17 +198,15 @@ class Stand:
         ]
         self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
-        self._sample = [
-            np.concatenate(column) for column in zip(*map(_sample, self._patterns, self._cohorts), strict=True)
-        ]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         self.species = [share.species for share in section.species]  # of the canopy
         basal_m2 = sum(map(_basal_area_m2_per_ha, storeys))
         if basal_m2 > _MOST_BASAL_M2_PER_HA:
             found = f"found a basal area of {basal_m2:.0f} m2 per ha"
             raise GeometryError("stems_per_ha", found, f"at most {_MOST_BASAL_M2_PER_HA:g}: fewer or thinner stems")
-        crown_m2 = sum(_crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True))
-        cover = crown_m2 / 10_000
+        samples = [_sample(*storey) for storey in zip(self._patterns, self._cohorts, strict=True)]
+        self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
+        self._rivals_m2, cover = per_ha_m2[:, :2], float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
         self._path = path
         self._season, self._dead_branches = section.season, section.dead_branches
@@ -297,27 +293,21 @@ class Stand:
         )
 
     def _mean_competition(self, dbh_cm: Array) -> tuple[Array, Array]:
-        rivals_cm, per_ha_m2 = self._sample
-        larger = rivals_cm > dbh_cm[:, None]
-        return competition(per_ha_m2, 10_000.0, larger, np.ones_like(larger))
+        larger = self._rivals_cm > dbh_cm[:, None]
+        return competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:
-    """Diameters of trees that stand for all of a storey, and what each competes with, (n, 2) in m2 per ha."""
+    """Diameters of trees (n,) that stand for all of a storey, and of each (n, 3) in m2 per ha `rival_m2` and crown projection."""
     whole = sum(cohort.share.share for cohort in cohorts)
-    dbh_cm = [cohort.sample_cm for cohort in cohorts]
-    rivals_m2 = [
-        cohort.species.rival_m2(cohort.sample_cm)
-        * (pattern.per_ha * cohort.share.share / whole / len(cohort.sample_cm))
-        for cohort in cohorts
-    ]
-    return np.concatenate(dbh_cm), np.concatenate(rivals_m2)
-
-
-def _crown_area_m2_per_ha(storey: tuple[PointPattern, list[_Cohort]]) -> float:
-    pattern, cohorts = storey
-    share = [cohort.share.share for cohort in cohorts]
-    return pattern.per_ha * float(np.average([cohort.mean_crown_m2 for cohort in cohorts], weights=share))
+    areas_m2 = []
+    for cohort in cohorts:
+        species, dbh_cm = cohort.species, cohort.sample_cm
+        # The mean of squares is as much more than the square of the mean.
+        wider = math.exp(species.spread.crown_width**2)
+        area_m2 = np.column_stack([species.rival_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))])
+        areas_m2.append(pattern.per_ha * cohort.share.share / whole / len(dbh_cm) * area_m2)
+    return np.concatenate([cohort.sample_cm for cohort in cohorts]), np.concatenate(areas_m2)
 
 
 def _projection_m2(crown_width_m: Array) -> Array:
