@@ -149,12 +149,16 @@ def test_reflectance_varies_between_trees_within_its_range(trees):
 
 
 def test_crown_prototypes_are_scaled_little(trees):
-    """No tree's crown is wider than its prototype by more than two thirds, or narrower by more than that."""
+    """No crown is two thirds wider than its prototype, or as much narrower; few are a third longer or shorter, or begin deep in the ground."""
     stand = make_stand()
-    prototype_m = [stand.crown(t["cohort"], t["crown_class"], 0).crown_width_m for t in trees[:400]]
-    ratio = trees["crown_width_m"][:400] / prototype_m
+    keys = [stand.crown(*kind) for kind in trees[["cohort", "crown_class", "crown_variant"]][:400].tolist()]
+    ratio = trees["crown_width_m"][:400] / [key.crown_width_m for key in keys]
     assert 3 / 5 < ratio.min() < 0.95
     assert 1.05 < ratio.max() < 5 / 3
+    longer = (trees["height_m"] - trees["crown_base_m"])[:400] / [key.crown_length_m for key in keys]
+    assert np.quantile(np.abs(np.log(longer)), 0.9) < np.log(1.3)
+    feet_m = trees["crown_base_m"][:400] - longer * [key.crown_base_m - 0.3 for key in keys]
+    assert np.quantile(feet_m, [0.1, 0.5, 0.9]) == pytest.approx([-1.0, 0.5, 2.0], abs=1.0)
 
 
 def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
