@@ -140,7 +140,7 @@ def _likest(names: list[str], ours: str) -> str:
 
 
 def _stamp_s(message: Any, start_s: int) -> float:
-    return float(message.header.stamp.sec - start_s) + message.header.stamp.nanosec / S_NS
+    return float(message.header.stamp.sec - start_s + message.header.stamp.nanosec / S_NS)
 
 
 def _sample(message: Any, start_s: int) -> list[float]:
@@ -158,7 +158,8 @@ def _add_cloud(clouds: Clouds, message: Any, start_s: int) -> None:
     names, end = [one.name for one in message.fields], "><"[not message.is_bigendian]
     kinds = [np.dtype(end + _KINDS.get(one.datatype, "u1")) for one in message.fields]
     layout: Any = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
-    points: NDArray[Any] = np.frombuffer(message.data, np.dtype({**layout, "itemsize": message.point_step}))
+    layout["itemsize"] = message.point_step
+    points: NDArray[Any] = np.frombuffer(message.data, np.dtype(layout))
     clouds.frame, clouds.fields = message.header.frame_id, dict(zip(names, kinds, strict=True))
     clouds.time_name = next((name for name in TIME_NAMES if name in names), None)
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1)
