@@ -20,7 +20,7 @@ title = "A stand of the user's own species"
 seed = 4
 
 [sensor]
-max_range_m = 25.0
+max_range_m = 30.0
 
 [motion]
 kind = "static"
