@@ -24,7 +24,7 @@ from vlp16emu.units import S_NS
 WALK = {
     "gps.connected": "true",
     "gps.canopy_loss": "false",
-    "motion": '{ kind = "walk", way_points_m = [[-8.0, 5.0], [8.0, 6.0]] }',
+    "motion": '{ kind = "walk", way_points_m = [[-8.0, 5.0], [8.0, 6.0]], back_and_forth = true, laps = 50 }',
     "start_utc": "2026-06-12T08:59:58.5Z",
 }
 OPTIONS = [word for key, value in WALK.items() for word in ("--set", f"{key}={value}")]

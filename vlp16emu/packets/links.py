@@ -80,13 +80,15 @@ def ip_in(link_type: int, frame: bytes) -> Ip | None:
     if link_type in _ETHERTYPE_AT:
         kind_at, body = begin + _ETHERTYPE_AT[link_type], begin + _BODY_AT[link_type]
         kind = int.from_bytes(frame[kind_at : kind_at + 2])
-        at = body if kind == _IPV4 else _behind(frame, kind, body)
+        at: int | None = body if kind == _IPV4 else _behind(frame, kind, body)
     elif link_type in _BARE_IP_AT:
         at = begin + _BARE_IP_AT[link_type]
     elif link_type in _PPP_AT:
         at = _behind_ppp(frame, begin + _PPP_AT[link_type])
+    elif link_type in (_WIFI, _NFLOG):
+        at = _behind_wifi(frame, begin) if link_type == _WIFI else _behind_nflog(frame)
     else:
-        at = {_WIFI: _behind_wifi, _NFLOG: _behind_nflog}.get(link_type, lambda *_: None)(frame, begin)
+        return None
     ip = None
     for _ in range(_MOST_LAYERS):
         found = None if at is None else _ip_at(frame, at)
@@ -118,9 +120,9 @@ def _behind_wifi(frame: bytes, at: int) -> int | None:
     return _behind(frame, 0, at)
 
 
-def _behind_nflog(frame: bytes, at: int) -> int | None:
+def _behind_nflog(frame: bytes) -> int | None:
     """Find the packet among the fields of the netfilter log of Linux."""
-    at += 4
+    at = 4
     while at + 4 <= len(frame):
         length, kind = struct.unpack_from("<2H", frame, at)
         if kind == _NFLOG_PAYLOAD:

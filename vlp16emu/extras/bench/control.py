@@ -36,7 +36,7 @@ _LEAD_NS = 150_000_000
 _MOST_LEAD_NS = 1_000_000_000
 _MERGED_S = 5.0
 """For so long at most what is set waits until the packets of the settings before are made ahead again."""
-_CALM_S, _PROMPT = 2.0, 4
+_CALM_S, _PROMPT = 2.0, 2
 """Changes, without so long a calm between them, that have packets made anew; later ones begin where the packets that are made end."""
 _APART_S, _APART = 1.0, 20.0
 """Least time from such a later change to the next, at least so many times what making it took: each makes the next one dearer."""
