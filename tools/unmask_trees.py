@@ -16,7 +16,6 @@ SCENE_SHARE = 0.3
 """Share of the variance over emulated windows that is between scenes, from which on a feature is one of the scene."""
 TRAINED = 40_000
 """Patches learnt at most."""
-STRONGEST = 5
 
 
 class Data:
@@ -135,7 +134,7 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
     print(f"| {title} ({len(names)}) | {line(areas)} | {between} |", flush=True)
     if not whole:
         return
-    for i in np.argsort(-carried)[:STRONGEST]:
+    for i in np.argsort(-carried)[:5]:
         seen = np.isfinite(x[:, i])
         single = roc_auc_score(data.real[seen], x[seen, i])
         real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
@@ -162,7 +161,9 @@ def main() -> None:
     for group in dict.fromkeys(data.groups[of_unit]):
         report(data, of_unit & (data.groups == group), f"{group} alone")
     report(data, counts & of_scene & (data.groups != "arrival"), "features of scenes")
-    areas = [roc_auc_score(data.real[ranked], raw(data, learnt, ranked, data.real)) for _, learnt, ranked in folds(data)]
+    areas = [
+        roc_auc_score(data.real[ranked], raw(data, learnt, ranked, data.real)) for _, learnt, ranked in folds(data)
+    ]
     print(f"| raw patches | {line(areas)} | |")
     print(
         f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: {', '.join(data.names[counts & of_scene])}"

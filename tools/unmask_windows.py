@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from vlp16emu.extras.compare import Sequences
+from vlp16emu.extras.compare.losses import commonest
 
 SEQUENCES = 600
 """Firing sequences of a window: 25 packets of single return."""
@@ -117,12 +118,6 @@ def _surfaces(out: Features, d: Array, r: Array, flat: Array, slot: Array) -> No
     out |= {"range.beat": float(np.std(means)), "range.overtone": float(abs(np.fft.fft(means)[2]))}
     both = flat & (code_bend != 0)
     out.correlation("range.with_code", bend[both], code_bend[both])
-    upwards = np.r_[0:16:2, 1:16:2]
-    bright, log = ((d > 0) & (r >= 5) & (r < 90))[:, upwards], np.log(r.clip(1))[:, upwards]
-    same = bright[:, :-2] & bright[:, 1:-1] & bright[:, 2:]
-    ratio = np.diff(log, 2, axis=1)
-    own = [column[of].mean() for column, of in zip(ratio.T, same.T, strict=True) if of.sum() >= LEAST]
-    out["code.between_lasers"] = float(np.std(own)) if len(own) > 4 else np.nan
 
 
 def _losses(out: Features, d: Array, r: Array) -> None:
@@ -140,15 +135,9 @@ def _losses(out: Features, d: Array, r: Array) -> None:
         out.rate(f"loss.after_{low}", lost[(a > 0) & (r[:-2] >= low) & (r[:-2] < high)])
 
 
-def commonest(d: Array, r: Array) -> Array:
-    """Return the commonest code of each laser's no-returns (16,), 0 where there is none."""
-    own = (codes[of == 0] for codes, of in zip(r.T, d.T, strict=True))
-    return np.array([np.bincount(codes).argmax() if len(codes) else 0 for codes in own])
-
-
 def _no_returns(out: Features, d: Array, r: Array) -> None:
     """Codes of no-returns over the commonest of their laser, beside returns and apart from them."""
-    silent, mode = d == 0, commonest(d, r)
+    silent, mode = d == 0, commonest(d == 0, r)
     share, usable = (r / np.maximum(mode, 1))[1:-1], (silent & (mode > 0))[1:-1]
     beside = usable & ~(silent[:-2] & silent[2:])
     out.shares("no_return.beside", share[beside], MULTIPLES)
@@ -169,8 +158,6 @@ def _azimuths(out: Features, azimuth: Array) -> None:
     out.shape("azimuth", rest)
     out.lags("azimuth", step - speed, np.ones(len(step), bool))
     out.unevenness("azimuth", azimuth, 2, 5)
-    counts = np.bincount(azimuth % 20, minlength=20) / len(azimuth)
-    out |= {"azimuth.mod_20": float(counts.std()), "azimuth.mod_20_least": float(counts.min())}
     out["azimuth.variance"] = float(step.var() - speed % 1 * (1 - speed % 1))
     power = np.abs(np.fft.rfft(rest * np.hanning(len(rest)))[3:]) ** 2
     out |= {f"azimuth.band_{i}": float(band.sum() / power.sum()) for i, band in enumerate(np.array_split(power, 12))}
@@ -200,7 +187,7 @@ def patches_of(window: Sequences, draw: np.random.Generator) -> tuple[Array, Arr
     level, far, change = middles[0], middles[1], np.diff(distance, axis=1)
     beside = [levels[row, (laser[:, None] + by) % 16][:, 5:7] - level[:, None] for by in (2, -2)]
     steps = np.diff(window.azimuth_cdeg)[np.minimum(row[:, ::2] // 2, len(window.azimuth_cdeg) - 2)]
-    multiple = silent / np.maximum(commonest(d, r)[laser], 1)[:, None]
+    multiple = silent / np.maximum(commonest(d == 0, r)[laser], 1)[:, None]
     raw = np.concatenate([change, returned - level[:, None], multiple, *beside, steps, level[:, None]], axis=1)
     parts = (
         np.digitize(level, (2, 4, 8, 15, 30, 60)),

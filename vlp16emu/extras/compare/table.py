@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_LEAST_FACTOR = 1.25
+_OF_ONE_UNIT = 2.0
 
 
 class Known(NamedTuple):
@@ -30,10 +30,10 @@ class Known(NamedTuple):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Least and greatest value widened by half of the range; where both are above 0 by ratios, and at least by a quarter."""
+        """Least and greatest value widened by half of the range; where both are above 0 by ratios, and of one unit by a factor of two."""
         low, high, _ = self
         if low > 0.0:
-            factor = max(math.sqrt(high / low), _LEAST_FACTOR)
+            factor = math.sqrt(high / low) if high > low else _OF_ONE_UNIT
             return low / factor, high * factor
         return low - (high - low) / 2, high + (high - low) / 2
 
