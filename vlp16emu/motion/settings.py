@@ -314,7 +314,7 @@ class Walk(MotionSection):
 class Imu(Preset):
     """Rate, place and errors; densities as in IEEE Std 952-1997. Defaults are those of `ideal`."""
 
-    presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
+    presets: ClassVar[Mapping[str, Mapping[str, object]]] = {
         "ideal": {},
         # Noise of Bosch's BMG160 and BMA280, 0.014 deg/s and 120 ug per sqrt(Hz), and a tenth of their offsets of
         # 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by calibration is an assumption.

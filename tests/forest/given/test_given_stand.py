@@ -189,10 +189,10 @@ def test_the_densest_tile_tells_how_dense_the_stand_is(make):
 
 
 def test_crowns_are_prototypes_of_the_lists_own_trees(make):
-    """Trees of one species and class share the crown of their mean; its leaves are the species' LAI on its projection."""
+    """Trees of one species, class and third of crown ratios share the crown of their mean; its leaves are the species' LAI on its projection."""
     stand = make()
     one, other = stand.trees(0, 0)
-    keys = [stand.crown(int(t["cohort"]), int(t["crown_class"]), 1) for t in (one, other)]
+    keys = [stand.crown(int(t["cohort"]), int(t["crown_class"]), int(t["crown_variant"])) for t in (one, other)]
     assert keys[0] == keys[1]
     key = keys[0]
     assert key.species == "silver_birch"

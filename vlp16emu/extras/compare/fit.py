@@ -19,6 +19,8 @@ _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
 _EQUAL_STEPS, _COARSEST = 2.9, 5.0
 """Step of bright codes over their scatter and the share of equal neighbours, from our own packets; and its limit."""
+_ELSE_MM = 2.6
+"""White error that the detector and the 2 mm of a code add to that of the settings, from our own packets."""
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018
@@ -45,7 +47,8 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (stretches := stretches_of(sequences)) is not None:
         sine, _ = beat_of(stretches)
-        out["range_noise_m"] = round(found["range.white_at_20_mm"] * 1e-3, 5)
+        own_mm = math.sqrt(max(found["range.white_at_20_mm"] ** 2 - _ELSE_MM**2, 0.0))
+        out["range_noise_m"] = round(own_mm * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
@@ -57,13 +60,11 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "reflectivity.gain_spread" in found:
         out["gain_spread"] = round(min(found["reflectivity.gain_spread"], 0.3), 3)
-    over_middle = [
-        math.log(max(found[name], known.low / 100) / math.sqrt(known.low * known.high))
-        for name, known in REAL.items()
-        if name.startswith("lost.") and name in found
-    ]
-    if over_middle:
-        out["records_lost"] = round(min(math.exp(float(np.mean(over_middle))), _MOST_LOST), 2)
+    middles = {name: math.sqrt(REAL[name].low * REAL[name].high) for name in found if name.startswith("lost.")}
+    if middles:
+        out["records_lost"] = round(
+            min(float(np.median([found[name] / of for name, of in middles.items()])), _MOST_LOST), 2
+        )
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
         if level := _silent_level(sequences):

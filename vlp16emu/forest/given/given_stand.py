@@ -10,7 +10,7 @@ import numpy as np
 
 from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
+from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora, known
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.purpose import Growth
@@ -162,6 +162,8 @@ def _check_twice(table: Table, trees: Trees) -> None:
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
+_CROWN_RATIOS = 0.4, 0.6
+"""Between the variants of a class: no crown is stretched much along its stem."""
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 _HA_PER_TILE = TILE_M * TILE_M / 10_000
@@ -218,9 +220,9 @@ class GivenStand:
         return self._tiles.get((ix, iy), np.zeros(0, TREE))
 
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
-        """Name the crown prototype of a diameter class."""
+        """Name the crown prototype of a diameter class with such crown ratios."""
         own = self._species[cohort]
-        dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class]
+        dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class, variant]
         return CrownKey(
             species=own.name,
             variant=variant,
@@ -237,17 +239,17 @@ class GivenStand:
 def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     trees = trees.copy()
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
-    uniform = generator(seed, Growth.GIVEN_TREE).random((len(trees), 4))
+    uniform = generator(seed, Growth.GIVEN_TREE).random((len(trees), 3))
     trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
-    trees["crown_variant"] = VARIANTS * uniform[:, 1]
+    trees["crown_variant"] = np.digitize(1 - trees["crown_base_m"] / trees["height_m"], _CROWN_RATIOS)
     trees["crown_class"] = np.round(log(trees["dbh_m"] / _CLASS_BASE_M) / log(_CLASS_RATIO))
     for cohort, one in enumerate(species):
         own = trees["species"] == one.number
         trees["cohort"][own] = cohort
         trees["bark_reflectance"][own] = one.bark_reflectance
         trees["leaf_reflectance"][own] = one.leaf_reflectance
-    trees["bark_reflectance"] += BARK_SPREAD * (2 * uniform[:, 2] - 1)
-    trees["leaf_reflectance"] += LEAF_SPREAD * (2 * uniform[:, 3] - 1)
+    trees["bark_reflectance"] += BARK_SPREAD * (2 * uniform[:, 1] - 1)
+    trees["leaf_reflectance"] += LEAF_SPREAD * (2 * uniform[:, 2] - 1)
     return trees
 
 
@@ -285,10 +287,10 @@ def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], pa
     return trees[~in_the_way]
 
 
-def _prototypes(trees: Trees) -> dict[tuple[int, int], tuple[float, float, float, float]]:
-    """DBH, height, crown base and crown width of the mean tree of each cohort and crown class."""
-    kinds = np.column_stack([trees["cohort"], trees["crown_class"]]).astype(np.int64)
+def _prototypes(trees: Trees) -> dict[tuple[int, int, int], tuple[float, float, float, float]]:
+    """DBH, height, crown base and crown width of the mean tree of each cohort, crown class and variant."""
+    kinds = np.column_stack([trees["cohort"], trees["crown_class"], trees["crown_variant"]]).astype(np.int64)
     size = np.column_stack([trees[name] for name in ("dbh_m", "height_m", "crown_base_m", "crown_width_m")])
     names, of = np.unique(kinds, axis=0, return_inverse=True)
     means = [size[of.ravel() == i].mean(axis=0).tolist() for i in range(len(names))]
-    return {(int(c), int(k)): (d, h, b, w) for (c, k), (d, h, b, w) in zip(names, means, strict=True)}
+    return {(int(c), int(k), int(v)): (d, h, b, w) for (c, k, v), (d, h, b, w) in zip(names, means, strict=True)}

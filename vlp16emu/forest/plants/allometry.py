@@ -251,7 +251,7 @@ def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -
 def taper_radius_m(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
     """Radius (n, r) over bark of stems (n,) at heights (n, r), such that it is half the DBH at breast height.
 
-    `taper` (n, 13) is the `Taper.row` of each, the last of which is a tree's own: the radius over that at breast height is that of
+    `taper` (n, 13) is the `Taper.row` of each, its last number a tree's own: the radius over that at breast height is that of
     the curve to the power of one more than it, so more is more tapered. Below ground the radius stays that at the ground; at the
     tip it is 0 unless that has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
     """

@@ -2,7 +2,7 @@
 
 import fractions
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -58,6 +58,8 @@ RIVALS_M = 10.0
 """Distance to which trees compete. Hasenauer and Monserud (1996) have basal areas of angle counts, which reach as far for stems of 40 cm."""
 _WIDTH_BY_HEIGHT, _WIDTH_BY_RATIO = -0.2, 0.23
 """Correlation of the residuals of crown width with those of height and of crown ratio: pooled from trees of [B] in the species table."""
+_LEVELS = np.linspace(-1.2, 1.2, VARIANTS)
+"""Residuals of the crown ratio of the prototypes of a class, in sigmas: so no crown is stretched much along its stem."""
 _MOST_SIGMAS = 2.5  # residuals beyond are rare slips of the tape as likely as trees; keeps crowns near their prototypes
 _LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the path: above a walker's head
@@ -211,6 +213,7 @@ class Stand:
         self._path = path
         self._season, self._dead_branches = section.season, section.dead_branches
         self._crooked = section.crooked_stems
+        self.crown, self._crown_ratios = cache(self.crown), cache(self._crown_ratios)
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
@@ -229,6 +232,10 @@ class Stand:
             which = trees["cohort"] == i
             sizes = 100 * trees["dbh_m"][which], trees["height_m"][which], tuple(one[which] for one in pressure)
             trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, own[which, 6])
+        kinds, of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
+        ratios = np.array([self._crown_ratios(*kind) for kind in kinds.tolist()]).reshape(-1, VARIANTS)[of]
+        own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
+        trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
         clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
         return trees[~beaten & clear]
 
@@ -248,7 +255,7 @@ class Stand:
     def _sow_storey(self, number: int, ix: int, iy: int) -> tuple[Trees, Array]:
         position = self._patterns[number].points(ix, iy)
         rng = generator(self._seed, Growth.TREE, ix, iy, number)
-        uniform, normal = rng.random((len(position), 6)), rng.standard_normal((len(position), 6))
+        uniform, normal = rng.random((len(position), 5)), rng.standard_normal((len(position), 6))
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
         trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
@@ -256,22 +263,21 @@ class Stand:
         trees["lean_deg"] = hypot(lean_x, lean_y)
         trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
         trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
-        trees["crown_variant"] = VARIANTS * uniform[:, 1]
         trees["storey"] = number
         if self._crooked:
             trees["form"] = rng.integers(1, 2**63, len(position))
         cohorts = self._cohorts[number]
         share = np.array([cohort.share.share for cohort in cohorts])
-        cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 2], side="right")
+        cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 1], side="right")
         trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
         residual = residuals(normal[:, 2:])
         for i, cohort in enumerate(cohorts):
             own = cohort_of == i
-            trees[own] = cohort.sized(trees[own], uniform[own, 3:], residual[own])
+            trees[own] = cohort.sized(trees[own], uniform[own, 2:], residual[own])
         return trees, residual[:, 1]
 
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
-        """Name the crown prototype of a diameter class.
+        """Name the crown prototype of a diameter class: variants have short to long crowns.
 
         Each species bears its leaf area index on its share of the ground, which trees divide by their crown projection.
         """
@@ -285,12 +291,18 @@ class Stand:
             variant=variant,
             dbh_m=float(dbh_cm[0]) / 100,
             height_m=float(height_m[0]),
-            crown_base_m=float(own.species.crown_base_m(dbh_cm, height_m, self._mean_competition(dbh_cm))[0]),
+            crown_base_m=float(
+                own.species.crown_base_m(dbh_cm, height_m, self._mean_competition(dbh_cm), _LEVELS[variant])[0]
+            ),
             crown_width_m=float(width_m[0]),
             leaf_area_m2=float(leaf_area_m2[0]),
             season=self._season,
             dead_branches=self._dead_branches,
         )
+
+    def _crown_ratios(self, cohort: int, crown_class: int) -> list[float]:
+        keys = [self.crown(cohort, crown_class, variant) for variant in range(VARIANTS)]
+        return [1 - key.crown_base_m / key.height_m for key in keys]
 
     def _mean_competition(self, dbh_cm: Array) -> tuple[Array, Array]:
         larger = self._rivals_cm > dbh_cm[:, None]
