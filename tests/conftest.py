@@ -19,6 +19,16 @@ os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(Path(tempfile.gettempd
 WITHOUT_CASTING = ("device", "motion", "packets", "protocol", "report", "scenario", "sensor", "world")
 """Rooms whose tests cast no ray."""
 
+ALLOWED_SKIPS = {
+    "captures of others lie beside the repository and not in it": (
+        "beside the repository",
+        "not at hand",
+        "captures of real sensors",
+    ),
+    "a container may have no right to make networks": ("a private network needs root", "allows no private network"),
+    "the package is 400 MB for one test": ("no PCL tools",),
+}
+"""Parts of the reasons for which a test may be skipped with CI=true, and why."""
 
 WOODS = "VLP16EMU_TEST_WOODS"
 """Variable that names the folder of `kept_woods` to workers."""
@@ -31,6 +41,31 @@ def pytest_configure(config):
         os.environ[WOODS] = folder.name
         config.add_cleanup(lambda: os.environ.pop(WOODS))
         config.add_cleanup(folder.cleanup)
+
+
+def _without_skip(report):
+    """Turn a skip into a failure where CI is true, unless its reason is on the list."""
+    if not report.skipped or hasattr(report, "wasxfail") or os.environ.get("CI") != "true":
+        return report
+    reason = str(report.longrepr[-1] if isinstance(report.longrepr, tuple) else report.longrepr)
+    if not any(part in reason for parts in ALLOWED_SKIPS.values() for part in parts):
+        report.outcome, report.longrepr = (
+            "failed",
+            f"skipped with CI=true, and not on the list of tests/conftest.py: {reason}",
+        )
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    """Let no test be skipped in silence where all that it needs is installed."""
+    return _without_skip((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report():
+    """Let no file be skipped either."""
+    return _without_skip((yield))
 
 
 @pytest.fixture(scope="session")

@@ -50,6 +50,14 @@ CASE_LIST = [
     *ARCHIVES,
     Case("decode", "04-wireshark.pcapng", "", 0, packets(20), TSHARK),
     Case("decode", "07-fragments.pcap", "", 0, packets(20), "RFC 791, section 3.2, reassembly; tshark"),
+    Case(
+        "verify",
+        "07-fragments.pcap",
+        "",
+        1,
+        lambda t: t["broken_rules"] == {"header": 20} and len(t["findings"]) == 1,
+        "made so: 20 datagrams for one cause",
+    ),
     Case("verify", "01-sll.pcap", "", 0, only_notes(), "tshark: the same datagrams as on Ethernet"),
     Case(
         "bag",

@@ -7,7 +7,7 @@ from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SPAN_S = 5.0, 5.2
+SPAN_S = 5.0, 5.3
 RESOLUTION_M = 1.0
 THIN = "seed=5", "world.stems_per_ha=150", "sensor.max_range_m=25.0"
 
@@ -30,7 +30,7 @@ def forest(dual_returns):
 
 @pytest.fixture(scope="module", params=["typical", "ideal"])
 def pairs(dual_returns, forest, request):
-    """Two revolutions."""
+    """Three revolutions."""
     return dual_returns.pairs(forest[request.param], *SPAN_S)
 
 

@@ -86,7 +86,7 @@ def test_settings_and_faults_hold_for_the_packets_that_follow(live):
 
 def test_packets_of_no_stream_are_errors(live):
     """An unknown stamp, unit, kind or count is one line; so is a wait that is too long."""
-    with pytest.raises(InputError, match="packet: found another stamp"):
+    with pytest.raises(InputError, match="packet: found no truth of its time stamp"):
         live.truth(bytes([255]) * 1206)
     with pytest.raises(InputError, match="unit: found 2"):
         live.scans(unit=2)

@@ -10,7 +10,13 @@ from vlp16emu.types import Semantic
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SHORT = ["world.stems_per_ha=150", "sensor.max_range_m=15.0", "beam.model=none", "seed=5"]
+SHORT = [
+    "world.stems_per_ha=150",
+    "sensor.max_range_m=15.0",
+    "beam.model=none",
+    "seed=5",
+    "sensor.start_azimuth_deg=0.1",
+]
 
 
 def scan(*settings):

@@ -4,6 +4,7 @@ python tools/unmask_trees.py WINDOWS.npz
 """
 
 import sys
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,8 +14,6 @@ from sklearn.metrics import roc_auc_score
 Array = np.ndarray
 SCENE_SHARE = 0.3
 """Share of the variance over emulated windows that is between scenes, from which on a feature is one of the scene."""
-LEAST_HAVE = 0.5
-"""Share of the windows of a unit, and of the units of either class, that have a feature which counts."""
 TRAINED = 40_000
 """Patches learnt at most."""
 STRONGEST = 5
@@ -26,6 +25,7 @@ class Data:
     def __init__(self, path: str) -> None:
         file = np.load(path)
         self.names, self.features = file["names"], file["features"]
+        self.groups = np.array([name.partition(".")[0] for name in self.names])
         self.unit, self.scene, self.seed = file["unit"], file["scene"], file["seed"]
         self.patches, self.stratum = file["patches"], file["stratum"]
         self.real = self.scene == "real"
@@ -33,18 +33,18 @@ class Data:
 
 
 def scene_share(data: Data) -> Array:
-    """Return the share of each feature's variance over emulated windows that is between the scenes (f,)."""
-    ours, scene = data.features[~data.real], data.scene[~data.real]
-    means = np.stack([np.nanmean(ours[scene == one], axis=0) for one in np.unique(scene)])
-    counts = np.stack([np.isfinite(ours[scene == one]).sum(axis=0) for one in np.unique(scene)])
-    between = (counts * (means - np.nanmean(ours, axis=0)) ** 2).sum(axis=0) / counts.sum(axis=0)
-    return between / np.maximum(np.nanvar(ours, axis=0), 1e-30)
+    """Return the share of each feature's variance over emulated windows that is between the scenes (f,), which weigh alike."""
+    own = [data.features[~data.real & (data.scene == one)] for one in dict.fromkeys(data.scene[~data.real])]
+    with warnings.catch_warnings(action="ignore"):  # a scene may be without a feature
+        between = np.nanvar([np.nanmean(of, axis=0) for of in own], axis=0)
+        within = np.nanmean([np.nanvar(of, axis=0) for of in own], axis=0)
+    return np.where(data.groups == "scene", 1.0, between / np.maximum(between + within, 1e-30))
 
 
 def shown_by_all(data: Data) -> Array:
     """Return whether half the windows of half the units of either class have a feature (f,)."""
-    has = {u: np.isfinite(data.features[data.unit == u]).mean(axis=0) >= LEAST_HAVE for u in np.unique(data.unit)}
-    return np.min([np.mean([has[u] for u in units], axis=0) for units in data.units.values()], axis=0) >= LEAST_HAVE
+    has = {unit: np.isfinite(data.features[data.unit == unit]).mean(axis=0) >= 0.5 for unit in np.unique(data.unit)}
+    return np.all([np.mean([has[unit] for unit in units], axis=0) >= 0.5 for units in data.units.values()], axis=0)
 
 
 def folds(data: Data) -> Iterator[tuple[str, Array, Array]]:
@@ -67,7 +67,7 @@ def weights_of(data: Data, rows: Array, positive: Array) -> Array:
 
 def tree() -> HistGradientBoostingClassifier:
     return HistGradientBoostingClassifier(
-        max_depth=3, max_iter=120, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
+        max_depth=3, max_iter=60, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
     )
 
 
@@ -82,30 +82,20 @@ def summarised(
 
 def raw(data: Data, learnt: Array, ranked: Array, positive: Array) -> Array:
     """Return mean logits of the patches of windows; in each stratum both classes weigh alike, so that it tells nothing."""
-    per_window = data.patches.shape[1]
-    draw = np.random.default_rng(0)
-    x, stratum = data.patches[learnt].reshape(-1, data.patches.shape[2]), data.stratum[learnt].ravel()
-    y, weight = np.repeat(positive[learnt], per_window), np.repeat(weights_of(data, learnt, positive), per_window)
-    key = 2 * stratum + y
-    keys, of = np.unique(key, return_inverse=True)
-    sums = np.bincount(of, weight)
-    other = dict(zip(keys.tolist(), sums.tolist(), strict=True))
-    # A stratum weighs as much as the class that has less of it; one that a class lacks is not learnt.
-    shared = np.array(
-        [min(mass, other.get(one ^ 1, 0.0)) / mass for one, mass in zip(keys.tolist(), sums, strict=True)]
+    count, channels = data.patches.shape[1:]
+    x, y = data.patches[learnt].reshape(-1, channels), np.repeat(positive[learnt], count)
+    weight = np.repeat(weights_of(data, learnt, positive), count)
+    strata, of = np.unique(data.stratum, return_inverse=True)
+    of = of.reshape(data.stratum.shape)
+    mass = np.stack([np.bincount(of[learnt].ravel(), weight * (y == own), len(strata)) for own in (False, True)])
+    # A stratum weighs as much as the class that has less of it: one that a class lacks is not learnt, and tells nothing.
+    weight *= (mass.min(axis=0) / np.maximum(mass, 1e-30))[y.astype(int), of[learnt].ravel()]
+    rows = np.random.default_rng(0).choice(
+        len(x), min(TRAINED, (weight > 0).sum()), replace=False, p=weight / weight.sum()
     )
-    weight = weight * shared[of]
-    rows = draw.choice(len(x), min(TRAINED, len(x)), replace=False, p=weight / weight.sum())
     model = tree().fit(x[rows], y[rows])
-    known = set(stratum[weight > 0].tolist())
-    flat = data.patches[ranked].reshape(-1, data.patches.shape[2])
-    logit = np.where([one in known for one in data.stratum[ranked].ravel()], model.decision_function(flat), np.nan)
-    logit = logit.reshape(-1, per_window)
-    return np.nan_to_num(np.nanmean(np.where(np.isfinite(logit).any(axis=1)[:, None], logit, 0.0), axis=1))
-
-
-def area(positive: Array, logit: Array) -> float:
-    return float(roc_auc_score(positive, logit))
+    logit = model.decision_function(data.patches[ranked].reshape(-1, channels)).reshape(-1, count)
+    return (logit * (mass.min(axis=0) > 0)[of[ranked]]).mean(axis=1)
 
 
 def null(data: Data, x: Array) -> list[float]:
@@ -117,7 +107,7 @@ def null(data: Data, x: Array) -> list[float]:
             for positive, negative in (((a, c), (b, d)), ((a, d), (b, c))):
                 is_positive = np.isin(data.unit, positive)
                 learnt, ranked = (np.isin(data.unit, pair) for pair in zip(positive, negative, strict=True))
-                out.append(area(is_positive[ranked], summarised(data, x, learnt, ranked, is_positive)[0]))
+                out.append(roc_auc_score(is_positive[ranked], summarised(data, x, learnt, ranked, is_positive)[0]))
     return out
 
 
@@ -132,28 +122,29 @@ def importance(model: HistGradientBoostingClassifier, x: Array) -> Array:
     return out
 
 
-def report(data: Data, names: Array, x: Array, title: str) -> None:
-    """Print the areas of the trees for one set of features, and the features that carried them."""
+def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> None:
+    """Print the areas of the trees for some features; for `whole` also of real units against each other, and what carried them."""
+    names, x = data.names[wanted], data.features[:, wanted]
     carried, areas = np.zeros(len(names)), []
     for _, learnt, ranked in folds(data):
-        logit, model, whole = summarised(data, x, learnt, ranked, data.real)
-        areas.append(area(data.real[ranked], logit))
-        carried += importance(model, whole[ranked])
-    chance = null(data, x)
-    cells = " ".join(f"{one:.2f}" for one in areas)
-    print(
-        f"| {title} ({len(names)}) | {np.mean(areas):.2f} | {cells} | {np.mean(chance):.2f} +- {np.std(chance):.2f} |",
-        flush=True,
-    )
-    strongest = np.argsort(-carried)[:STRONGEST]
-    for i in strongest:
-        middles = [f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True]]
-        ours = np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9))
+        logit, model, filled = summarised(data, x, learnt, ranked, data.real)
+        areas.append(roc_auc_score(data.real[ranked], logit))
+        carried += importance(model, filled[ranked]) if whole else 0.0
+    chance = null(data, x) if whole else []
+    between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if whole else ""
+    print(f"| {title} ({len(names)}) | {line(areas)} | {between} |", flush=True)
+    if not whole:
+        return
+    for i in np.argsort(-carried)[:STRONGEST]:
         seen = np.isfinite(x[:, i])
-        single = area(data.real[seen], x[seen, i])
-        print(
-            f"|   {names[i]} | {max(single, 1 - single):.2f} | {' '.join(middles)} | {' ... '.join(f'{v:.3g}' for v in ours)} |"
-        )
+        single = roc_auc_score(data.real[seen], x[seen, i])
+        real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
+        ours = " ... ".join(f"{value:.3g}" for value in np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9)))
+        print(f"| - {names[i]} | {max(single, 1 - single):.2f} | {real} | {ours} |")
+
+
+def line(areas: list[float]) -> str:
+    return f"{np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in areas)}"
 
 
 def main() -> None:
@@ -166,17 +157,15 @@ def main() -> None:
         f"Real units: {', '.join(data.units[True])}. A row of a feature: its own area, its middle on these, and P10, P50, P90 of ours.\n"
     )
     print("| Trees | area | left out: each real unit | real against real |\n|---|---|---|---|")
-    groups = np.array([name.partition(".")[0] for name in data.names])
-    unit = counts & ~of_scene & (groups != "arrival")
-    report(data, data.names[unit], data.features[:, unit], "features of units")
-    for group in dict.fromkeys(groups[unit]):
-        own = unit & (groups == group)
-        report(data, data.names[own], data.features[:, own], f"{group} alone")
-    report(data, data.names[counts & of_scene], data.features[:, counts & of_scene], "features of scenes")
-    areas = [area(data.real[ranked], raw(data, learnt, ranked, data.real)) for _, learnt, ranked in folds(data)]
-    print(f"| raw patches | {np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in areas)} | |")
+    of_unit = counts & ~of_scene & (data.groups != "arrival")
+    report(data, of_unit, "features of units", whole=True)
+    for group in dict.fromkeys(data.groups[of_unit]):
+        report(data, of_unit & (data.groups == group), f"{group} alone")
+    report(data, counts & of_scene & (data.groups != "arrival"), "features of scenes")
+    areas = [roc_auc_score(data.real[ranked], raw(data, learnt, ranked, data.real)) for _, learnt, ranked in folds(data)]
+    print(f"| raw patches | {line(areas)} | |")
     print(
-        f"\nOf the scene, as more than {SCENE_SHARE:.0%} of their variance is between scenes: {', '.join(data.names[counts & of_scene])}"
+        f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: {', '.join(data.names[counts & of_scene])}"
     )
 
 

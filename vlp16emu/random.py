@@ -58,6 +58,10 @@ class Purpose(IntEnum):
     CAPTURE_HOST = 110
     TEXTURE = 116
     POWER_UP = 117
+    MOUNT = 130
+    IMU_MODEL = 131
+    IMU_STAMP = 132
+    PASSER = 133
     LOSS = 118
     SCORE_DISK = 92
 

@@ -126,7 +126,7 @@ def test_a_walk_that_is_too_short_leaves_the_old_file_alone(cli, tmp_path):
 
 def wait_for(folder, size):
     """Wait until the unfinished capture in a folder has grown, and return its path."""
-    for _ in range(600):
+    for _ in range(6000):
         for part in folder.glob("x.pcap.*.part"):
             if part.stat().st_size > size:
                 return part

@@ -27,6 +27,7 @@ TABLES = {
     "schema": 1,
     "seed": 5,
     "duration_s": STOP_S,
+    "sensor": {"preset": "steady"},
     "beam": {"model": "none"},
     "motion": {"kind": "static"},
     "world": {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0},

@@ -23,7 +23,7 @@ FOREST = [
 @pytest.fixture(scope="module")
 def birch():
     """A thin forest, with a receiver that trees disturb easily."""
-    return Emulator(load("birch_walk", FOREST), threads=2)
+    return Emulator(load("birch_walk", [*FOREST, "sensor.preset=steady"]), threads=2)
 
 
 class Closed:

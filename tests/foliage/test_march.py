@@ -273,6 +273,29 @@ def test_a_ray_is_the_same_alone_and_in_any_order(stand):
     assert met > 4000
 
 
+@pytest.mark.parametrize("half_width", [0.05, 0.6, 3.0])
+def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stand, half_width):
+    """What pulses that look into a sector, narrow or around, meet is the same with the stems listed for each of them alone."""
+    medium, rng, met, n = stand[2], np.random.default_rng(7), 0, 60
+    for towards in rng.uniform(-np.pi, np.pi, 4):
+        azimuth = towards + rng.uniform(-half_width, half_width, n)
+        axes = np.zeros((n, 6), "f4")
+        axes[:, :3] = rng.uniform(-0.05, 0.05, (n, 3)) - [0.0, 0.0, 0.5]
+        level, axes[:, 5] = np.cos(rise := rng.uniform(-0.3, 0.3, n)), np.sin(rise)
+        axes[:, 3], axes[:, 4] = level * np.cos(azimuth), level * np.sin(azimuth)
+        ahead, every = lab.sight_of(medium, axes, FAR_M)
+        assert (len(medium.stems.line) == every) == (half_width > 1.0)
+        for line in axes:
+            alone, together = lanes(), lanes()
+            for L in (alone, together):
+                L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = line[:3], line[3:], FAR_M, NO_SURFACE
+            lab.march_through(medium, alone, 1, line, FAR_M)
+            lab.march_through(medium, together, 1, line, FAR_M, stems=(ahead, every))
+            assert (alone.range_m[0], alone.surface[0]) == (together.range_m[0], together.surface[0])
+            met += alone.surface[0] in medium.stems.surface
+    assert met > 60
+
+
 def test_what_is_hit_before_hides_what_is_behind(stand):
     """Light that is given up before a hit meets nothing, and light that is given up behind it meets the same."""
     world, _, medium = stand

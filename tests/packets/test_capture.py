@@ -55,6 +55,29 @@ def pcapng(*frames, order="<", options=b"", link_types=(1,), stamp=1_700_000_000
     return out
 
 
+def tunnel(protocol, content):
+    """Put an Ethernet frame of IPv4 around what a tunnel carries; the protocol 17 is UDP, with its ports in the content."""
+    length = struct.pack(">H", 20 + len(content))
+    return DATA[:16] + length + DATA[18:23] + bytes([protocol]) + DATA[24:34] + content
+
+
+def gre(kind, flags, content):
+    return tunnel(47, struct.pack(">BBH", flags, 0, kind) + content)
+
+
+def modified(*frames):
+    """Write a capture as routers do that run an old patched tcpdump: 8 more bytes in the header of each record."""
+    out = struct.pack("<IHHIIII", 0xA1B2CD34, 2, 4, 0, 0, 65_535, 1)
+    for frame in frames:
+        out += struct.pack("<6I", 1_700_000_000, 123_456, len(frame), len(frame), 1, 0x800) + frame
+    return out
+
+
+WIFI = b"\x08\2\0\0" + bytes(20) + b"\xaa\xaa\3\0\0\0\x08\0" + IP
+WIFI_QOS = b"\x88\2\0\0" + bytes(22) + b"\xaa\xaa\3\0\0\0\x08\0" + IP
+GENEVE = struct.pack(">HHHHBBH4xI", 4660, 6081, 20 + len(DATA), 0, 1, 0, 0x6558, 0x01020300) + DATA
+
+
 def read(tmp_path, content, name="some.pcap", **options):
     """Read a capture from its bytes."""
     path = tmp_path / name
@@ -130,6 +153,19 @@ def test_pcapng_gives_exact_stamps(tmp_path, order, options, stamp):
         pytest.param(pcapng((0, DATA), kind=3), id="simple packet block"),
         pytest.param(pcapng((0, DATA), kind=2), id="packet block"),
         pytest.param(pcapng((0, DATA)) + pcapng((0, POSITION), order=">"), id="two sections"),
+        pytest.param(modified(DATA, POSITION), id="modified pcap: dpkt#632, ntopng#2443"),
+        pytest.param(pcap(WIFI, WIFI_QOS, link_type=105), id="802.11: captcp#16"),
+        pytest.param(pcap(b"\0\0\x08\0\0\0\0\0" + WIFI, link_type=127), id="radiotap"),
+        pytest.param(pcap(struct.pack(">II56x", 0x80211001, 64) + WIFI, link_type=163), id="AVS"),
+        pytest.param(pcap(struct.pack("<HHI", 0, 8, 105) + WIFI, link_type=192), id="PPI"),
+        pytest.param(pcap(struct.pack("<III96x", 108, 1, 1) + DATA, link_type=258), id="PKTAP of macOS: tcpdump#1330"),
+        pytest.param(
+            pcap(struct.pack("<I2HI2H", 2, 8, 1, 0, 4 + len(IP), 9) + IP, link_type=239), id="netfilter log of Linux"
+        ),
+        pytest.param(pcap(gre(0x88BE, 0, DATA)), id="ERSPAN I: beats#34977"),
+        pytest.param(pcap(gre(0x88BE, 0x10, bytes(4) + b"\x10" + bytes(7) + DATA)), id="ERSPAN II: captagent#59"),
+        pytest.param(pcap(gre(0x22EB, 0x10, bytes(4) + b"\x20" + bytes(11) + DATA)), id="ERSPAN III: heplify#121"),
+        pytest.param(pcap(DATA, POSITION) + bytes(4096), id="zeros behind the end, by a loss of power: tcpreplay#405"),
     ],
 )
 def test_what_tshark_reads_is_read(tmp_path, content):
@@ -151,6 +187,7 @@ def test_what_tshark_reads_is_read(tmp_path, content):
             DATA[:23] + b"\x2f" + DATA[24:34] + b"\x20\0\x65\x58\0\0\0\7" + DATA, id="Ethernet in GRE with a key"
         ),
         pytest.param(DATA[:36] + b"\x12\xb5" + DATA[38:42] + b"\x08" + bytes(7) + DATA, id="VXLAN"),
+        pytest.param(tunnel(17, GENEVE), id="Geneve with an option"),
         pytest.param(DATA[:14] + b"\x46" + DATA[15:34] + bytes(4) + DATA[34:], id="IP options"),
         pytest.param(DATA + b"\xde\xad\xbe\xef", id="padding"),
     ],
@@ -275,6 +312,22 @@ def test_what_comes_twice_is_read_once(tmp_path):
     assert [d.number for d in datagrams] == [1, 3, 6, 7]
     assert capture.repeated == 3
     assert len(read(tmp_path, pcap(DATA, DATA), repeats=True)[0]) == 2
+
+
+def test_files_behind_each_other_are_one_capture(tmp_path):
+    """What `cat` makes of captures is read as tenzir#3513 asks, each with its own link type; tshark stops at the second header."""
+    datagrams, capture = read(tmp_path, pcap(DATA) + pcap(IP, link_type=101) + pcap() + pcap(POSITION), repeats=True)
+    assert [(d.number, d.link_type, len(d.payload)) for d in datagrams] == [(1, 1, 1206), (2, 101, 1206), (3, 1, 512)]
+    assert not capture.cut
+
+
+def test_data_packets_that_the_host_has_merged_are_taken_apart(tmp_path):
+    """One datagram of three data packets, as UDP GRO of Linux hands it on (slimcap#99), is these three, of one frame number."""
+    payloads = [b"\xff\xee" + bytes([i]) * 1204 for i in range(3)]
+    whole = tunnel(17, DATA[34:38] + struct.pack(">HH", 8 + 3 * 1206, 0) + b"".join(payloads))
+    datagrams, capture = read(tmp_path, pcap(whole))
+    assert ([d.payload for d in datagrams], {d.number for d in datagrams}, capture.frames) == (payloads, {1}, 1)
+    assert {d.captured_bytes for d in datagrams} == {1248}
 
 
 def test_files_of_one_walk_are_one_capture(tmp_path):

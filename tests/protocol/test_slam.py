@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.extras.slam import Rig, configurations, programs, protocol_files
+from vlp16emu.extras.slam import Rig, configurations, programs
 from vlp16emu.extras.slam.fitness import ROWS
 
 NAMES = tomllib.loads(Path(__file__).with_name("slam_names.toml").read_text(encoding="utf-8"))
@@ -35,10 +35,10 @@ def leaves(tree, path=""):
             yield f"{path}{key}", value
 
 
-def test_the_folder_is_made_of_the_table(protocol):
+def test_the_folder_is_made_of_the_table(protocol, tool_named):
     """Every file of protocol/slam is what the table makes, and there is no other."""
     there = {path.name: path.read_text(encoding="utf-8") for path in (protocol / "slam").iterdir()}
-    assert there == protocol_files()
+    assert there == tool_named("slam_files").made()
 
 
 def test_each_program_has_its_line(protocol):

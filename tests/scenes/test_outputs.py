@@ -7,7 +7,7 @@ import pytest
 
 from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD, SLOT_COLUMNS
-from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS
+from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS, ATTITUDE, STAMP
 from vlp16emu.forest.given.given_stand import _COLUMNS
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.forest.stand.inventory import INVENTORY
@@ -77,7 +77,7 @@ def test_the_labels_are_given_with_their_numbers(number, labels):
 def test_the_columns_of_the_truth_are_given():
     """The table of labels names every column that `--truth` adds, and those of IMU and GNSS every column of their files."""
     assert [name for row in table("Labels") for name in names(row[0])] == [c.name for c in TRUTH_COLUMNS]
-    assert [name for row in table("imu.csv") for name in names(row[0])] == list(_IMU_COLUMNS)
+    assert [name for row in table("imu.csv") for name in names(row[0])] == [*_IMU_COLUMNS, *ATTITUDE, STAMP]
     assert [name for row in table("gnss.csv") for name in names(row[0])] == list(_GNSS_COLUMNS)
     assert [name for row in table("returns.parquet") for name in names(row[0])] == list(SLOT_COLUMNS)
 

@@ -10,7 +10,11 @@ from vlp16emu.sensor import Sensor
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.types import PacketKind
 
-HALL = {"schema": 1, "motion": {"kind": "static"}, "world": {"kind": "hall", "length_m": 9.0, "width_m": 7.0, "height_m": 3.0}}
+HALL = {
+    "schema": 1,
+    "motion": {"kind": "static"},
+    "world": {"kind": "hall", "length_m": 9.0, "width_m": 7.0, "height_m": 3.0},
+}
 
 
 def test_units_differ_in_their_state():

@@ -18,6 +18,7 @@ from vlp16emu.cli.printer import (
     tree_of,
 )
 from vlp16emu.cli.start import compile_first
+from vlp16emu.cli.terminal import Progress
 from vlp16emu.errors import InputError
 from vlp16emu.options import Option
 
@@ -86,7 +87,8 @@ def forest(
 
         check_matplotlib()
     compile_first(scenario.world.kind)
-    summary = _surveyed(scene, scenario, radius_m, wanted, seen)
+    with Progress(0.0):
+        summary = _surveyed(scene, scenario, radius_m, wanted, seen)
     if as_json:
         written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})

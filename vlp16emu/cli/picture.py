@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import stop_on_ctrl_c
+from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
 from vlp16emu.errors import InputError
 from vlp16emu.extras.options import PictureLook
 from vlp16emu.options import Option
@@ -50,7 +50,7 @@ def picture(
     is_capture = is_capture_name(scene)
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
-    with stop_on_ctrl_c() as stop:
+    with stop_on_ctrl_c() as stop, Progress(0.0, "drawing"):
         if is_capture:
             made = _of_capture(Path(scene), trajectory, (span.start_s, span.duration_s), out, look, stop)
         else:

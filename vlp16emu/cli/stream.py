@@ -121,7 +121,7 @@ def replay(
     from vlp16emu.run.replay import replay as send_again
 
     host, _ = options.receiver
-    with stop_on_ctrl_c() as stop, Progress(0.0) as progress:
+    with stop_on_ctrl_c() as stop, Progress(0.0, "sending") as progress:
         replayed = send_again(
             file,
             **vars(options),

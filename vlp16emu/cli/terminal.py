@@ -48,7 +48,6 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         restore()
 
 
-_FIRST = "growing the world"
 _REFRESH_S = 0.5
 """Drawing takes a millisecond, which a packet that is due must not wait for more often."""
 
@@ -62,10 +61,11 @@ class Progress:
     Parameters
     ----------
     total_s : simulated seconds to come
+    first : what is being done until then
     """
 
-    def __init__(self, total_s: float) -> None:
-        self._total_s = total_s
+    def __init__(self, total_s: float, first: str = "growing the world") -> None:
+        self._total_s, self._first = total_s, first
         self._next_s = 0.0
         self._begun = threading.Event()
         self._bar = None
@@ -82,7 +82,7 @@ class Progress:
                 TextColumn("left"),
             )
             self._bar = Bar(*columns, console=Console(stderr=True), auto_refresh=False, transient=True)
-            self._task = self._bar.add_task(_FIRST, total=total_s)
+            self._task = self._bar.add_task(first, total=total_s)
 
     def __enter__(self) -> Self:
         if self._bar is not None:
@@ -99,7 +99,7 @@ class Progress:
     def _show_life(self) -> None:
         began_s = time.monotonic()
         while not self._begun.wait(_REFRESH_S):
-            self._draw(f"{_FIRST}, {time.monotonic() - began_s:.0f} s", 0.0)
+            self._draw(f"{self._first}, {time.monotonic() - began_s:.0f} s", 0.0)
 
     def _draw(self, task: str, done_s: float) -> None:
         """Draw the bar, until the terminal is gone."""

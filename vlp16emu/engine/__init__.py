@@ -1,6 +1,6 @@
 """A scenario set up and run in order: units, blocks, windows, timeline, merge."""
 
-from vlp16emu.engine.build import Parts, Unit, assemble, beam_of, clock_at, in_one_world, in_phase_deg
+from vlp16emu.engine.build import Parts, Unit, assemble, beam_of, clock_at, in_one_world, in_phase_deg, mounts_of
 from vlp16emu.engine.engine import Engine, Job, Tap, scan
 from vlp16emu.engine.gps import GpsInput
 from vlp16emu.engine.timeline import Stretch, Timeline
@@ -21,6 +21,7 @@ __all__ = [
     "clock_at",
     "in_one_world",
     "in_phase_deg",
+    "mounts_of",
     "scan",
     "window_of",
     "workers",

@@ -11,12 +11,13 @@ import numpy as np
 from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.engine.gps import GpsInput
+from vlp16emu.engine.people import People
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
 from vlp16emu.random import Purpose, generator
@@ -35,6 +36,8 @@ from vlp16emu.world.site import Sway
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
+_IMU = 1000
+"""Device whose mount is that of the inertial unit, beyond all sensors."""
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
 
@@ -110,10 +113,14 @@ class Parts:
     carrier: Motion
     """Motion of the body that carries the devices."""
     imu: ImuSampler | None
+    imu_mount: Mount
+    """True mount of the inertial unit, if there is one."""
     world: World
     """At rest."""
     wind: Sway | None
     """What moves its trees."""
+    people: People | None
+    """People beside the carrier."""
     gps: GpsInput
     """What the receiver sends; what each unit gets of it is the unit's."""
 
@@ -130,7 +137,7 @@ class Parts:
     @property
     def moves(self) -> bool:
         """True if a sensor, or what it sees, moves."""
-        return self.wind is not None or any(unit.motion.moves for unit in self.units)
+        return self.wind is not None or self.people is not None or any(unit.motion.moves for unit in self.units)
 
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
@@ -161,13 +168,18 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
         carrier, world, wind = like.parts.carrier, like.parts.world, like.parts.wind
     else:
         carrier, world, wind = _world(scenario)
-    start_ns, imu = scenario.start_ns, scenario.imu
-    mounts = [mounted(carrier, mount, start_ns) for _, mount in _sensors(scenario)]
-    sampler = None
+    start_ns, imu, seed = scenario.start_ns, scenario.imu, scenario.sensor_seed
+    top = scenario.motion.under_sensors(carrier)
+    motions = [mounted(top, mount, start_ns) for mount in _true_mounts(scenario)]
+    sampler, imu_mount = None, Mount()
     if imu:
-        sampler = ImuSampler(mounted(carrier, imu.mount, start_ns), imu, start_ns=start_ns, seed=scenario.sensor_seed)
-    units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(mounts))
-    return Parts(units, carrier, sampler, world, wind, _gps(scenario))
+        imu_mount = true_mount(imu.mount, seed, _IMU)
+        sampler = ImuSampler(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
+    units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(motions))
+    people = None
+    if scenario.people:
+        people = People(scenario.people, carrier, world.height_m, start_ns=start_ns, seed=scenario.motion_seed)
+    return Parts(units, carrier, sampler, imu_mount, world, wind, people, _gps(scenario))
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
@@ -223,19 +235,28 @@ def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
     return carrier, world, wind
 
 
+def mounts_of(scenario: Scenario) -> list[Mount]:
+    """Return the mounts of all sensors, as their users are given them."""
+    return [scenario.motion.mount, *(unit.mount for unit in scenario.rig)]
+
+
 def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
-    return [(scenario.sensor, scenario.motion.mount), *((unit, unit.mount) for unit in scenario.rig)]
+    return list(zip([scenario.sensor, *scenario.rig], mounts_of(scenario), strict=True))
+
+
+def _true_mounts(scenario: Scenario) -> list[Mount]:
+    return [true_mount(mount, scenario.sensor_seed, device) for device, mount in enumerate(mounts_of(scenario))]
 
 
 def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
-    (given, mount), seed = _sensors(scenario)[number], seed_of(scenario, number)
+    given, seed = [scenario.sensor, *scenario.rig][number], seed_of(scenario, number)
     section = powered_up(given, seed)
     head = _head(scenario, section, seed)
     mode = ReturnMode(section.return_mode)
     unit = Unit(
         number=number,
         section=section,
-        mount=mount,
+        mount=_true_mounts(scenario)[number],
         seed=seed,
         head=head,
         motion=motion,
@@ -278,7 +299,7 @@ def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
     angle_deg, error_rpm = section.start_azimuth_deg or 0.0, section.speed_error_rpm
     if phase_deg is not None:
         angle_deg, error_rpm = in_phase_deg(phase_deg, section.rpm, start_ns), 0.0
-    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm)
+    swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm, is_exact=section.rotation_spread == 0.0)
     rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
     beams = with_angle_errors(
         beams_of(section),

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from vlp16emu.elementary import matmul, matvec, norm
+from vlp16emu.elementary import exp, matmul, matvec, norm
 from vlp16emu.motion.pose import Motion, rotations
 from vlp16emu.motion.settings import Imu
-from vlp16emu.random import Purpose, normal, normal_pair
+from vlp16emu.random import Purpose, normal, normal_pair, uniform
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
 
@@ -38,6 +38,8 @@ class Inertial:
     accel_bias_m_s2: Array
     world_R_imu: Array | None = None
     """(n, 3, 3) the attitude that the unit reports, with its drift; None without `attitude`."""
+    stamp_ns: IntArray | None = None
+    """(n,) UTC by the unit's time stamps; None if that is `t_ns`."""
 
 
 class ImuSampler:
@@ -45,6 +47,24 @@ class ImuSampler:
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
         self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
+        self._responses = [self._response(lane) for lane in range(2)]
+
+    def _response(self, lane: int) -> Array | None:
+        """Draw what the axes of gyroscopes (lane 0) or accelerometers show of a rate or a force (3, 3); None for that alone."""
+        scale, cross = self._imu.scale_error, self._imu.cross_axis
+        if not (scale or cross):
+            return None
+        drawn = normal(self._seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3)
+        return np.eye(3) + (cross + (scale - cross) * np.eye(3)) * drawn
+
+    def late_ns(self, first: int, count: int) -> IntArray:
+        """Return how long after samples first .. first + count - 1 their time stamps are: (count,)."""
+        (least_s, greatest_s), late_s = self._imu.delay_s, np.zeros(count)
+        if greatest_s:
+            late_s += least_s + (greatest_s - least_s) * uniform(self._seed, Purpose.IMU_STAMP, 0, 1, 0)[0]
+        if self._imu.jitter_s:
+            late_s += self._imu.jitter_s * uniform(self._seed, Purpose.IMU_STAMP, first, count, 1)
+        return np.rint(late_s * S_NS).astype(np.int64)
 
     def read(self, first: int, count: int) -> Inertial:
         """Return samples first .. first + count - 1; the same whatever was read before."""
@@ -53,12 +73,19 @@ class ImuSampler:
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
         force = matvec(truth.world_R_body.swapaxes(1, 2), up)
         e, w = self._imu, truth.body_w_rad_s
-        gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz
-        accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
+        gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz, e.gyro_warm_up_rad_s
+        accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz, e.accel_warm_up_m_s2
         w_errors, w_bias = self._errors_of(gyro, first, count, 0)
         force_errors, force_bias = self._errors_of(accel, first, count, 3)
         attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
-        return Inertial(t_ns, w + w_errors, force + force_errors, w, force, w_bias, force_bias, attitude)
+        seen_w, seen_force = (
+            true if response is None else matvec(response, true)
+            for response, true in zip(self._responses, (w, force), strict=True)
+        )
+        late_ns = self.late_ns(first, count)
+        stamp_ns = t_ns + late_ns if late_ns.any() else None
+        read = seen_w + w_errors, seen_force + force_errors
+        return Inertial(t_ns, *read, w, force, w_bias, force_bias, attitude, stamp_ns)
 
     def _attitude(self, world_R_imu: Array, w_bias: Array, force_bias: Array, first: int) -> Array:
         """Return the reported attitude (n, 3, 3) of samples from `first` on.
@@ -78,10 +105,13 @@ class ImuSampler:
         return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
 
     def _errors_of(
-        self, sizes: tuple[float, float, float], first: int, count: int, first_axis: int
+        self, sizes: tuple[float, float, float, float], first: int, count: int, first_axis: int
     ) -> tuple[Array, Array]:
         """Errors (count, 3) of three axes, white noise and bias; and the bias alone. What is zero is not drawn."""
-        bias, noise, walk = sizes
+        bias, noise, walk, warm_up = sizes
+        warmed = (
+            1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * self._imu.warm_up_s)) if warm_up else 0.0
+        )
         out, slow = np.zeros((count, 3)), np.zeros((count, 3))
         for axis in range(3):
             lane = first_axis + axis
@@ -95,6 +125,10 @@ class ImuSampler:
                 wandered = walk / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, count, lane)
                 slow[:, axis] += wandered
                 out[:, axis] += wandered
+            if warm_up:
+                drifted = warm_up * normal(self._seed, Purpose.IMU_BIAS, 1, 1, lane)[0] * warmed
+                slow[:, axis] += drifted
+                out[:, axis] += drifted
         return out, slow
 
 

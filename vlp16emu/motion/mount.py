@@ -8,6 +8,7 @@ import numpy as np
 from vlp16emu.elementary import matmul, matvec, norm
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.settings import Mount
+from vlp16emu.random import Purpose, normal
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
@@ -16,6 +17,18 @@ from vlp16emu.units import S_NS
 def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
     """Motion of a device as of `MountedMotion`; the carrier's own where the mount changes nothing."""
     return carrier if mount.trivial else MountedMotion(carrier, mount, start_ns)
+
+
+def true_mount(mount: Mount, seed: int, device: int) -> Mount:
+    """Return the true mount of a device, 0 and on, whose users are given `mount`."""
+    if not mount.has_errors:
+        return mount
+    drawn = normal(seed, Purpose.MOUNT, 0, 6, device)
+    arm_m, turns_deg = (drawn[:3] * (1e-3 * mount.error_mm)).tolist(), (drawn[3:] * mount.error_deg).tolist()
+    angles = "yaw_deg", "pitch_deg", "roll_deg"
+    moved: dict[str, object] = {name: getattr(mount, name) + turn for name, turn in zip(angles, turns_deg, strict=True)}
+    moved["lever_arm_m"] = tuple(given + off for given, off in zip(mount.lever_arm_m, arm_m, strict=True))
+    return mount.model_copy(update=moved)
 
 
 class MountedMotion:

@@ -38,6 +38,10 @@ class Mount(Section):
     """Revolutions per second of the stage under it, as in handheld scanners; 0 for a fixed one."""
     spin_axis: Annotated[tuple[float, float, float], Field(strict=False)] = (0.0, 0.0, 1.0)
     """Axis of the stage in the carrier's frame, through the device's origin."""
+    error_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """How far the true mount is turned from this one, which is what users are given: about each axis, one sigma."""
+    error_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """How far it is moved along each axis, one sigma."""
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:
@@ -49,6 +53,11 @@ class Mount(Section):
     def trivial(self) -> bool:
         """True if device and carrier are one frame."""
         return not any((*self.lever_arm_m, self.yaw_deg, self.pitch_deg, self.roll_deg, self.spin_hz))
+
+    @property
+    def has_errors(self) -> bool:
+        """True if the true mount is another one."""
+        return bool(self.error_deg or self.error_mm)
 
 
 class MotionSection(Section):
@@ -68,6 +77,10 @@ class MotionSection(Section):
         start_ns : UTC of the first pulse
         """
         raise NotImplementedError
+
+    def under_sensors(self, carrier: "Motion") -> "Motion":
+        """Return the motion of what the sensors are mounted on: the carrier's, or that of a mast that bends on it."""
+        return carrier
 
 
 class Static(MotionSection):
@@ -212,6 +225,29 @@ class Harness(Section):
     """Share of critical damping, on all axes."""
 
 
+class Mast(Harness):
+    """Mast that carries the sensors over the pack and the inertial unit, and bends with each step.
+
+    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at some 8 Hz and hardly along itself; at
+    walking pace it then leans by a tenth of a degree (assumption).
+    """
+
+    fore_aft_hz: _Frequency = 8.0
+    """Undamped natural frequency, forwards and backwards."""
+    sideways_hz: _Frequency = 8.0
+    """The same to the sides."""
+    vertical_hz: _Frequency = 50.0
+    """The same up and down."""
+    roll_hz: _Frequency = 8.0
+    """The same about the forward axis."""
+    pitch_hz: _Frequency = 8.0
+    """The same about the axis to the left."""
+    yaw_hz: _Frequency = 15.0
+    """The same about the vertical axis."""
+    damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.05
+    """Share of critical damping, on all axes."""
+
+
 class Walk(MotionSection):
     """A person with the sensor on the back."""
 
@@ -254,6 +290,8 @@ class Walk(MotionSection):
     """How the trunk of the person moves."""
     harness: Harness | None = None
     """How the pack hangs on the person; strapped tight without it."""
+    mast: Mast | None = None
+    """How the sensors bend on the pack, whose inertial unit does not; rigid without it."""
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
@@ -265,11 +303,18 @@ class Walk(MotionSection):
             raise ValueError("stops given by at_m where lawn_mower makes the waypoints")
         return self
 
+    def under_sensors(self, carrier: "Motion") -> "Motion":
+        """Return the motion of the top of the mast; the carrier's without one."""
+        if self.mast is None:
+            return carrier
+        bent: Motion = carrier.bent(self.mast)  # type: ignore[attr-defined]  # `WalkMotion`, which this file does not load
+        return bent
+
 
 class Imu(Preset):
     """Rate, place and errors; densities as in IEEE Std 952-1997. Defaults are those of `ideal`."""
 
-    presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
+    presets: ClassVar[Mapping[str, Mapping[str, object]]] = {
         "ideal": {},
         # Noise of Bosch's BMG160 and BMA280, 0.014 deg/s and 120 ug per sqrt(Hz), and a tenth of their offsets of
         # 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by calibration is an assumption.
@@ -292,9 +337,28 @@ class Imu(Preset):
             "accel_noise_m_s2_sqrt_hz": 1.0e-3,
             "accel_walk_m_s3_sqrt_hz": 1.0e-5,
         },
+        # A unit of a robot as it comes, by USB. Noise, offsets of temperature and their size: Bosch's BMI088, 0.014 deg/s and
+        # 160 ug per sqrt(Hz), 0.015 deg/s and 0.2 mg per K (BST-BMI088-DS001, tables 4 and 5), times 10 K of warming up, which
+        # takes 5 to 10 minutes (Xsens, Bias repeatability of gyroscopes). Of sensitivity and cross-axis tolerances, 1 % each
+        # (Bosch BNO055), half is left (assumption). Reads of a USB serial line come in steps of 4 ms (ROS wiki,
+        # camera_calibration/calibration_notes/Timing), and 2 to 4 ms after the sample (assumption).
+        "field": {
+            "gyro_bias_rad_s": 1.7e-3,
+            "gyro_noise_rad_s_sqrt_hz": 2.4e-4,
+            "gyro_walk_rad_s2_sqrt_hz": 7.0e-6,
+            "gyro_warm_up_rad_s": 2.6e-3,
+            "accel_bias_m_s2": 0.049,
+            "accel_noise_m_s2_sqrt_hz": 1.6e-3,
+            "accel_walk_m_s3_sqrt_hz": 1.5e-4,
+            "accel_warm_up_m_s2": 0.02,
+            "scale_error": 0.005,
+            "cross_axis": 0.005,
+            "delay_s": (0.002, 0.004),
+            "jitter_s": 0.004,
+        },
     }
 
-    preset: Literal["ideal", "consumer", "tactical"] = "ideal"
+    preset: Literal["ideal", "consumer", "tactical", "field"] = "ideal"
     """Values of the keys that are not given beside it; `ideal` is their defaults."""
     rate_hz: Annotated[int, Field(ge=1, le=10_000)] = 200
     """Samples per second."""
@@ -315,6 +379,33 @@ class Imu(Preset):
     """White noise."""
     accel_walk_m_s3_sqrt_hz: _Error = 0.0
     """Random walk of the bias."""
+    gyro_warm_up_rad_s: _Error = 0.0
+    """Change of the bias as the unit warms up, one sigma."""
+    accel_warm_up_m_s2: _Error = 0.0
+    """Change of the bias as the unit warms up, one sigma."""
+    warm_up_s: Annotated[float, Field(ge=1, le=86_400)] = 200.0
+    """Time in which 63 % of the change is done, from the first pulse on."""
+    scale_error: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """Error of each axis' sensitivity, as a share, one sigma."""
+    cross_axis: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """Share of each other axis that an axis shows, one sigma: what is left of their misalignment."""
+    delay_s: Annotated[tuple[NonNegative, NonNegative], Field(strict=False)] = (0.0, 0.0)
+    """Least and greatest delay of time stamps behind the samples; that of a run is drawn between them."""
+    jitter_s: NonNegative = 0.0
+    """Greatest further delay, drawn for each sample: less than the time between two samples."""
+
+    @property
+    def is_late(self) -> bool:
+        """True if time stamps are not those of the samples."""
+        return bool(self.delay_s[1] or self.jitter_s)
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.jitter_s * self.rate_hz >= 1:
+            raise ValueError("a jitter_s below 1 / rate_hz in it, so that time stamps rise")
+        if not self.delay_s[0] <= self.delay_s[1] <= 1:
+            raise ValueError("a delay_s of two rising times of at most 1 s in it")
+        return self
 
 
 class Gps(Section):

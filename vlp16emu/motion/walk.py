@@ -1,5 +1,6 @@
 """A sensor on the back of a person."""
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numba
@@ -9,7 +10,7 @@ from vlp16emu.motion.gait import AXES, Trunk
 from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack
 from vlp16emu.motion.pose import Kinematics, body_rate, fill_rotation, rotate
 from vlp16emu.motion.route import Route
-from vlp16emu.motion.settings import Walk
+from vlp16emu.motion.settings import Harness, Walk
 from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
@@ -30,14 +31,27 @@ class WalkMotion:
     At the cruise speed of the route the gait has its full amplitudes, and they fade as the person slows down.
 
     Raises TrajectoryError if the straps would swing without end.
+
+    Parameters
+    ----------
+    under : samples of what the pack hangs on, and how; None for the trunk and the harness of the walk
     """
 
     moves = True
 
-    def __init__(self, walk: Walk, route: Route, *, start_ns: int, seed: int) -> None:
+    def __init__(
+        self,
+        walk: Walk,
+        route: Route,
+        *,
+        start_ns: int,
+        seed: int,
+        under: tuple[Callable[[int, int], Array], Harness] | None = None,
+    ) -> None:
+        self._walk, self._seed = walk, seed
         self._route, self._start_ns, self._height_m = route, start_ns, walk.sensor_height_m
         self._trunk = Trunk(walk.gait, route.speed_m_s, seed)
-        self._pack = Pack(self._sway, walk.harness) if walk.gait.moves else None
+        self._pack = Pack(*(under or (self._sway, walk.harness))) if walk.gait.moves else None
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
         self.run_time_s = route.run_time_s
 
@@ -59,6 +73,21 @@ class WalkMotion:
             rates = out.world_v_body_m_s, out.world_a_body_m_s2, out.body_w_rad_s, out.body_alpha_rad_s2
             _kinematics(self._table(second), t_ns, begin_ns, which, *pose, *rates)
         return out
+
+    def bent(self, mast: Harness) -> "WalkMotion":
+        """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
+        if self._pack is None:
+            return self
+        under = self._pushes, mast
+        return WalkMotion(self._walk, self._route, start_ns=self._start_ns, seed=self._seed, under=under)
+
+    def _pushes(self, first: int, count: int) -> Array:
+        """Sample the pack's motion (count, 6) at knots from `first` on."""
+        assert self._pack is not None
+        seconds = range(first // KNOTS_PER_S, (first + count - 1) // KNOTS_PER_S + 1)
+        samples = [self._pack.nodes(second)[:-1:NODES_PER_KNOT, :, 0] for second in seconds]
+        begin = first - seconds.start * KNOTS_PER_S
+        return np.concatenate(samples)[begin : begin + count]
 
     def _seconds(self, t_ns: IntArray) -> list[tuple[int, IntArray]]:
         """Seconds of the walk that instants (n,) fall into, and the numbers of those instants."""

@@ -4,7 +4,7 @@ import glob
 import re
 import struct
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -123,9 +123,9 @@ class Capture:
                         self.cut = True
                         break
                     self.frames += 1
-                    datagram = self._datagram(frame)
-                    if datagram is not None and (self._keeps_repeats or not self._is_repeat(datagram)):
-                        yield datagram
+                    for datagram in _merged(self._datagram(frame)):
+                        if self._keeps_repeats or not self._is_repeat(datagram):
+                            yield datagram
 
     @property
     def missed(self) -> str:
@@ -190,6 +190,18 @@ class Capture:
         if len(self._order) > _RECENT:
             self._recent.discard(self._order.popleft())
         return False
+
+
+def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
+    """Yield a datagram; if a network card has merged several data packets into it (UDP GRO of Linux), each of them."""
+    if datagram is None:
+        return ()
+    payload, size = datagram.payload, _DATA_BYTES
+    if len(payload) <= size or len(payload) % size or not payload.startswith(_FLAG):
+        return (datagram,)
+    own_bytes = len(datagram.header) + size
+    parts = (payload[at : at + size] for at in range(0, len(payload), size))
+    return (datagram._replace(payload=part, captured_bytes=own_bytes, wire_bytes=own_bytes) for part in parts)
 
 
 _NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"

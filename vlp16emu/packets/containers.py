@@ -19,8 +19,10 @@ from vlp16emu.units import S_NS, US_NS
 
 EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
 
-_PCAP_UNIT_NS = {0xA1B2C3D4: US_NS, 0xA1B23C4D: 1}
-"""Nanoseconds per unit of a stamp's fraction, by magic number. Source: IETF draft-ietf-opsawg-pcap."""
+_PCAP = {0xA1B2C3D4: (US_NS, "4I"), 0xA1B23C4D: (1, "4I"), 0xA1B2CD34: (US_NS, "4I8x")}
+"""Nanoseconds per unit of a stamp's fraction, and format of a record's header, by magic number.
+Source: IETF draft-ietf-opsawg-pcap; the last is the "modified" pcap of routers, as Wireshark's wiki describes it."""
+_PCAP_HEADER_BYTES = 24
 _SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6
 """Block types of pcapng, as all below from IETF draft-ietf-opsawg-pcapng."""
 _BYTE_ORDER = 0x1A2B3C4D
@@ -96,11 +98,10 @@ def frames_in(path: Path, file: BinaryIO) -> Frames:
         return _pcapng(path, file)
     for order in "<>":
         magic = int.from_bytes(head, "little" if order == "<" else "big")
-        rest = _read(file, 20) if magic in _PCAP_UNIT_NS else b""
-        if len(rest) == 20:  # what follows the magic number in the header
-            link_type = struct.unpack_from(f"{order}I", rest, 16)[0] & 0xFFFF  # above are flags of the check sequence
-            return _pcap(path, file, struct.Struct(f"{order}4I"), link_type, _PCAP_UNIT_NS[magic])
-    raise CaptureError(str(path), f"no capture, it begins with {head.hex(' ') or 'nothing'}", EXPECTED)
+        head += _read(file, _PCAP_HEADER_BYTES - 4) if magic in _PCAP else b""
+        if len(head) == _PCAP_HEADER_BYTES:
+            return _pcap(path, file, order, head)
+    raise CaptureError(str(path), f"no capture, it begins with {head[:4].hex(' ') or 'nothing'}", EXPECTED)
 
 
 def _read(file: BinaryIO, size: int) -> bytes:
@@ -118,9 +119,18 @@ def _read(file: BinaryIO, size: int) -> bytes:
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-def _pcap(path: Path, file: BinaryIO, record: struct.Struct, link_type: int, unit_ns: int) -> Frames:
-    number = 0
+def _pcap(path: Path, file: BinaryIO, order: str, header: bytes) -> Frames:
+    def link_type_in(header: bytes) -> int:
+        return int(struct.unpack_from(f"{order}I", header, 20)[0]) & 0xFFFF  # above are flags of the check sequence
+
+    unit_ns, form = _PCAP[struct.unpack_from(f"{order}I", header)[0]]
+    record, number, link_type = struct.Struct(order + form), 0, link_type_in(header)
     while head := _read(file, record.size):
+        if head.startswith(header[:8]):  # another file behind this one, as `cat` puts it there
+            head += _read(file, _PCAP_HEADER_BYTES - len(head))
+            if len(head) == _PCAP_HEADER_BYTES:
+                link_type = link_type_in(head)
+                continue
         if len(head) < record.size:
             yield None
             return

@@ -1,5 +1,6 @@
 """UDP datagrams in frames of any link type that carries IP, behind tags, labels and tunnels."""
 
+import struct
 from typing import NamedTuple
 
 _ETHERNET = 1
@@ -12,7 +13,11 @@ _BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
 """Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
 _PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
 """Offset of PPP by link type: serial, with a byte of direction, behind PPPoE."""
-LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT})
+_WIFI, _NFLOG, _NFLOG_PAYLOAD = 105, 239, 9
+_WRAPPED = {127: ("<H", 2, None), 163: (">I", 4, None), 192: ("<H", 2, 4), 149: ("<I", 0, 8), 258: ("<I", 0, 8)}
+"""Link types with a header of their own in front: format and offset of its length, and offset of the link type behind it, IEEE 802.11
+where there is none. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
+LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
 """Link types that are read."""
 
 _IPV4, _IPV6, _TAGS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
@@ -23,8 +28,10 @@ _PPP_IP = (0x0021, 0x0057)
 _UDP, _IP_IN_IP, _IP6_IN_IP, _GRE = 17, 4, 41, 47
 _FRAGMENT6, _AUTHENTICATION, _EXTENSIONS6 = 44, 51, (0, 43, 60, 51, 44)
 """Protocol numbers of IANA; headers that may stand in front of the payload of IPv6 (RFC 8200)."""
-_VXLAN = (4789).to_bytes(2)
-"""UDP port of RFC 7348."""
+_VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)
+"""UDP ports of RFC 7348 and RFC 8926."""
+_ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB
+"""EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)."""
 PLAIN_AT, PLAIN_BODY, _UNFRAGMENTED = 14, 34, (b"\x40\0", b"\0\0")
 """Offsets of IP and UDP header of a plain frame, and its flags: don't fragment, or none."""
 _MOST_LAYERS = 8
@@ -55,7 +62,7 @@ def is_plain(link_type: int, frame: bytes) -> bool:
         and frame[12:15] == b"\x08\x00\x45"
         and frame[23:24] == b"\x11"
         and frame[20:22] in _UNFRAGMENTED
-        and frame[36:38] != _VXLAN
+        and frame[36:38] not in (_VXLAN, _GENEVE)
     )
 
 
@@ -67,15 +74,19 @@ def mac_of(link_type: int, frame: bytes) -> bytes:
 
 def ip_in(link_type: int, frame: bytes) -> Ip | None:
     """Find the innermost IP packet; None if there is none that is whole to its body."""
-    if link_type in _BARE_IP_AT:
-        at: int | None = _BARE_IP_AT[link_type]
+    begin = 0
+    if link_type in _WRAPPED:
+        link_type, begin = _unwrapped(link_type, frame)
+    if link_type in _ETHERTYPE_AT:
+        kind_at, body = begin + _ETHERTYPE_AT[link_type], begin + _BODY_AT[link_type]
+        kind = int.from_bytes(frame[kind_at : kind_at + 2])
+        at = body if kind == _IPV4 else _behind(frame, kind, body)
+    elif link_type in _BARE_IP_AT:
+        at = begin + _BARE_IP_AT[link_type]
     elif link_type in _PPP_AT:
-        at = _behind_ppp(frame, _PPP_AT[link_type])
-    elif link_type in _ETHERTYPE_AT:
-        kind = int.from_bytes(frame[_ETHERTYPE_AT[link_type] :][:2])
-        at = _BODY_AT[link_type] if kind == _IPV4 else _behind(frame, kind, _BODY_AT[link_type])
+        at = _behind_ppp(frame, begin + _PPP_AT[link_type])
     else:
-        return None
+        at = {_WIFI: _behind_wifi, _NFLOG: _behind_nflog}.get(link_type, lambda *_: None)(frame, begin)
     ip = None
     for _ in range(_MOST_LAYERS):
         found = None if at is None else _ip_at(frame, at)
@@ -85,6 +96,37 @@ def ip_in(link_type: int, frame: bytes) -> Ip | None:
         if at is None:
             return ip
     return ip
+
+
+def _unwrapped(link_type: int, frame: bytes) -> tuple[int, int]:
+    """Return the link type behind a header that names its length, and where its frame begins."""
+    form, length_at, kind_at = _WRAPPED[link_type]
+    try:
+        (length,) = struct.unpack_from(form, frame, length_at)
+        return _WIFI if kind_at is None else struct.unpack_from("<I", frame, kind_at)[0], length
+    except struct.error:
+        return -1, 0
+
+
+def _behind_wifi(frame: bytes, at: int) -> int | None:
+    """Find the IP header in a frame of IEEE 802.11 that is data, and not encrypted."""
+    kind, flags = frame[at : at + 1], frame[at + 1 : at + 2]
+    if not flags or kind[0] & 0x4C != 0x08 or flags[0] & 0x40:
+        return None
+    quality = bool(kind[0] & 0x80)
+    at += 24 + 6 * (flags[0] & 3 == 3) + 2 * quality + 4 * (quality and flags[0] >> 7)
+    return _behind(frame, 0, at)
+
+
+def _behind_nflog(frame: bytes, at: int) -> int | None:
+    """Find the packet among the fields of the netfilter log of Linux."""
+    at += 4
+    while at + 4 <= len(frame):
+        length, kind = struct.unpack_from("<2H", frame, at)
+        if kind == _NFLOG_PAYLOAD:
+            return at + 4
+        at += max(-(-length // 4) * 4, 4)
+    return None
 
 
 def _behind(frame: bytes, kind: int, at: int) -> int | None:
@@ -156,7 +198,15 @@ def _inside(frame: bytes, ip: Ip) -> int | None:
         return at
     if ip.protocol == _GRE and at + 4 <= len(frame):
         flags, kind = frame[at], int.from_bytes(frame[at + 2 : at + 4])
-        return _behind(frame, kind, at + 4 + 4 * sum(bool(flags & bit) for bit in (0x80, 0x20, 0x10)))
-    if ip.protocol == _UDP and frame[at + 2 : at + 4] == _VXLAN:
+        at += 4 + 4 * sum(bool(flags & bit) for bit in (0x80, 0x20, 0x10))
+        if kind == _ERSPAN:
+            at, kind = at + 8 * bool(flags & 0x10), _BRIDGED  # type I has neither a number nor a header
+        elif kind == _ERSPAN_3:
+            at, kind = at + 12 + 8 * (at + 12 <= len(frame) and frame[at + 11] & 1), _BRIDGED
+        return _behind(frame, kind, at)
+    port = frame[at + 2 : at + 4] if ip.protocol == _UDP else b""
+    if port == _VXLAN:
         return _behind(frame, _BRIDGED, at + 16)
+    if port == _GENEVE and at + 16 <= len(frame):
+        return _behind(frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F))
     return None

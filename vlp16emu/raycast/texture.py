@@ -20,7 +20,7 @@ _SAME_M = 0.1
 _SPREAD = math.sqrt(3.0)
 """Half-width of an even distribution of variance one."""
 _CELL_BITS = 2
-"""Four patches across have a contrast of their own: the surfaces of which a wall, a floor or bark is made."""
+"""Four patches across have a contrast of their own: a wall, a floor or bark is made of such surfaces."""
 _LN_STRENGTH = 1.0
 """Spread of the logarithm of the contrast over surfaces: the scatter of reflectivity, with white errors, has 0.65 to 0.74 on real units."""
 _NORMAL = np.array([0.078, 0.237, 0.402, 0.579, 0.776, 1.01, 1.318, 1.863])

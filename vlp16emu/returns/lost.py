@@ -30,8 +30,9 @@ _ODD_ALONE, _EVEN_ALONE = 0.33, 0.37
 _REACH, _ON = 3, 0.4
 """Most no-returns in a row that are raised beside a return, and the share of those that go on: 56 to 78 % are alone on real units."""
 _UNEQUAL = 0.03
-"""Share of raised pairs of dual return of which one block is not: 0.065 % of all pairs without range."""
-_FULL = 255.0
+"""Share of raised pairs of dual return in which only one block is raised: 0.065 % of all pairs without range."""
+_NEARLY_WHITE, _FULL = 80.0, 255.0
+"""Code from which on too much light shows as more than 100, and the greatest there is."""
 
 
 def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
@@ -110,7 +111,7 @@ def lose(
     shown = 0.0
     if lost < jump and rise > 0.0:  # too bright: the height of the peak is seen, its place is not
         shown = np.float64(reflectivity[0]) * (0.7 + 1.6 * how)
-        shown = _multiple(min(shown, 100.0 if code < 60.0 else _FULL), no_return)
+        shown = _multiple(min(shown, 100.0 if code < _NEARLY_WHITE else _FULL), no_return)
     for column in range(3):
         distance_m[column], reflectivity[column] = 0.0, np.uint8(shown if column < 2 else 0.0)
 
@@ -154,7 +155,7 @@ def raised(
                 drawn, how = uniform_pair(seed, _EDGE, first + at, laser | (side + 2) << 12)
                 if drawn < share * y / (1.0 + y):
                     power6 = how * how * how
-                    ratio = (0.35 + 1.1 * how + 1.6 * power6 * power6) * (1.0 if away == 1 else 0.7)
+                    ratio = (0.3 + 0.95 * how + 1.6 * power6 * power6) * (1.0 if away == 1 else 0.7)
                     most = max(most, code * ratio, 2.0 * no_return)
                     alone = (64.0 * how) % 1.0 < _UNEQUAL
                 break

@@ -68,7 +68,7 @@ def no_return_multiples(seed: int, first: int, count: int, no_return: F8, wander
 
     Parameters
     ----------
-    no_return : (lasers,) codes of which they are multiples; the greater, the less they wander, as on mrpt
+    no_return : (lasers,) codes for a multiple of one; the greater, the less they wander, as on mrpt
     wander : of a unit in the middle; units differ by a factor of two, one sigma, and their lasers nearly as much
 
     Returns

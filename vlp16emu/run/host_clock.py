@@ -2,15 +2,16 @@
 
 from dataclasses import replace
 
-from vlp16emu.elementary import exp
-from vlp16emu.random import Purpose, normal
+from vlp16emu.elementary import exp, log
+from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.scenario.capture import CaptureClock
-from vlp16emu.types import Packet
+from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import US_NS
 
 _LONGEST_US = 4_500.0
 """Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
 _LANES_PER_UNIT = 8
+_PLACE = {kind: place for place, kind in enumerate(PacketKind)}
 _MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0
 
 
@@ -56,13 +57,10 @@ class HostClock:
 
     def _delay_us(self, packet: Packet) -> float:
         """Sample the delay of a packet."""
-        from vlp16emu.elementary import log  # here: a scene is read without numba
-        from vlp16emu.random import Purpose, normal, uniform
-
         section, number = self._section, packet.due_ns // US_NS
-        lane = packet.unit * _LANES_PER_UNIT + list(type(packet.kind)).index(packet.kind)
+        lane = packet.unit * _LANES_PER_UNIT + _PLACE[packet.kind]
         delay_us = section.jitter_us * abs(float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0]))
-        is_late, how = (float(uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number + i, 1, lane)[0]) for i in (0, 1))
+        is_late, how = uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number, 2, lane).tolist()
         if is_late < section.late_share:
             delay_us += -section.late_us * log(1.0 - how)
         return min(delay_us, _LONGEST_US)

@@ -21,7 +21,6 @@ from vlp16emu.run.report import Streamed
 from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import StreamHooks, stream_run
 from vlp16emu.scan import Chunk, Scan, chunk_of, cut_scans
-from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
@@ -44,18 +43,14 @@ def stream(
     truth: bool = True,
     **options: Any,
 ) -> "Live":
-    """Begin to stream a scene over UDP, and return as soon as its first data packet has left.
+    """Begin to stream a scene over UDP, and return as soon as its first data packet has left; errors as `Emulator.stream`.
 
     Parameters
     ----------
     scene, settings, ideal, threads : as of `Emulator`
     truth : whether scans have labels and `Live.truth` is known; costs a third more computing
-    options : fields of `StreamOptions`; by default packets go to free ports of this machine, and the web interface is on another
-
-    Raises
-    ------
-    Vlp16emuError
-        As of `Emulator` and `Emulator.stream`
+    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None for those of the scene),
+        and the web interface is on another one (None for none)
 
     Examples
     --------
@@ -73,9 +68,7 @@ class _Lane:
 
     def __init__(self) -> None:
         self.held = deque[Packet](maxlen=_HELD)
-        self.count = 0
-        self.taken = 0
-        """Number of the first packet that nobody has taken yet."""
+        self.count = self.taken = 0
         self.wake_at: float = np.inf
         """Count at which a thread is to be woken that waits for packets."""
 
@@ -96,10 +89,10 @@ class _Tap(PacketSink):
 
 
 class Live:
-    """A stream that is under way; a context manager that stops it.
+    """A stream that is under way, on a thread of its own; a context manager that stops it.
 
-    It sends on a thread of its own. What goes wrong there is raised by the method that waits for packets,
-    at the end of the block if there is none, and by `stop`.
+    What goes wrong there is raised by the method that waits for packets, at the end of the block if there is none, and by
+    `stop`.
 
     Parameters
     ----------
@@ -116,25 +109,28 @@ class Live:
         """Ports of data and position packets of each sensor."""
         self.http: str | None = None
         """URL of the web interface of the first sensor; None without one."""
-        self._truth, self._stop, self._over = truth, Event(), False
+        self._stop, self._changed, self._over = Event(), Condition(), False
         self._result: Streamed | None = None
         self._error: BaseException | None = None
-        self._has_raised = False
-        self._control: Any = None
-        self._changed = Condition()
-        self._lanes = {(n, kind): _Lane() for n in range(len(run.engine.parts.units)) for kind in PacketKind}
+        self._has_raised, self._control = False, None
+        self._lanes = {(unit.number, kind): _Lane() for unit in engine.parts.units for kind in PacketKind}
         self._shift_ns: int | None = None
         """By how much later packets are due than in the scene, as they are moved into the present."""
         self._not_before_ns = 0
         http = options.pop("http", Http(f"{LOOPBACK}:0"))
         http = http and replace(http, controlled=self._controls, serving=self._serves)
         ports = {"position_port": 0} | ({} if ":" in (options.get("to") or "") else {"data_port": 0})
-        asked = StreamOptions(**ports | options, http=http)
+        self._asked = StreamOptions(**ports | options, http=http)
         hooks = StreamHooks(watched=self._watches, opened=self._opens, look_ahead=look_ahead, stop=self._stop)
-        self._speed = asked.speed
-        self._thread = Thread(target=self._work, args=(asked, hooks), name="vlp16emu stream", daemon=True)
+        self._thread = Thread(target=self._work, args=(hooks,), name="vlp16emu stream", daemon=True)
         self._thread.start()
-        self._begin()
+        try:
+            with self._changed:
+                self._wait(self._lanes[0, PacketKind.DATA], lambda: 1)
+            self._raise()
+        except BaseException:
+            self._end()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -143,11 +139,6 @@ class Live:
         self._end()
         if kind is None and not self._has_raised:
             self._raise()
-
-    @property
-    def scenario(self) -> Scenario:
-        """Everything that decides the bytes, but for what is set while it runs."""
-        return self.run.scenario
 
     @property
     def data_port(self) -> int:
@@ -171,14 +162,10 @@ class Live:
 
         Of packets that left more than 2048 packets ago nothing is known. After `set` and `fault` it is those that follow it.
 
-        Parameters
-        ----------
-        kind : data or position
-
         Raises
         ------
         InputError
-            If there is no such unit or kind, or more than 2048 packets are asked for
+            If there is no such unit or kind (data or position), or more than 2048 packets are asked for
         RunError
             If they have not left when the stream ends, or when `timeout_s` has passed; errors of the stream
         """
@@ -187,12 +174,11 @@ class Live:
             raise InputError("packets", f"found {count}", f"1 to {_HELD}")
         with self._changed:
             self._wait(lane, lambda: self._next_of(lane) + count, timeout_s)
-            lane.taken = self._next_of(lane)
+            lane.taken, is_over = self._next_of(lane), self._over
             found = [packet.payload for packet in lane.since(lane.taken)[:count]]
             if len(found) == count:
                 lane.taken += count
                 return found
-            is_over = self._over
         self._raise()
         when = "before the stream ended" if is_over else f"within {timeout_s:g} s"
         raise RunError(f"{len(found)} of {count} packets have left {when}")
@@ -207,31 +193,26 @@ class Live:
         Raises
         ------
         InputError
-            If no packet of the sensor that is still known has the stamp, or the stream was begun without truth
+            If none of the sensor's last 2048 packets has the stamp, or the stream was begun without truth
         """
-        if not self._truth:
-            raise InputError("truth", "found truth = False", "a stream with truth")
         lane, stamp = self._lane(unit, "data"), _stamp(payload)
         with self._changed:
             held = list(lane.held)
-        for packet in reversed(held):
-            if packet.slots is not None and _stamp(packet.payload) == stamp:
-                break
-        else:
-            raise InputError(
-                "packet", "found another stamp", f"that of one of the last {len(held)} packets of unit {unit}"
-            )
-        rows = np.zeros(len(packet.slots), RECORD_TRUTH)
+        slots = next((packet.slots for packet in reversed(held) if _stamp(packet.payload) == stamp), None)
+        if slots is None:
+            expected = f"one of the last {len(held)} of unit {unit}, in a stream with truth"
+            raise InputError("packet", "found no truth of its time stamp", expected)
+        rows = np.zeros(len(slots), RECORD_TRUTH)
         for name in SLOT.names or ():
-            rows[name] = packet.slots[name]
+            rows[name] = slots[name]
         rows["world_T_sensor"] = world_T_sensor(self.run.engine.parts.units[unit - 1], rows["t_ns"])
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
         """Yield whole revolutions of a sensor, decoded from its packets as they leave, until the stream ends.
 
-        They have labels if the stream has truth. Their times are those of the scene. Who takes them more slowly than they
-        come, by more than 2048 packets, goes on with the newest. What is no whole data packet is passed over.
+        They have labels if the stream has truth. Their times are those of the scene. A program that is behind by more than
+        2048 packets goes on with the newest. What is no whole data packet is passed over.
 
         Raises
         ------
@@ -240,22 +221,15 @@ class Live:
         Vlp16emuError
             Errors of the stream
         """
-        lane = self._lane(unit, "data")
-        of = self.run.engine.parts.units[unit - 1]
+        lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
         return cut_scans(self._chunks(lane), lambda t_ns: world_T_sensor(of, np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
-        """Set a sensor as its web interface would, and return when packets follow it: keys of the event `setting`.
-
-        Raises
-        ------
-        InputError
-            If a key or a value is none of those, or the stream has no web interface
-        """
+        """Set a sensor as its web interface would: keys of the event `setting`; as `fault`."""
         self.fault("setting", unit=unit, **settings)
 
     def fault(self, kind: str, *, unit: int = 1, **keys: object) -> None:
-        """Let an event of `[[events]]` happen to a sensor, and return when it does.
+        """Let an event of `[[events]]` happen to a sensor, and return when packets follow it.
 
         Parameters
         ----------
@@ -267,13 +241,13 @@ class Live:
         InputError
             If it is none, or cannot happen in this scene, or the stream has no web interface
         """
-        if self._control is None:
+        if (control := self._control) is None:
             raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")
-        at_ns = self._control.happen(kind, unit, **keys)
+        at_ns = control.happen(kind, unit, **keys)
         with self._changed:
             self._not_before_ns = at_ns + (self._shift_ns or 0)
-        while (left_ns := self._control.due_in_ns(at_ns)) > 0 and not self._over:
-            self._stop.wait(max(left_ns / S_NS / self._speed, 0.001))
+        while (left_ns := control.due_in_ns(at_ns)) > 0 and not self._over:
+            self._stop.wait(max(left_ns / S_NS / self._asked.speed, 0.001))
 
     def _watches(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
         return _Tap(sink, lambda packet: self._left(packet, pacer))
@@ -299,26 +273,15 @@ class Live:
     def _serves(self, places: list[tuple[str, int]]) -> None:
         self.http = "http://{}:{}/".format(*places[0])
 
-    def _work(self, asked: StreamOptions, hooks: StreamHooks) -> None:
+    def _work(self, hooks: StreamHooks) -> None:
         """Body of the thread."""
         try:
-            self._result = stream_run(self.run, asked, hooks)
+            self._result = stream_run(self.run, self._asked, hooks)
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that waits, which raises it
             self._error = error
-        finally:
-            with self._changed:
-                self._over = True
-                self._changed.notify_all()
-
-    def _begin(self) -> None:
-        """Wait for the first data packet, or for the end of a stream that has none."""
-        try:
-            with self._changed:
-                self._wait(self._lanes[0, PacketKind.DATA], lambda: 1)
-            self._raise()
-        except BaseException:
-            self._end()
-            raise
+        with self._changed:
+            self._over = True
+            self._changed.notify_all()
 
     def _end(self) -> None:
         self._stop.set()
@@ -350,32 +313,27 @@ class Live:
         self._changed.wait_for(is_there, timeout_s)
 
     def _chunks(self, lane: _Lane) -> Iterator[Chunk]:
-        """Yield the points of packets as they leave."""
-        number = 0
-        while True:
+        """Yield the points of packets as they leave; a jump of the clock where some are not held any more."""
+        number, is_over = 0, False
+        while not is_over:
             with self._changed:
                 self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)
-                packets, number, is_over = lane.since(number), lane.count, self._over
-            packets = [packet for packet in packets if len(packet.payload) == DATA_BYTES]
-            if packets:
-                yield from _points(packets)
-            if is_over:
-                self._raise()
-                return
+                is_late = number < lane.count - len(lane.held)
+                packets, number, is_over = [] if is_late else lane.since(number), lane.count, self._over
+            yield from _points([packet for packet in packets if len(packet.payload) == DATA_BYTES])
+        self._raise()
 
 
 def _points(packets: list[Packet]) -> Iterator[Chunk]:
     """Yield the points of data packets of the right length, without those whose bytes are no VLP-16's."""
     payloads = np.frombuffer(b"".join(packet.payload for packet in packets), np.uint8).reshape(-1, DATA_BYTES)
     bad = {fault.packet for fault in faults_in(data_fields(payloads))}
-    good = [i for i in range(len(packets)) if i not in bad]
-    if not good:
+    if not (good := [i for i in range(len(packets)) if i not in bad]):
         return
     points, fields = decode_data(payloads[good], keep_no_returns=False), data_fields(payloads[good])
     packet_ns = fields["timestamp_us"].astype(np.int64) * US_NS
     clock_ns = packet_ns[points.packet] + (points.time_ns - packet_ns[points.packet]) % HOUR_NS
-    fired_ns = np.array([packets[i].fired_ns for i in good], np.int64)
-    labels = {}
+    fired_ns, labels = np.array([packets[i].fired_ns for i in good], np.int64), {}
     if packets[0].slots is not None:
         slots = np.array([packets[i].slots for i in good])[points.packet, points.slot]
         labels = {name: slots[name] for name in _LABELS}

@@ -23,7 +23,7 @@ class CaptureClock(Preset):
     preset: Literal["ideal", "quiet_pc", "busy_pc"] = "quiet_pc"
     """Values of the keys that are not given beside it; `ideal` stamps packets when they are due."""
     ppm: Annotated[float, Field(ge=-100, le=100)] | None = None
-    """How much the host's clock is fast; -15 to 20 against the sensor's in captures of real units, of which one is drawn unless given.
+    """How much the host's clock is fast; drawn unless given, as in captures of real units, where it is -15 to 20 against the sensor's.
     0 with `ideal`."""
     ahead_ms: Annotated[float, Field(ge=-1000, le=1000)] | None = None
     """How far the host's clock is ahead when the first pulse is fired; drawn unless given, one sigma of 3 ms as of a host on NTP

@@ -24,7 +24,7 @@ from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.settings import OneOf, Section, Seed
 from vlp16emu.units import S_NS, US_NS
-from vlp16emu.world import Wind, WorldSection
+from vlp16emu.world import People, Wind, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
@@ -89,6 +89,11 @@ class Scenario(Section):
     """What the sensor sees."""
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
+    people: People | None = None
+    """People beside a carrier who walks; none without it."""
+    conditions: Literal["perfect", "field"] = "perfect"
+    """`field` gives the keys that make a real walk harder, where they are not given: errors of the extrinsics, a `mast` that
+    bends, `imu.preset = "field"`, a light wind in a forest, and `people`."""
 
     @field_validator("start_utc")
     @classmethod
@@ -136,6 +141,14 @@ class Scenario(Section):
         if wind is not None and world is not None and not world.has_trees:
             raise ValueError("none in a hall, which has no trees")
         return wind
+
+    @field_validator("people")
+    @classmethod
+    def _goes_on_foot(cls, people: People | None, info: ValidationInfo) -> People | None:
+        motion = info.data.get("motion")
+        if people is not None and motion is not None and motion.kind != "walk":
+            raise ValueError("none beside a motion that is no walk")
+        return people
 
     @property
     def world_seed(self) -> int:

@@ -112,21 +112,26 @@ class Swing:
         return self.amplitude_ns * per_ns * cos(per_ns * elapsed_ns + self.phase_rad)
 
     @classmethod
-    def sample(cls, seed: int, error_rpm: float, wander_rpm: float) -> "tuple[Swing, ...]":
+    def sample(cls, seed: int, error_rpm: float, wander_rpm: float, *, is_exact: bool = False) -> "tuple[Swing, ...]":
         """Sample the swings of one unit: one of its mean speed, over minutes, and two within seconds, at 600 rpm.
 
         A unit (einride) was 0.04 deg off an even turn within half a second, others 0.02.
+
+        Parameters
+        ----------
+        is_exact : the mean speed at the start is off by `error_rpm`, which else is one sigma
         """
         draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 8)
         sigmas = normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1)
+        sigma, phase_rad = (1.0, 0.0) if is_exact else (float(sigmas[0]), (draws[1] - 0.5) * 0.5)
         wanted = (
-            (error_rpm * float(sigmas[0]), 60.0 + 120.0 * draws[0], (draws[1] - 0.5) * 0.5),
+            (error_rpm * sigma, 60.0 + 120.0 * draws[0], phase_rad),
             (wander_rpm * 2.0 * draws[2], 0.3 + 0.5 * draws[3], 2.0 * math.pi * draws[4]),
             (wander_rpm * 2.0 * draws[5], 0.9 + 2.0 * draws[6], 2.0 * math.pi * draws[7]),
         )
         return tuple(
-            cls(rpm / 600.0 * period_s * S_NS / (2.0 * math.pi), period_s * S_NS, float(phase_rad))
-            for rpm, period_s, phase_rad in wanted
+            cls(rpm / 600.0 * period_s * S_NS / (2.0 * math.pi), period_s * S_NS, float(at_start_rad))
+            for rpm, period_s, at_start_rad in wanted
             if rpm
         )
 

@@ -80,9 +80,9 @@ class Lidar(Preset):
     0 switches it off."""
     rotation_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the amplitudes of these three errors, as a share of them; with it their phases are drawn too."""
-    speed_error_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
-    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others. It swings over minutes; with a phase lock it is
-    held."""
+    speed_error_rpm: Annotated[float, Field(ge=-3, le=3)] = 0.0
+    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others; without `rotation_spread` exactly that, above 0 too
+    fast. It swings over minutes; with a phase lock it is held."""
     speed_wander_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Amplitude of the change of speed within seconds, in the same way."""
     powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] | None = None

@@ -35,8 +35,8 @@ _SPACING_NS = 1_327_104
 """Spacing of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
 _PATIENCE_NS = 250_000_000
 """Time of computing packets that are dropped, before the engine is asked to go on further ahead."""
-_LEAD_NS = 1_000_000_000
-"""First lead of the engine: longer than the blocks under way take to end and new ones to begin."""
+_LEAD_NS = 250_000_000
+"""First lead of the engine: most engines have ended the blocks under way and begun new ones by then; it doubles for others."""
 _ASLEEP_NS = 20_000_000
 """Last part of the wait for an instant, in which only the clock is looked at and no longer the stop event."""
 
@@ -212,7 +212,7 @@ class Sender:
                 self._skip(packet, since_ns + behind_ns, had_to_wait=had_to_wait)
                 return
             self._pacer.delay(behind_ns)
-        self._skipping_since_ns = None
+        self._skipping_since_ns, self._lead_ns = None, 0
         late_ns = self._pacer.wait(packet, deadline_ns, is_over=self._is_over)
         if self._is_over():
             return

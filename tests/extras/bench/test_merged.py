@@ -41,6 +41,7 @@ class Stream:
 def bench(monkeypatch):
     """Settings of a sensor, its stream, and the engines that have been begun again with."""
     monkeypatch.setattr(module, "_MERGED_S", 3600.0)
+    monkeypatch.setattr(module, "_PROMPT", 1)
     engine = Emulator("static_bench", ["gps.connected=true"]).engine
     feed = SimpleNamespace(engine=engine, begun=[], begin_again=lambda _due_ns, again: feed.begun.append(again))
     stream, sink = Stream(engine), SimpleNamespace(address="127.0.0.1", redirect=lambda *_: None)

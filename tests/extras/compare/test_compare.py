@@ -56,15 +56,39 @@ def real(tmp_path_factory):
     return {name: read_sequences(path) for name, path in paths.items()}
 
 
-def test_the_beat_comes_back_from_our_own_packets(recorded):
-    """Amplitude within 0.3 mm, and phase within 3 degrees, which is as much; so do the errors of the encoder."""
-    tables = fitted(recorded("beat", UNIT | BEAT | {"sensor.rotation_spread": 0.0}))
+def test_known_settings_come_back_from_our_own_packets(recorded):
+    """Beat within 0.3 mm and 3 deg, noise within 5 %, speed within 0.06 rpm, tick within 20 %, rate of the clock within 0.3 ppm, gain within a third."""
+    known = {
+        "sensor.rotation_spread": 0.0,
+        "sensor.speed_error_rpm": -0.9,
+        "sensor.speed_wander_rpm": 0.0,
+        "sensor.hum_deg": 0.002,
+        "sensor.clock_error_ppm": 12.0,
+        "noise.gain_spread": 0.09,
+        "noise.range_noise_m": 0.007,
+        "noise.unit_spread": 0.0,
+    }
+    tables = fitted(recorded("known", UNIT | BEAT | known, 0.9))
     noise, sensor = tables["noise"], tables["sensor"]
     assert noise["range_beat_m"] == pytest.approx(0.0055, abs=0.0003)
     assert noise["range_beat_phase_deg"] == pytest.approx(123.0, abs=3.0)
+    assert noise["range_noise_m"] == pytest.approx(0.007, rel=0.05)
+    assert noise["gain_spread"] == pytest.approx(0.09, rel=0.33)
     assert sensor["eccentricity_deg"] == pytest.approx(0.06, abs=0.003)
     assert sensor["eccentricity_phase_deg"] == pytest.approx(40.0, abs=3.0)
     assert sensor["twice_per_turn_deg"] == pytest.approx(0.008, abs=0.002)
+    assert sensor["speed_error_rpm"] == pytest.approx(-0.9, abs=0.06)
+    assert sensor["hum_deg"] == pytest.approx(0.002, rel=0.2)
+    assert sensor["clock_error_ppm"] == pytest.approx(12.0, abs=0.3)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_the_rate_of_lost_records_comes_back(recorded, share):
+    """Of a unit that loses none no loss is found, of one like the real ones between a third and three times theirs."""
+    lost = fitted(recorded(f"lost {share}", UNIT | SHORT_SIGHTED | {"noise.records_lost": share}, 0.9))["noise"][
+        "records_lost"
+    ]
+    assert lost < 0.1 if share == 0.0 else 0.3 < lost < 3.0
 
 
 def test_a_capture_does_not_differ_from_itself(recorded):
@@ -114,8 +138,8 @@ def test_a_fitted_unit_is_like_the_real_one(real, recorded):
 FITTED = (
     "range.beat",
     "range.white",
-    "reflectivity.e",
-    "reflectivity.s",
+    "reflectivity.equal_60",
+    "reflectivity.scatter_60",
     "no_return.above_0",
     "no_return.mean",
     "rotation.o",

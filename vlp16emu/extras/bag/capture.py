@@ -17,7 +17,7 @@ from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages
 from vlp16emu.extras.bag.sink import BagSink, TrueSamples, frames_of
 from vlp16emu.extras.slam import Rig, write_beside
-from vlp16emu.extras.truth.truth import ATTITUDE
+from vlp16emu.extras.truth.truth import ATTITUDE, STAMP
 from vlp16emu.output import spare
 from vlp16emu.packets import (
     DATA_BYTES,
@@ -33,7 +33,8 @@ from vlp16emu.run.options import BagOptions
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-_POSE = ("t_utc_s", "x", "y", "z", "qx", "qy", "qz", "qw")
+_TIME = "t_utc_s"
+_POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
 _AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 _SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
@@ -180,9 +181,10 @@ def _truth(
     to.fixed(begin_ns)
     files = [_Rows(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
     read = (*_AXES, *(ATTITUDE if imu and imu.get("attitude") else ()))
-    for name, columns, take in (("imu.csv", read, to.inertial), ("gnss.csv", _SAID, to.fix)):
+    stamp = STAMP if imu and (imu.get("jitter_s") or any(imu.get("delay_s", ()))) else _TIME
+    for name, columns, take, time in (("imu.csv", read, to.inertial, stamp), ("gnss.csv", _SAID, to.fix, _TIME)):
         if (folder / name).exists():
-            rows = (row for row in _table(folder / name, columns) if row[0] >= begin_ns)
+            rows = (row for row in _table(folder / name, columns, time=time) if row[0] >= begin_ns)
             files.append(_Rows(rows, take))
     return [(file, _EVER_NS) for file in files]
 
@@ -220,17 +222,19 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
     yield before[0], before[1] + rates
 
 
-def _table(path: Path, columns: Sequence[str], names: Sequence[str] | None = None) -> Iterator[Row]:
+def _table(
+    path: Path, columns: Sequence[str], names: Sequence[str] | None = None, *, time: str = _TIME
+) -> Iterator[Row]:
     """Yield the numbers of columns, and the time, of a CSV; or of a TUM file, which has no names of its own."""
     with readable(path, "a file of a --truth folder", InputError, most_bytes=_EVER_NS), path.open() as lines:
         reader = csv.DictReader(lines, names, delimiter=" " if names else ",")
-        if missing := {"t_utc_s", *columns} - set(reader.fieldnames or ()):
+        if missing := {time, *columns} - set(reader.fieldnames or ()):
             raise InputError(f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}")
         for row in reader:
-            if row["t_utc_s"] == "#":
+            if row[time] == "#":
                 continue
             try:
-                yield int(row["t_utc_s"].replace(".", "")), [float(row[name]) for name in columns]
+                yield int(row[time].replace(".", "")), [float(row[name]) for name in columns]
             except (TypeError, ValueError):
                 found = f"found {' '.join(str(cell) for cell in row.values())[:60]}"
                 raise InputError(f"{path}, line {reader.line_num}", found, "numbers") from None

@@ -212,7 +212,7 @@ def _placed(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
     return T[:3, 3].tolist(), turn.tolist()
 
 
-def _moved(numbers: Sequence[float], sensor_T_base: NDArray[np.float64]) -> list[float]:
+def _moved(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
     """Return pose and rates (13,) of a base from those of a sensor that is fixed to it."""
     from scipy.spatial.transform import Rotation
 

@@ -25,7 +25,7 @@ from vlp16emu.units import S_NS
 def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None) -> Iterator[list[BagSink]]:
     """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile` and `write_beside`."""
     check_bag(path)
-    wanted, scenario, write = options or BagOptions(), engine.scenario, list[Path]
+    wanted, scenario, write = options or BagOptions(), engine.scenario, None
     if wanted.slam is not None:
         tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
         frame = frames_of(len(engine.parts.units))[0]
@@ -37,7 +37,8 @@ def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | N
 
     with BagSink(path, len(engine.parts.units), clock_of, partial(_truth, engine, rate_hz, wanted.tf)) as sink:
         yield [sink]
-    write()
+    if write:
+        write()
 
 
 def _truth(
@@ -73,7 +74,8 @@ def _odometry(to: TrueMessages, true: Kinematics) -> None:
 
 def _inertial(to: TrueMessages, read: Inertial) -> None:
     rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
-    for sample in zip(read.t_ns.tolist(), rates, strict=True):
+    stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+    for sample in zip(stamps_ns.tolist(), rates, strict=True):
         to.inertial(*sample)
 
 

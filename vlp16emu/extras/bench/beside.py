@@ -86,10 +86,12 @@ class Beside:
                 ready.clear()
                 count = min(max(self._rate_hz // _READS_PER_S, 1), numbers.stop - number)
                 read = imu.read(number, count)
-                frames = imu_frames(number, read.t_ns, read.angular_rate_rad_s, read.specific_force_m_s2)
-                for at, (due_ns, frame) in enumerate(zip(read.t_ns.tolist(), frames, strict=True), number):
+                stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+                frames = imu_frames(number, stamps_ns, read.angular_rate_rad_s, read.specific_force_m_s2)
+                for at, (due_ns, frame) in enumerate(zip(stamps_ns.tolist(), frames, strict=True), number):
                     ready[at] = Packet(PacketKind.IMU, due_ns, frame)
             return ready[number]
 
         for number in numbers:
-            yield self._start_ns + number * S_NS // self._rate_hz, partial(sample, number)
+            due_ns = self._start_ns + number * S_NS // self._rate_hz + int(imu.late_ns(number, 1)[0])
+            yield due_ns, partial(sample, number)

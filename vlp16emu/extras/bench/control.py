@@ -36,10 +36,10 @@ _LEAD_NS = 150_000_000
 _MOST_LEAD_NS = 1_000_000_000
 _MERGED_S = 5.0
 """For so long at most what is set waits until the packets of the settings before are made ahead again."""
-_CALM_S = 2.0
-"""For so long after a change the next one begins where the packets that are made already end."""
+_CALM_S, _PROMPT = 2.0, 4
+"""Changes, without so long a calm between them, that have packets made anew; later ones begin where the packets that are made end."""
 _APART_S, _APART = 1.0, 20.0
-"""Least time from a change to the next one, at least so many times what making it took: each change makes the next one dearer."""
+"""Least time from such a later change to the next, at least so many times what making it took: each makes the next one dearer."""
 _POLL_S, _WARM_S = 0.01, 0.01
 _STEP_S = 0.001
 """Times of events are rounded up to that."""
@@ -80,8 +80,9 @@ def _settings_of(unit: Unit, host: str) -> DeviceSettings:
 class Control:
     """Makes a stream follow settings that come from other threads, and reports the state of its sensors.
 
-    What is set after a calm has packets made anew from a moment ahead. Whatever is set soon after that is one change, or few, and
-    takes effect where the packets that are made already end: so no client, however busy, keeps the engine from its work.
+    What is set after a calm has packets made anew from a moment ahead; so does what is set next, once those are made. In a
+    flood whatever is set within a second is one change, and takes effect where the packets that are made already end: so no
+    client, however busy, keeps the engine from its work.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ class Control:
         """UTC, ns, from which on packets follow the latest change."""
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
         self._taking_up = threading.Lock()
-        self._lead_ns, self._ahead_ns, self._calm_s = _LEAD_NS, 0, 0.0
+        self._lead_ns, self._ahead_ns, self._calm_s, self._prompt = _LEAD_NS, 0, 0.0, _PROMPT
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
         """What the web interface of each sensor shows and sets."""
 
@@ -259,7 +260,7 @@ class Control:
             if (from_ns := self._take_up()) is not None:
                 next_s = begin_s + max(_APART_S, _APART * (time.monotonic() - begin_s))
                 self._settle(from_ns)
-                self._over.wait(max(next_s - time.monotonic(), 0.0))
+                self._over.wait(0.0 if self._prompt else max(next_s - time.monotonic(), 0.0))
 
     def _take_up(self) -> int | None:
         """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
@@ -267,10 +268,11 @@ class Control:
             return self._take_up_alone()
 
     def _take_up_alone(self) -> int | None:
-        until_ns, is_calm = self._under_way.made_until_ns, time.monotonic() >= self._calm_s
+        until_ns = self._under_way.made_until_ns
+        self._prompt = _PROMPT if time.monotonic() >= self._calm_s else self._prompt
         self._ahead_ns = max(self._ahead_ns, until_ns - self._under_way.due_in_ns(0))
         from_ns = self._since_ns(self._lead_ns)
-        if not is_calm and until_ns < FOREVER_NS:  # some packets are still to be made
+        if not self._prompt and until_ns < FOREVER_NS:  # some packets are still to be made
             from_ns = max(from_ns, until_ns - self._scenario.start_ns)
         at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
         with self._lock:
@@ -291,7 +293,7 @@ class Control:
         if not made and not happening:
             return None
         self._errors += [event for event in happening if event.effect == "web"]
-        self._calm_s = time.monotonic() + _CALM_S
+        self._calm_s, self._prompt = time.monotonic() + _CALM_S, max(self._prompt - 1, 0)
         self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
         engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
         self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))

@@ -6,10 +6,11 @@ import numpy as np
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.compare.losses import commonest
-from vlp16emu.extras.compare.rotation import hum_cdeg, local, turning_of
+from vlp16emu.extras.compare.rotation import local, turning_of
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import statistics_of
 from vlp16emu.extras.compare.surfaces import Statistics, beat_of, stretches_of
+from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
 from vlp16emu.sensor import Sensor
 
@@ -18,7 +19,12 @@ _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
 _EQUAL_STEPS, _COARSEST = 2.9, 5.0
 """Step of bright codes over their scatter and the share of equal neighbours, from our own packets; and its limit."""
+_ELSE_MM = 2.6
+"""White error that the detector and the 2 mm of a code add to that of the settings, from our own packets."""
 _LEAST_SILENT = 50
+_MOST_LOST = 2.0
+_HALF_DEG_PER_US = 0.0018
+"""Half of what a rotor of 600 rpm turns in a microsecond."""
 _SET_RPM, _MOST_OFF_RPM = 60, 3.0
 """Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (sibling manuals)."""
 
@@ -26,10 +32,12 @@ _SET_RPM, _MOST_OFF_RPM = 60, 3.0
 def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
     """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
-    Bias and gain of each laser are not among them: without a target at a known place nothing shows them. A mean speed that
-    is off is given as the spread from which a unit's own is drawn. InputError if it is off by more than a unit's may be.
+    What a unit draws by its seed, such as the gain of each laser and the rates at which it loses records, is given by its
+    spread. Biases of the lasers are not among them: without a target at a known place nothing shows them. InputError if the
+    mean speed is off by more than a unit's may be.
     """
-    noise, sensor = _noise(sequences, statistics_of(sequences)), _rotor(sequences)
+    found = statistics_of(sequences)
+    noise, sensor = _noise(sequences, found), _rotor(sequences, found)
     Noise.model_validate(noise)
     Sensor.model_validate(sensor)
     return {"noise": noise, "sensor": sensor}
@@ -39,7 +47,8 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (stretches := stretches_of(sequences)) is not None:
         sine, _ = beat_of(stretches)
-        out["range_noise_m"] = round(found["range.white_at_20_mm"] * 1e-3, 5)
+        own_mm = math.sqrt(max(found["range.white_at_20_mm"] ** 2 - _ELSE_MM**2, 0.0))
+        out["range_noise_m"] = round(own_mm * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
@@ -49,6 +58,13 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["reflectivity_step"] = round(min(step, _COARSEST), 2)
     if "residue.odd_spread" in found:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
+    if "reflectivity.gain_spread" in found:
+        out["gain_spread"] = round(min(found["reflectivity.gain_spread"], 0.3), 3)
+    middles = {name: math.sqrt(REAL[name].low * REAL[name].high) for name in found if name.startswith("lost.")}
+    if middles:
+        out["records_lost"] = round(
+            min(float(np.median([found[name] / of for name, of in middles.items()])), _MOST_LOST), 2
+        )
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
         if level := _silent_level(sequences):
@@ -64,14 +80,14 @@ def _silent_level(sequences: Sequences) -> float:
     return float(np.median(codes)) + 0.5 if enough.any() else 0.0
 
 
-def _rotor(sequences: Sequences) -> dict[str, object]:
+def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
     turning = turning_of(sequences)
-    hum = hum_cdeg(sequences, turning.rest_cdeg)
     set_rpm = min(max(_SET_RPM * round(sequences.rpm / _SET_RPM), 300), 1200)
     # Local variance of the readings of an encoder whose rate is right, and what its error adds: from our own packets.
     excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
     once, twice = turning.once_cdeg, turning.twice_cdeg
-    if (off_rpm := abs(sequences.rpm - set_rpm) * 600.0 / set_rpm) > _MOST_OFF_RPM:
+    off_rpm = (sequences.rpm - set_rpm) * 600.0 / set_rpm
+    if abs(off_rpm) > _MOST_OFF_RPM:
         expected = f"a multiple of {_SET_RPM} rpm within {_MOST_OFF_RPM:g} rpm at 600"
         raise InputError("speed_error_rpm", f"a mean speed of {sequences.rpm:.1f} rpm", expected)
     return {
@@ -82,7 +98,8 @@ def _rotor(sequences: Sequences) -> dict[str, object]:
         "eccentricity_deg": round(abs(once) / 100, 4),
         "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
-        "hum_deg": round(hum / 100, 5),
+        "hum_deg": round(max(found["rotation.tick_us"], 0.0) * _HALF_DEG_PER_US, 5),
         "encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3),
         "speed_error_rpm": round(off_rpm, 3),
+        **({"clock_error_ppm": round(found["clock.error_ppm"], 2)} if "clock.error_ppm" in found else {}),
     }

@@ -11,7 +11,6 @@ from vlp16emu.units import US_NS
 
 _TICK_US, _PHASES = 1.2, 48
 """Period of the clock at whose ticks the encoder is read, on four units; phases that are tried."""
-_HUM_CYCLES_PER_BLOCK = 0.16
 _LEAST_STEP_CDEG, _AT_RPM = 38, (590.0, 610.0)
 """Least step between two blocks on real units at 600 rpm."""
 
@@ -42,12 +41,6 @@ def turning_of(sequences: Sequences) -> Turning:
 def local(series: NDArray[Any]) -> NDArray[Any]:
     """Take a series without its ends, less the mean of nine around each value."""
     return np.asarray(series[9:-9] - np.convolve(series, np.ones(9) / 9, "same")[9:-9])
-
-
-def hum_cdeg(sequences: Sequences, rest_cdeg: NDArray[np.float64]) -> float:
-    """Find the amplitude of the line at 1447 Hz in the residuals of the azimuth, by least squares."""
-    wave = local(np.exp(2j * np.pi * _HUM_CYCLES_PER_BLOCK * sequences.block))
-    return float(2.0 * abs(np.mean(local(rest_cdeg) * wave)) / np.mean(np.abs(wave) ** 2))
 
 
 class Tick(NamedTuple):

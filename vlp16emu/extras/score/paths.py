@@ -89,7 +89,7 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
     """Return what to add to the estimate's stamps so that its steps from pose to pose are most like the true ones.
 
-    Steps need no alignment, and the swing of each pace tells when it was. NaN if there are too few poses, or the motion is too even.
+    Steps need no alignment, and the swing of each pace shows its time. NaN if there are too few poses, or the motion is too even.
     """
     from scipy.spatial.transform import Rotation
 

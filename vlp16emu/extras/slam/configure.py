@@ -1,7 +1,6 @@
 """Configurations of SLAM programs for a rig, as each program reads them."""
 
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import OutputError
-from vlp16emu.extras.slam.programs import ConfigFile, Program, chosen, programs
+from vlp16emu.extras.slam.programs import ConfigFile, Program, chosen
 from vlp16emu.extras.truth.truth import given_mount
 from vlp16emu.output import OutputFile, final_name
 
 _COLUMNS = 1_080_000
 """Columns of a revolution times rpm: 1800 at 600 rpm, as LIO-SAM and LeGO-LOAM count (config/params.yaml, utility.h)."""
 
-Leaves = Sequence[tuple[str, Any, str]]
+Leaves = list[tuple[str, Any, str]]
 """Key, value and a remark, which is empty where the value is the program's own."""
 
 
@@ -53,10 +52,10 @@ class Rig:
         base_T_lidar, base_T_imu = (np.eye(4) if T is None else T for T in (self.base_T_lidar, self.base_T_imu))
         imu = self.imu or {}
         poses = {
-            "imu lidar": np.linalg.inv(base_T_imu) @ base_T_lidar,
-            "lidar imu": np.linalg.inv(base_T_lidar) @ base_T_imu,
-            "base lidar": base_T_lidar,
-            "base imu": base_T_imu,
+            ("imu", "lidar"): np.linalg.inv(base_T_imu) @ base_T_lidar,
+            ("lidar", "imu"): np.linalg.inv(base_T_lidar) @ base_T_imu,
+            ("base", "lidar"): base_T_lidar,
+            ("base", "imu"): base_T_imu,
         }
         sizes = {"accel_noise": "accel_noise_m_s2_sqrt_hz", "gyro_noise": "gyro_noise_rad_s_sqrt_hz"}
         sizes |= {"accel_walk": "accel_walk_m_s3_sqrt_hz", "gyro_walk": "gyro_walk_rad_s2_sqrt_hz"}
@@ -64,16 +63,16 @@ class Rig:
             "points": f"/{self.lidar_frame}_points",
             "lidar_frame": self.lidar_frame,
             "imu_with_attitude": "/imu/data" if imu.get("attitude") else "/imu/without_attitude",
-            "sweep_hz": _whole(self.rpm / 60.0),
+            "sweep_hz": round(self.rpm / 60.0),
             "sweep_s": round(60.0 / self.rpm, 9),
             "columns": round(_COLUMNS / self.rpm),
             "imu_s": round(1.0 / imu.get("rate_hz", 200), 9),
             **{name: imu.get(key) or None for name, key in sizes.items()},
-            **{key: value for name, T in poses.items() for key, value in pose_names(*name.split(), T).items()},
+            **{key: value for pair, T in poses.items() for key, value in pose_names(*pair, T).items()},
         }
 
 
-def pose_names(of: str, what: str, T: NDArray[np.float64]) -> dict[str, list[float]]:
+def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
     """Return the pose (4, 4) of one frame in another under the names of the table, in the orders that programs have."""
     from scipy.spatial.transform import Rotation
 
@@ -121,62 +120,21 @@ def write_beside(bag: Path, name: str, rig: Rig) -> Callable[[], list[Path]]:
     return write
 
 
-def protocol_files() -> dict[str, str]:
-    """Return the files of `protocol/slam` by name: one configuration of each program, and the page that lists them."""
-    made = {name: text for each in programs().values() for name, text in configurations(each, Rig()).items()}
-    rows = [
-        f"| [{each.name}](https://github.com/{each.repository}) | {_page_row(each)} |" for each in programs().values()
-    ]
-    return made | {"README.md": "\n".join([*_PAGE, *rows, "", *_why_rows()]) + "\n"}
-
-
-_PAGE = (
-    "# SLAM programs on a VLP-16 walk\n",
-    f"One ready configuration each, for bags of `vlp16emu record` and `vlp16emu bag` and for live topics of the same names: {Rig().words},",
-    "sensor, inertial unit and body in one place. `vlp16emu bag walk.pcap walk.mcap --truth truth --for fast-lio2` writes the one for your rig beside",
-    "the bag, and `vlp16emu verify walk.mcap --for fast-lio2` says whether a bag, also of a real sensor, is fit for it.",
-    "Made from `vlp16emu/extras/slam/programs.toml` by `tools/slam_files`; rows of the second table are as read in the programs' repositories in",
-    "November 2026. Play bags with `--clock`.\n",
-    "| Program | Files | Start | Compiled in |",
-    "|---|---|---|---|",
-)
-
-
-def _page_row(program: Program) -> str:
-    links = ", ".join(f"[{file.name}]({file.name})" for file in program.files)
-    return f"{links} | {program.start} | {program.compiled}"
-
-
-def _why_rows() -> Iterator[str]:
-    yield "## Values that differ from the program's own\n"
-    yield "| File | Parameter | Ours | Its own | Why | Read in |"
-    yield "|---|---|---|---|---|---|"
-    for program in programs().values():
-        for file in program.files:
-            sources = {value.key: value.source or program.read[0] for value in file.values}
-            for key, value, remark in _leaves(file, Rig(), bare=True):
-                if remark:
-                    default, why = remark.split("\n")
-                    name, ours = key.replace("//", " /"), value if isinstance(value, str) else _json(value)
-                    yield f"| {file.name} | `{name}` | {ours} | {default} | {why} | {sources[key]} |"
-
-
-def _leaves(file: ConfigFile, rig: Rig, *, bare: bool = False) -> list[tuple[str, Any, str]]:
-    """Return the values of a file for a rig; `bare` remarks are the default and the reason on lines of their own."""
+def leaves(file: ConfigFile, rig: Rig) -> Leaves:
+    """Return the values of a file for a rig."""
     names, found = rig.names(), []
     for key, given, default, why, _ in file.values:
         is_named = isinstance(given, str) and given.startswith("{")
         value = names[given.strip("{}")] if is_named else given
         value = default if value is None else value
-        text = (default or "empty") if isinstance(default, str) else _json(default)
-        remark = f"{text}\n{why}" if bare else f"{why}; its own value is {text}"
-        found.append((key, value, "" if default in (None, value) else remark))
+        own = (default or "empty") if isinstance(default, str) else as_text(default)
+        found.append((key, value, "" if default in (None, value) else f"{why}; its own value is {own}"))
     return found
 
 
 def _text(program: Program, file: ConfigFile, rig: Rig) -> str:
     head = f"{program.name} ({program.repository}): {rig.words}.", f"Read in {', '.join(program.read)}."
-    return "\n".join(_FORMATS[file.name.rpartition(".")[2]](file, _leaves(file, rig), head)) + "\n"
+    return "\n".join(_FORMATS[file.name.rpartition(".")[2]](file, leaves(file, rig), head)) + "\n"
 
 
 def _tree(file: ConfigFile, leaves: Leaves) -> dict[str, Any]:
@@ -198,7 +156,7 @@ def _yaml(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str
                 yield f"{indent}{key}:"
                 yield from lines(value, indent + "  ")
             else:
-                yield f"{indent}{key}: {_json(value[0])}" + (f"  # {value[1]}" if value[1] else "")
+                yield f"{indent}{key}: {as_text(value[0])}" + (f"  # {value[1]}" if value[1] else "")
 
     yield from (f"# {line}" for line in head)
     yield from lines(_tree(file, leaves), "")
@@ -218,7 +176,7 @@ def _lua(_file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str
     for is_inside in (True, False):
         for key, value, remark in leaves:
             if inside[key] is is_inside:
-                text = value[1:] if isinstance(value, str) and value.startswith("=") else _json(value)
+                text = value[1:] if isinstance(value, str) and value.startswith("=") else as_text(value)
                 name, end = (f"  {key.removeprefix('options/')}", ",") if is_inside else (key, "")
                 yield f"{name} = {text}{end}" + (f"  -- {remark}" if remark else "")
         yield "}\n" if is_inside else "\nreturn options"
@@ -235,7 +193,7 @@ def _launch(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[s
     for key, value, remark in leaves:
         kind, _, name = key.partition("/")
         if remark:
-            text = quoteattr(value if isinstance(value, str) else _json(value))
+            text = quoteattr(value if isinstance(value, str) else as_text(value))
             words = f"from={quoteattr(name)} to={text}" if kind == "remap" else f"name={quoteattr(name)} value={text}"
             parts[kind] += [f"  <!-- {remark} -->", f"  <{kind} {words} />"]
     yield from ("<launch>", *(f"  <!-- {line} -->" for line in head), *parts["remap"])
@@ -243,22 +201,13 @@ def _launch(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[s
     yield from (*parts["param"], "</launch>")  # behind it, as the last value of a parameter holds
 
 
-_FORMATS: Mapping[str, Callable[[ConfigFile, Leaves, Sequence[str]], Iterator[str]]] = {
-    "yaml": _yaml,
-    "json": _json_file,
-    "lua": _lua,
-    "sh": _shell,
-    "launch": _launch,
-}
+_FORMATS: Mapping[str, Callable[[ConfigFile, Leaves, Sequence[str]], Iterator[str]]]
+_FORMATS = {"yaml": _yaml, "json": _json_file, "lua": _lua, "sh": _shell, "launch": _launch}
 
 
-def _json(value: Any) -> str:
+def as_text(value: Any) -> str:
     """Write a value as JSON, YAML and Lua have it: YAML 1.1 knows no 1e-9 without a point."""
     if isinstance(value, list):
-        return f"[{', '.join(map(_json, value))}]"
+        return f"[{', '.join(map(as_text, value))}]"
     text = json.dumps(value)
     return text.replace("e", ".0e") if isinstance(value, float) and "e" in text and "." not in text else text
-
-
-def _whole(value: float) -> float:
-    return int(value) if math.isclose(value, round(value)) else value

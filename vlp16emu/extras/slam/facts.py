@@ -43,7 +43,6 @@ class Facts:
     """Contents of a bag."""
 
     clouds: Clouds
-    cloud_topics: list[str]
     imu_topic: str
     imu_frame: str
     imu: NDArray[np.float64]
@@ -117,7 +116,7 @@ def _read(path: Path, reader: Any) -> Facts:
     cloud, imu = (
         _likest(names, ours) for names, ours in zip(topics.values(), ("velodyne_points", "imu/data"), strict=True)
     )
-    facts = Facts(Clouds(topic=cloud), topics[_CLOUD], imu, "", np.empty((0, 11)), {}, {})
+    facts = Facts(Clouds(topic=cloud), imu, "", np.empty((0, 11)), {}, {})
     wanted, samples = {cloud, imu, "/tf", "/tf_static"}, []
     start_s = reader.start_time // S_NS
     for connection, _, raw in reader.messages([one for one in reader.connections if one.topic in wanted]):
@@ -141,7 +140,7 @@ def _likest(names: list[str], ours: str) -> str:
 
 
 def _stamp_s(message: Any, start_s: int) -> float:
-    return float(message.header.stamp.sec - start_s) + message.header.stamp.nanosec / S_NS
+    return float(message.header.stamp.sec - start_s + message.header.stamp.nanosec / S_NS)
 
 
 def _sample(message: Any, start_s: int) -> list[float]:
@@ -158,8 +157,9 @@ def _sample(message: Any, start_s: int) -> list[float]:
 def _add_cloud(clouds: Clouds, message: Any, start_s: int) -> None:
     names, end = [one.name for one in message.fields], "><"[not message.is_bigendian]
     kinds = [np.dtype(end + _KINDS.get(one.datatype, "u1")) for one in message.fields]
-    layout = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
-    points = np.frombuffer(message.data, np.dtype({**layout, "itemsize": message.point_step}))  # type: ignore[call-overload]
+    layout: Any = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
+    layout["itemsize"] = message.point_step
+    points: NDArray[Any] = np.frombuffer(message.data, np.dtype(layout))
     clouds.frame, clouds.fields = message.header.frame_id, dict(zip(names, kinds, strict=True))
     clouds.time_name = next((name for name in TIME_NAMES if name in names), None)
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1)

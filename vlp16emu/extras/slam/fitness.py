@@ -19,7 +19,7 @@ _EARLY_S = 1e-3
 """Time before the stamp that rounding does not explain."""
 _GRAVITY_M_S2 = 9.80665
 _TILT_DEG = 30.0
-"""No person carries a body of which the vertical axis leans more than this."""
+"""No person carries a body whose vertical axis leans more than this."""
 _SWEEP_S, _IMU_HZ, _SLOW_HZ, _BEAMS = 0.1, 200.0, 100.0, 16
 """What the configurations of `protocol/slam` are for, and the rate below which programs deskew badly."""
 

@@ -10,66 +10,48 @@ from vlp16emu.errors import InputError
 
 
 class Value(NamedTuple):
-    """A value of a configuration."""
+    """A value of a configuration under its path in the file; if ours differs the program's own, why, and where that is read."""
 
     key: str
-    """Path in the file, parts separated by slashes."""
     value: Any
     """A text {name} is a value of the rig."""
     default: Any = None
-    """The program's own value, if ours differs."""
     why: str = ""
-    """Why it does."""
     source: str = ""
-    """Where the program says so; the first file that was read if left out."""
 
 
 class ConfigFile(NamedTuple):
-    """A file of a configuration."""
+    """A file of a configuration, whose ending is its format; a .launch file includes one of a package."""
 
     name: str
-    """Its ending is the format."""
-    root: str
-    """Path under which all keys are."""
-    include: str
-    """Package and launch file that a .launch includes."""
     values: tuple[Value, ...]
+    root: str = ""
+    """Path under which all keys are."""
+    include: str = ""
 
 
 class Program(NamedTuple):
-    """A SLAM program."""
+    """A SLAM program: where it is on GitHub, and what was read there; in Markdown how to start it, and what is compiled in."""
 
     name: str
     repository: str
-    """On GitHub."""
-    read: tuple[str, ...]
-    """Files of the repository that say what the program reads."""
+    read: list[str]
     start: str
-    """How to start it with the configuration, in Markdown."""
     compiled: str
-    """What is compiled in, and cannot be configured."""
-    rest_s: float
-    """Rest at the start that it needs."""
-    files: tuple[ConfigFile, ...]
+    files: list[ConfigFile]
     needs: Mapping[str, str]
     """What to set, and what happens otherwise, by the rule of `fitness`."""
+    rest_s: float = 0.0
+    """Rest at the start that it needs."""
 
 
 @cache
 def programs() -> Mapping[str, Program]:
     """Return all programs by name, in the order of the table."""
     table = tomllib.loads(files(__package__).joinpath("programs.toml").read_text(encoding="utf-8"))
-    made = {}
-    for name, row in table.items():
-        of = tuple(
-            ConfigFile(
-                one["name"], one.get("root", ""), one.get("include", ""), tuple(Value(*v) for v in one["values"])
-            )
-            for one in row["files"]
-        )
-        about = row["repository"], tuple(row["read"]), row["start"], row["compiled"], row.get("rest_s", 0.0)
-        made[name] = Program(name, *about, of, row["needs"])
-    return made
+    for row in table.values():
+        row["files"] = [ConfigFile(**one | {"values": tuple(Value(*v) for v in one["values"])}) for one in row["files"]]
+    return {name: Program(name, **row) for name, row in table.items()}
 
 
 def chosen(name: str, *, where: str = "--for") -> list[Program]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.engine import Engine, Parts, Unit
+from vlp16emu.engine import Engine, Parts, Unit, mounts_of
 from vlp16emu.engine.position import timetable
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.faults import arriving, earliest_ns, faults_of
@@ -46,6 +46,8 @@ _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2"
 _IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
 ATTITUDE = ("qx", "qy", "qz", "qw")
 """Columns behind them of a unit that reports its attitude: world_R_imu."""
+STAMP = "stamp_utc_s"
+"""Column behind all others of a unit whose time stamps are late."""
 
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets by which the truth goes; what leaves beside them changes no line."""
@@ -202,7 +204,8 @@ class Truth:
         """Begin the files of inertial unit and receiver, where there are such."""
         scenario, imu = engine.scenario, engine.parts.imu
         if scenario.imu is not None and imu is not None:
-            append = self._begun("imu.csv", _IMU_COLUMNS + (ATTITUDE if scenario.imu.attitude else ()))
+            others = (*(ATTITUDE if scenario.imu.attitude else ()), *([STAMP] if scenario.imu.is_late else []))
+            append = self._begun("imu.csv", _IMU_COLUMNS + others)
             yield Samples(append, partial(_inertial, imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
         if (named_ns := engine.parts.gps.second_ns(begin_ns)) is not None:
             append = self._begun("gnss.csv", _GNSS_COLUMNS)
@@ -262,9 +265,10 @@ def _inertial(imu: ImuSampler, first: int, count: int) -> str:
     true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
     biases = read.gyro_bias_rad_s, read.accel_bias_m_s2
     numbers = np.column_stack([*readings, *true, *biases, *attitude_of(read)]).tolist()
+    stamps = [""] * count if read.stamp_ns is None else [f",{seconds_text(t_ns)}" for t_ns in read.stamp_ns.tolist()]
     return "".join(
-        f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}\n"
-        for t_ns, row in zip(read.t_ns.tolist(), numbers, strict=True)
+        f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}{stamp}\n"
+        for t_ns, row, stamp in zip(read.t_ns.tolist(), numbers, stamps, strict=True)
     )
 
 
@@ -310,13 +314,18 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     return {
         "world": {"axes": "x east, y north, z up"} | place,
         "sensor": {"axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"},
-        "units": [_unit(unit) for unit in parts.units],
+        "units": [_unit(unit, given) for unit, given in zip(parts.units, mounts_of(scenario), strict=True)],
         "manual": {
             "axes": "azimuth 0 on +y, clockwise seen from above (63-9243 Rev D, section 9.1)",
             "sensor_T_manual": _transform(SENSOR_R_MANUAL, np.zeros(3)),
         },
         "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
-    } | ({"imu": {"body_T_imu": _mount(imu.mount)}} if imu else {})
+    } | ({"imu": _extrinsics("body_T_imu", parts.imu_mount, imu.mount)} if imu else {})
+
+
+def _extrinsics(key: str, true: Mount, given: Mount) -> dict[str, Any]:
+    """Write the extrinsics of a device, and those that its users are given where they differ."""
+    return {key: _mount(true)} | ({f"given_{key}": _mount(given)} if given.has_errors else {})
 
 
 def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> NDArray[np.float64] | None:
@@ -325,13 +334,13 @@ def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> NDAr
     return None if "spin_hz" in mount else np.array(mount["matrix"])
 
 
-def _unit(unit: Unit) -> dict[str, Any]:
+def _unit(unit: Unit, given: Mount) -> dict[str, Any]:
     keys = ("name", "model", "serial_number", "address", "data_port", "position_port")
     return {
         "unit": unit.number + 1,
         **{key: getattr(unit.section, key) for key in keys if hasattr(unit.section, key)},
         "trajectory": _file("trajectory", unit),
-        "body_T_sensor": _mount(unit.mount),
+        **_extrinsics("body_T_sensor", unit.mount, given),
     }
 
 

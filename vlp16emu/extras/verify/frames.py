@@ -137,7 +137,8 @@ class _Frames:
         names, values, wanted = zip(*fields, strict=True)
         self.value = np.stack([np.asarray(column, np.int64) for column in values], axis=1)
         self.field, self.wanted = (np.broadcast_to(of, self.value.shape) for of in (names, wanted))
-        self.is_other = (self.value != self.wanted) & ~self.is_rewritten[:, None]
+        self.is_fragmented = (raw["version"] >> 4 == 4) & ((raw["fragment"] & 0x3FFF) != 0)
+        self.is_other = (self.value != self.wanted) & ~(self.is_rewritten | self.is_fragmented)[:, None]
         self.is_other[:, 1:] &= self.is_other[:, :1] == 0  # the fields of another version lie elsewhere
         self.field_number = np.broadcast_to(self.number[:, None], self.value.shape)
 
@@ -145,6 +146,9 @@ class _Frames:
 _TABLE = (
     Row(Rule.FRAMING, "is_cut", "{captured} of {wire} bytes captured", "a frame of {whole} bytes, whole"),
     Row(Rule.HEADER, "is_rewritten", "header that VeloView writes, of data packets", "the sensor's own", Level.NOTE),
+    Row(
+        Rule.HEADER, "is_fragmented", "{kind} packets in IP fragments, as a router makes them", "whole ones", once=True
+    ),
     Row(Rule.HEADER, "is_other", "{kind} {field} {value}", "{wanted}", at="field_number"),
 )
 

@@ -127,6 +127,8 @@ class Row(NamedTuple):
     level: Level = Level.ERROR
     at: str = "number"
     """Column of the frame numbers to which the findings belong."""
+    once: bool = False
+    """Only the first finding is kept; all are counted."""
 
 
 class _Element:
@@ -147,6 +149,7 @@ class Findings:
         self._limit = limit_per_rule
         self.counts = {level: Counter[Rule]() for level in Level}
         self.kept: list[Finding] = []
+        self._kept_once = set[Row]()
 
     def add(self, rule: Rule, packet: int, found: str, expected: str, level: Level = Level.ERROR) -> None:
         """Add one finding."""
@@ -163,7 +166,11 @@ class Findings:
             if not (places := np.flatnonzero(inside)).size:
                 continue
             number = getattr(columns, row.at).ravel()
-            for i in places[: max(self._limit - self.counts[row.level][row.rule], 0)].tolist():
+            most = max(self._limit - self.counts[row.level][row.rule], 0)
+            if row.once:
+                most = int(row not in self._kept_once)
+                self._kept_once.add(row)
+            for i in places[:most].tolist():
                 element = _Element(columns, i)
                 found, expected = (text.format_map(element) for text in (row.found, row.expected))
                 self.kept.append(Finding(row.rule, int(number[i]), found, expected, row.level))
