@@ -5,6 +5,7 @@ import math
 from functools import cache, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
@@ -106,11 +107,13 @@ class _Cohort:
         return trees
 
 
-def competition(rivals: Array, area_m2: float, larger: Array, near: Array) -> tuple[Array, Array]:
+def competition(
+    rivals: Array, area_m2: float, larger: NDArray[np.bool_], near: NDArray[np.bool_]
+) -> tuple[Array, Array]:
     """Basal area of larger trees in m2 per ha, and crown competition factor in percent, each (n,).
 
     Of rivals (m, 2), the section at breast height and the crown projection if open-grown, in m2, on an area around each of n
-    trees; `larger` and `near` (n, m) are 1 where a rival is thicker, and on that area.
+    trees; `larger` and `near` (n, m) are true where a rival is thicker, and on that area.
     """
     basal_m2, crown_m2 = rivals.T
     return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(axis=1)
@@ -213,7 +216,7 @@ class Stand:
         self._path = path
         self._season, self._dead_branches = section.season, section.dead_branches
         self._crooked = section.crooked_stems
-        self.crown, self._crown_ratios = cache(self.crown), cache(self._crown_ratios)
+        self._ratios = cache(self._crown_ratios)
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
@@ -233,7 +236,7 @@ class Stand:
             sizes = 100 * trees["dbh_m"][which], trees["height_m"][which], tuple(one[which] for one in pressure)
             trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, own[which, 6])
         kinds, of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
-        ratios = np.array([self._crown_ratios(*kind) for kind in kinds.tolist()]).reshape(-1, VARIANTS)[of]
+        ratios = np.array([self._ratios(*kind) for kind in kinds.tolist()]).reshape(-1, VARIANTS)[of]
         own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
         trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
         clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
