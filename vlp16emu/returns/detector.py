@@ -7,9 +7,9 @@ import numpy as np
 
 from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, normal
-from vlp16emu.returns.lost import LossRates, loss_rates
+from vlp16emu.returns.lost import loss_rates
 from vlp16emu.returns.noise import gain, no_return_reflectivity, range_beat_m, range_bias_m
-from vlp16emu.returns.settings import Detector, DetectorConstants, Noise, Weather
+from vlp16emu.returns.settings import Detector, DetectorConstants, LossRates, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
 from vlp16emu.types import F8, I8, ReturnMode
 from vlp16emu.units import INCLUSIVE

@@ -45,7 +45,7 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
     """
     drawn = uniform(seed, Purpose.LOSS, 0, len(_SPANS), 1 << 16).tolist()
     *rates, code = (low * power(high / low, z) for (low, high), z in zip(_SPANS, drawn, strict=True))
-    return LossRates(*(share * rate for rate in rates), code if raised else 0.0)
+    return LossRates._make([*(share * rate for rate in rates), code if raised else 0.0])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
