@@ -283,14 +283,14 @@ def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stan
         axes[:, :3] = rng.uniform(-0.05, 0.05, (n, 3)) - [0.0, 0.0, 0.5]
         level, axes[:, 5] = np.cos(rise := rng.uniform(-0.3, 0.3, n)), np.sin(rise)
         axes[:, 3], axes[:, 4] = level * np.cos(azimuth), level * np.sin(azimuth)
-        ahead, every = lab.sight_of(medium, axes, FAR_M)
-        assert (len(medium.stems.line) == every) == (half_width > 1.0)
+        ahead = lab.sight_of(medium, axes, FAR_M)
+        assert (len(medium.stems.line) == ahead.count[0]) == (half_width > 1.0)
         for line in axes:
             alone, together = lanes(), lanes()
             for L in (alone, together):
                 L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = line[:3], line[3:], FAR_M, NO_SURFACE
             lab.march_through(medium, alone, 1, line, FAR_M)
-            lab.march_through(medium, together, 1, line, FAR_M, stems=(ahead, every))
+            lab.march_through(medium, together, 1, line, FAR_M, ahead=ahead)
             assert (alone.range_m[0], alone.surface[0]) == (together.range_m[0], together.surface[0])
             met += alone.surface[0] in medium.stems.surface
     assert met > 60

@@ -315,17 +315,18 @@ def no_medium():
 
 
 def sight_of(medium, axes, far_m, aside_m=0.0, spread=0.0):
-    """List the stems of a medium that pulses, origins and directions (n, 6), may meet, and return how many there are."""
-    ahead, sight = seen(medium.stems), (medium.near_m, far_m, aside_m, spread)
-    return ahead, see_stems(medium.stems, ahead, axes, np.arange(len(axes)), np.ones(len(axes), bool), *sight)
+    """List the stems of a medium that pulses, origins and directions (n, 6), may meet."""
+    ahead = seen(medium.stems)
+    see_stems(medium.stems, ahead, axes, medium.near_m, far_m, aside_m, spread)
+    return ahead
 
 
-def march_through(medium, lanes, count, line, far_m, aside_m=0.0, spread=0.0, stems=None):
-    """Follow a pulse's lanes, `count` of them, through a medium; its middle is `line` (6,), and `stems` are by `sight_of`."""
+def march_through(medium, lanes, count, line, far_m, aside_m=0.0, spread=0.0, ahead=None):
+    """Follow a pulse's lanes, `count` of them, through a medium; its middle is `line` (6,), what is `ahead` by `sight_of`."""
     line = np.array(line, "f4")
-    stems = stems or sight_of(medium, line[None], far_m, aside_m, spread)
+    ahead = ahead or sight_of(medium, line[None], far_m, aside_m, spread)
     pulse = Pulse(lanes, count, np.float32(medium.near_m), line, np.float32(aside_m), np.float32(spread))
-    march(medium, medium.brick.reshape(-1), *stems, pulse)
+    march(medium, medium.brick.reshape(-1), ahead, pulse)
 
 
 def rays(origin_m, direction, first=0):

@@ -36,6 +36,8 @@ class Stems(NamedTuple):
     middle of the circle is off the axis."""
     plan: F4
     """(3, n) x and y of the middle, and radius, of a circle around the stem as seen from above."""
+    bounds: F4
+    """(n, 9) foot, unit axis, lowest and highest end along the axis, reach beside it."""
     surface: U4
     """(n, 2) of root flare and stem."""
     flare_m: F4

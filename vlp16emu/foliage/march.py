@@ -17,6 +17,7 @@ from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE
+from vlp16emu.raycast.beam import FARTHEST
 from vlp16emu.raycast.kernel import Cast, go_on
 from vlp16emu.types import F4, U8
 
@@ -69,16 +70,16 @@ class _Grid(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def march(M: Medium, bricks: U8, ahead: Seen, stems: int, pulse: Pulse) -> None:
+def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
     """Follow the lanes of a pulse through the medium.
 
     Parameters
     ----------
     bricks : `M.brick` in one row
-    ahead, stems : the stems that it may meet, by `see_stems`, and how many
+    ahead : the stems that it may meet, by `see_stems`
     """
     L, n, near_m, axis = pulse.lanes, pulse.n, pulse.near_m, pulse.axis
-    meet_stems(M.stems, ahead, stems, pulse)
+    meet_stems(M.stems, ahead, pulse)
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
     way = _way(corner_m, axis, near_m)
     axes, length = (way.main, way.one, way.two), way.length
@@ -263,10 +264,11 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
     own_row, own_surface, bricks = L.row, L.surface, medium.brick.reshape(-1)
     aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
     spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
-    pulses = batch.todo[:todo]
-    stems = see_stems(
-        medium.stems, ahead, batch.axes_row, pulses, batch.missed, medium.near_m, light.far_m, aside_m, spread
-    )
+    if (
+        todo == batch.missed.shape[0]
+    ):  # the first round: later ones go on with the stems that all pulses may meet at their widest
+        aside, wide = max(light.sigmas[0], light.sigmas[1]), max(light.sigmas[2], light.sigmas[3])
+        see_stems(medium.stems, ahead, batch.axes_row, medium.near_m, light.far_m, FARTHEST * aside, FARTHEST * wide)
     for t in range(todo):
         q = batch.todo[t]
         if not batch.missed[q]:
@@ -275,7 +277,7 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
             own_row[a] = row[q, a]
         for lane in range(LANES):
             own_surface[lane] = surface[q, lane]
-        march(medium, bricks, ahead, stems, Pulse(L, count, near_m, batch.axes_row[q], aside_m, spread))
+        march(medium, bricks, ahead, Pulse(L, count, near_m, batch.axes_row[q], aside_m, spread))
         for a in range(RANGE, COSINE + LANES):
             row[q, a] = own_row[a]
         for lane in range(LANES):

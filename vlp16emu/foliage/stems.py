@@ -40,6 +40,8 @@ class Seen(NamedTuple):
     """(8 * blocks,) least range at which each may be met."""
     is_seen: U1
     """(8 * blocks,) scratch."""
+    count: I8
+    """(1,) how many there are."""
 
 
 class _Sector(NamedTuple):
@@ -77,7 +79,9 @@ def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
     x_m, y_m = (line[:, axis] + middle_m * line[:, 3 + axis] for axis in range(2))
     lean = hypot(line[:, 3], line[:, 4])
     plan = np.stack([x_m, y_m, half_m * lean + line[:, 6] + line[:, 7]]).astype(np.float32)
-    return Stems(line, profile, plan, surface, flare_m)
+    ends_m = profile[:, 0, [0, -1]]
+    bounds = np.column_stack([line[:, :6], ends_m, line[:, 6] + line[:, 7] + _ROUNDING_M]).astype(np.float32)
+    return Stems(line, profile, plan, bounds, surface, flare_m)
 
 
 def seen(stems: Stems) -> Seen:
@@ -88,32 +92,21 @@ def seen(stems: Stems) -> Seen:
         np.zeros(blocks * _BLOCK, np.int32),
         np.zeros(blocks * _BLOCK, np.float32),
         np.zeros(blocks * _BLOCK, np.uint8),
+        np.zeros(1, np.int64),
     )
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
-def see_stems(
-    stems: Stems,
-    out: Seen,
-    axes: F4,
-    pulses: I8,
-    goes_on: NDArray[np.bool_],
-    near_m: float,
-    far_m: float,
-    aside_m: float,
-    spread: float,
-) -> int:
-    """List the stems that pulses may meet, nearest first, and return how many.
+def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, aside_m: float, spread: float) -> None:
+    """List the stems that pulses may meet, nearest first.
 
     Parameters
     ----------
     axes : (n, 6 or more) origins and directions of the middles of pulses
-    pulses : (m,) numbers of those asked for
-    goes_on : (n,) which of these are asked for
     near_m, far_m : range at which the medium begins, and at which light is given up
     aside_m, spread : as in `Pulse`
     """
-    sector = _sector(axes, pulses, goes_on, spread)
+    sector = _sector(axes, spread)
     count, plan, is_seen = 0, stems.plan, out.is_seen
     x_m, y_m, mx, my = f4(sector.x_m), f4(sector.y_m), f4(sector.mx), f4(sector.my)
     (cos_right, sin_right), (cos_left, sin_left) = sector.right, sector.left
@@ -140,38 +133,33 @@ def see_stems(
             count += 1
     for a in range(count):
         stem, at = out.stem[a], (a // _BLOCK) * _ROWS * _BLOCK + a % _BLOCK
-        line, profile = stems.line[stem], stems.profile[stem]
-        for row in range(6):
-            out.row[at + _BLOCK * row] = f4(line[row])
-        out.row[at + _LOW], out.row[at + _HIGH] = profile[0, 0], profile[0, -1]
-        out.row[at + _REACH] = f4(line[6] + line[7]) + _ROUNDING_M
-    return count
+        for row in range(_ROWS):  # of one cache line
+            out.row[at + _BLOCK * row] = stems.bounds[stem, row]
+    out.count[0] = count
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _sector(axes: F4, pulses: I8, goes_on: NDArray[np.bool_], spread: float) -> _Sector:
+def _sector(axes: F4, spread: float) -> _Sector:
     """Return the sector into which pulses look."""
     x_m = y_m = mx = my = 0.0
     level2 = 1.0
-    for q in pulses:
-        if goes_on[q]:
-            x_m, y_m, dx, dy = axes[q, 0], axes[q, 1], axes[q, 3], axes[q, 4]
-            mx, my, level2 = mx + dx, my + dy, min(level2, dx * dx + dy * dy)
+    for q in range(axes.shape[0]):
+        x_m, y_m, dx, dy = axes[q, 0], axes[q, 1], axes[q, 3], axes[q, 4]
+        mx, my, level2 = mx + dx, my + dy, min(level2, dx * dx + dy * dy)
     length = math.sqrt(mx * mx + my * my)
     everywhere = _Sector(x_m, y_m, np.inf, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0)
     if length == 0.0 or level2 < 0.25:
         return everywhere
     mx, my, level = mx / length, my / length, math.sqrt(level2)
     right = left = away_m = 0.0
-    for q in pulses:
-        if goes_on[q]:
-            dx, dy = axes[q, 3], axes[q, 4]
-            size = math.sqrt(dx * dx + dy * dy)
-            if mx * dx + my * dy < _WIDE * size:
-                return everywhere
-            across = (mx * dy - my * dx) / size
-            right, left = min(right, across), max(left, across)
-            away_m = max(away_m, abs(axes[q, 0] - x_m) + abs(axes[q, 1] - y_m))
+    for q in range(axes.shape[0]):
+        dx, dy = axes[q, 3], axes[q, 4]
+        size = math.sqrt(dx * dx + dy * dy)
+        if mx * dx + my * dy < _WIDE * size:
+            return everywhere
+        across = (mx * dy - my * dx) / size
+        right, left = min(right, across), max(left, across)
+        away_m = max(away_m, abs(axes[q, 0] - x_m) + abs(axes[q, 1] - y_m))
     wider = 1.1 * spread / level + 1e-3
     right, left = right - wider, left + wider
     if max(-right, left) > _WIDE:
@@ -181,9 +169,9 @@ def _sector(axes: F4, pulses: I8, goes_on: NDArray[np.bool_], spread: float) -> 
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def meet_stems(stems: Stems, ahead: Seen, count: int, pulse: Pulse) -> None:
-    """Cut the lanes with the stems ahead, `count` of them, as long as a lane goes on."""
-    row, from_m = pulse.lanes.row, ahead.from_m
+def meet_stems(stems: Stems, ahead: Seen, pulse: Pulse) -> None:
+    """Cut the lanes with the stems ahead, as long as a lane goes on."""
+    row, from_m, count = pulse.lanes.row, ahead.from_m, ahead.count[0]
     last_m = _farthest(row, pulse.n)
     for begin in range(0, count, _BLOCK):
         if from_m[begin] > last_m:
