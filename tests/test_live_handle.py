@@ -75,7 +75,7 @@ def test_settings_and_faults_hold_for_the_packets_that_follow(live):
     """After `set` the rotor goes on to the new speed; after `fault` packets are missing, and are back."""
     live.set(rpm=1200)
     steps = np.diff(azimuths(live.packets(1500))) % 36_000
-    assert steps[-1] == pytest.approx(2 * 79.6 * 6, abs=3)  # 1327.104 us at 1200 rpm are 9.555 degrees
+    assert steps[-1] == pytest.approx(2 * 79.6 * 6, rel=0.02)  # 1327.104 us at 1200 rpm are 9.555 degrees
     live.fault("drop", count=5)
     assert max(np.diff(azimuths(live.packets(100))) % 36_000) < 1000  # they are lost before these
     with pytest.raises(InputError, match=r'event lose\.kind: found "lose"; expected "corrupt", '):
