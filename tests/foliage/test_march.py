@@ -284,7 +284,7 @@ def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stan
         level, axes[:, 5] = np.cos(rise := rng.uniform(-0.3, 0.3, n)), np.sin(rise)
         axes[:, 3], axes[:, 4] = level * np.cos(azimuth), level * np.sin(azimuth)
         ahead = lab.sight_of(medium, axes, FAR_M)
-        assert (len(medium.stems.line) == ahead.count[0]) == (half_width > 1.0)
+        assert (len(medium.stems.line) == ahead.total[0]) == (half_width > 1.0)
         for line in axes:
             alone, together = lanes(), lanes()
             for L in (alone, together):

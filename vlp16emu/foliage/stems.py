@@ -40,7 +40,7 @@ class Seen(NamedTuple):
     """(8 * blocks,) least range at which each may be met."""
     is_seen: U1
     """(8 * blocks,) scratch."""
-    count: I8
+    total: I8
     """(1,) how many there are."""
 
 
@@ -135,7 +135,7 @@ def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, as
         stem, at = out.stem[a], (a // _BLOCK) * _ROWS * _BLOCK + a % _BLOCK
         for row in range(_ROWS):  # of one cache line
             out.row[at + _BLOCK * row] = stems.bounds[stem, row]
-    out.count[0] = count
+    out.total[0] = count
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
@@ -171,7 +171,7 @@ def _sector(axes: F4, spread: float) -> _Sector:
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_stems(stems: Stems, ahead: Seen, pulse: Pulse) -> None:
     """Cut the lanes with the stems ahead, as long as a lane goes on."""
-    row, from_m, count = pulse.lanes.row, ahead.from_m, ahead.count[0]
+    row, from_m, count = pulse.lanes.row, ahead.from_m, ahead.total[0]
     last_m = _farthest(row, pulse.n)
     for begin in range(0, count, _BLOCK):
         if from_m[begin] > last_m:

@@ -112,7 +112,8 @@ class Live:
         self._stop, self._changed, self._over = Event(), Condition(), False
         self._result: Streamed | None = None
         self._error: BaseException | None = None
-        self._has_raised, self._control = False, None
+        self._has_raised = False
+        self._control: Any = None
         self._lanes = {(unit.number, kind): _Lane() for unit in engine.parts.units for kind in PacketKind}
         self._shift_ns: int | None = None
         """By how much later packets are due than in the scene, as they are moved into the present."""
@@ -317,7 +318,7 @@ class Live:
         number, is_over = 0, False
         while not is_over:
             with self._changed:
-                self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)
+                self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)  # type: ignore[misc]  # of its default
                 is_late = number < lane.count - len(lane.held)
                 packets, number, is_over = [] if is_late else lane.since(number), lane.count, self._over
             yield from _points([packet for packet in packets if len(packet.payload) == DATA_BYTES])

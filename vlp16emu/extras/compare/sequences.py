@@ -11,6 +11,7 @@ from vlp16emu.errors import CaptureError
 from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.units import CapturedUnit
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
@@ -57,7 +58,7 @@ class Sequences:
     @property
     def packet_us(self) -> float:
         """Period of the packets by the manual, in microseconds."""
-        return len(self.number) // len(self.packet) * layout.SEQUENCE_NS / US_NS
+        return len(self.number) // len(self.packet) * SEQUENCE_NS / US_NS
 
     @property
     def rpm(self) -> float:

@@ -62,7 +62,7 @@ def on_lattice(sequences: Sequences) -> bool:
 
 
 def _is_multiple(since_us: np.ndarray, period_us: float) -> np.ndarray:
-    return np.floor(np.ceil(since_us / period_us - 1e-9) * period_us + 1e-6) == since_us
+    return np.asarray(np.floor(np.ceil(since_us / period_us - 1e-9) * period_us + 1e-6) == since_us)
 
 
 def _clocks(sequences: Sequences) -> Statistics:
