@@ -135,7 +135,9 @@ def lanes() -> Lanes:
         row[COSINE:AT],
         np.zeros(LANES, np.uint32),
         np.zeros(6 * LANES, np.float32),
-        *np.zeros((3, AHEAD), np.uint32),
+        np.zeros(AHEAD, np.uint32),
+        np.zeros(AHEAD, np.uint32),
+        np.zeros(AHEAD, np.uint32),
         np.zeros(AHEAD, np.uint64),
     )
 
