@@ -277,7 +277,8 @@ def test_a_ray_is_the_same_alone_and_in_any_order(stand):
 def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stand, half_width):
     """What pulses that look into a sector, narrow or around, meet is the same with the stems listed for each of them alone."""
     medium, rng, met, n = stand[2], np.random.default_rng(7), 0, 60
-    for towards in rng.uniform(-np.pi, np.pi, 4):
+    for x_m, y_m in rng.choice(medium.stems.line[:, :2], 8):
+        towards = math.atan2(y_m, x_m)
         azimuth = towards + rng.uniform(-half_width, half_width, n)
         axes = np.zeros((n, 6), "f4")
         axes[:, :3] = rng.uniform(-0.05, 0.05, (n, 3)) - [0.0, 0.0, 0.5]
@@ -293,7 +294,7 @@ def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stan
             lab.march_through(medium, together, 1, line, FAR_M, ahead=ahead)
             assert (alone.range_m[0], alone.surface[0]) == (together.range_m[0], together.surface[0])
             met += alone.surface[0] in medium.stems.surface
-    assert met > 60
+    assert met > 20
 
 
 def test_what_is_hit_before_hides_what_is_behind(stand):
