@@ -341,10 +341,6 @@ class World(Protocol):
     def seed(self) -> int:
         """Seed of the world's random numbers."""
 
-    @property
-    def height_m(self) -> HeightField:
-        """Height of the ground over places."""
-
     def shape_name(self, key: ShapeKey) -> str:
         """Return all that decides a shape, in words; empty if it is not kept on disk."""
 

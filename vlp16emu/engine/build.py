@@ -29,7 +29,7 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
-from vlp16emu.types import Firings, Hits, ReturnMode, Returns, World
+from vlp16emu.types import Firings, HeightField, Hits, ReturnMode, Returns, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.site import Sway
 
@@ -115,6 +115,8 @@ class Parts:
     imu: ImuSampler | None
     imu_mount: Mount
     """True mount of the inertial unit, if there is one."""
+    ground_m: HeightField
+    """Height of the ground over places."""
     world: World
     """At rest."""
     wind: Sway | None
@@ -165,9 +167,9 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
         If a part cannot be made of what its section says
     """
     if like and in_one_world(scenario, like.scenario):
-        carrier, world, wind = like.parts.carrier, like.parts.world, like.parts.wind
+        carrier, ground_m, world, wind = like.parts.carrier, like.parts.ground_m, like.parts.world, like.parts.wind
     else:
-        carrier, world, wind = _world(scenario)
+        carrier, ground_m, world, wind = _world(scenario)
     start_ns, imu, seed = scenario.start_ns, scenario.imu, scenario.sensor_seed
     top = scenario.motion.under_sensors(carrier)
     motions = [mounted(top, mount, start_ns) for mount in _true_mounts(scenario)]
@@ -178,8 +180,8 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(motions))
     people = None
     if scenario.people:
-        people = People(scenario.people, carrier, world.height_m, start_ns=start_ns, seed=scenario.motion_seed)
-    return Parts(units, carrier, sampler, imu_mount, world, wind, people, _gps(scenario))
+        people = People(scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed)
+    return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, _gps(scenario))
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
@@ -209,8 +211,8 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
     return Footprint(scenario.beam, seed, scenario.detector.resolution_m, *seen)
 
 
-def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
-    """Make the carrier, the world that it goes through, and what moves its trees."""
+def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Sway | None]:
+    """Make the carrier, the ground and the world that it goes through, and what moves its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
     site = section.site(seed)
@@ -232,7 +234,7 @@ def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
         wind=scenario.wind,
         start_ns=scenario.start_ns,
     )
-    return carrier, world, wind
+    return carrier, site.height_m, world, wind
 
 
 def mounts_of(scenario: Scenario) -> list[Mount]:

@@ -67,6 +67,10 @@ class BareWorld(World, Protocol):
     def materials(self) -> tuple[str, ...]:
         """Names by `SURFACE` material number."""
 
+    @property
+    def height_m(self) -> HeightField:
+        """Height of the ground."""
+
 
 class Furnished:
     """A world and what the user has put into it; a `World`.
