@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from configparser import ConfigParser
 from email.parser import Parser
 from itertools import pairwise
 from pathlib import Path
@@ -55,14 +56,14 @@ def test_a_wheel_has_its_data(wheel):
 
 
 def test_a_wheel_has_the_command_and_the_licence(wheel):
-    """The command `vlp16emu`, the lowest Python and the licence stand in the wheel."""
+    """The command `vlp16emu`, the plugin of pytest, the lowest Python and the licence stand in the wheel."""
     info = f"vlp16emu-{PROJECT['version']}.dist-info"
-    assert wheel.read(f"{info}/entry_points.txt").decode().split() == [
-        "[console_scripts]",
-        "vlp16emu",
-        "=",
-        "vlp16emu.__main__:main",
-    ]
+    entries = ConfigParser()
+    entries.read_string(wheel.read(f"{info}/entry_points.txt").decode())
+    assert {group: dict(entries[group]) for group in entries.sections()} == {
+        "console_scripts": {"vlp16emu": "vlp16emu.__main__:main"},
+        "pytest11": {"vlp16emu.pytest": "vlp16emu.pytest"},
+    }
     metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
     assert (metadata["License-Expression"], metadata["Requires-Python"]) == ("MIT", ">=3.11")
     assert f"{info}/licenses/LICENSE" in wheel.namelist()

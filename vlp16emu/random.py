@@ -57,12 +57,12 @@ class Purpose(IntEnum):
     UNIT_NOISE = 107
     CAPTURE_HOST = 110
     TEXTURE = 116
-    POWER_UP = 117
     MOUNT = 130
     IMU_MODEL = 131
     IMU_STAMP = 132
     PASSER = 133
-    LOSS = 118
+    POWER_UP = 134
+    LOSS = 135
     SCORE_DISK = 92
 
 

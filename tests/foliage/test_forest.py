@@ -73,7 +73,7 @@ def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
 def test_a_far_hit_shows_what_stands_there(forest, workers):
     """Of hits beyond `near_m` a face that shows their own surface is within 1 m; of surfaces dealt anew it mostly is not."""
     unit, world = forest.units[0], forest.world
-    firings = unit.head.aim(0, 64, unit.motion.poses_at, beam_axis=True)
+    firings = unit.head.aim(0, 128, unit.motion.poses_at, beam_axis=True)
     window = world.window(firings.origin_m[:1, 0])
     hits = caster(world, workers).open(window).cast(firings, unit.head.beams.near_m, 30.0)
     far = np.flatnonzero((hits.range_m > world.near_m) & np.isfinite(hits.range_m))

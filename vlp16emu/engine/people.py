@@ -19,6 +19,11 @@ _FIRST_INSTANCE = 0xFFFFFFF0
 """Instance of the companion; that of those who pass is the next. Things of the user are numbered far below."""
 _SHOULDERS = 0.82
 """Height of the shoulders, as a share of the stature (assumption)."""
+_STATURE_M, _WIDTH_M = 1.74, 0.5
+"""Height, and width of the shoulders with 0.04 m of outdoor clothing; medians of British men (City University of Hong Kong, online
+anthropometry, chapter 2)."""
+_REFLECTANCE = 0.5
+"""Lambertian, at 903 nm (assumption)."""
 _HEAD_M = 0.0975
 """Radius of the head, half its length of 0.195 m (median British men; City University of Hong Kong, online anthropometry)."""
 
@@ -43,7 +48,7 @@ class People:
         self._feet = list[Callable[[I8], F8]]()
         self.surfaces = np.zeros(2, SURFACE)
         """(2,) rows of the table of surfaces: of the companion, and of those who pass."""
-        self.surfaces["reflectance"], self.surfaces["semantic"] = section.reflectance, Semantic.OTHER
+        self.surfaces["reflectance"], self.surfaces["semantic"] = _REFLECTANCE, Semantic.OTHER
         self.surfaces["instance"] = _FIRST_INSTANCE + np.arange(2)
 
     def in_front(self, firings: Firings, hits: Hits, first_surface: int) -> Hits:
@@ -94,9 +99,8 @@ class People:
     def _met(self, firings: Firings, foot_m: F8) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return range (k, L) at which pulses meet a person, inf where they do not, and cosine of incidence."""
         range_m, cosine = np.full(firings.t_ns.shape, np.inf), np.zeros(firings.t_ns.shape)
-        stature_m, radius_m = self._section.stature_m, self._section.shoulders_m / 2
-        from_foot_m, at_m = firings.origin_m - foot_m[:, None], _SHOULDERS * stature_m
-        for cylinder in ((radius_m, 0.0, at_m), (_HEAD_M, at_m, stature_m)):
+        from_foot_m, at_m = firings.origin_m - foot_m[:, None], _SHOULDERS * _STATURE_M
+        for cylinder in ((_WIDTH_M / 2, 0.0, at_m), (_HEAD_M, at_m, _STATURE_M)):
             for found_m, slope in _cylinder(from_foot_m, firings.direction, *cylinder):
                 nearer = found_m < range_m
                 range_m, cosine = np.where(nearer, found_m, range_m), np.where(nearer, slope, cosine)

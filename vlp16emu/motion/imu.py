@@ -17,6 +17,7 @@ GRAVITY_M_S2 = 9.80665
 """Standard gravity, downwards (3rd CGPM, 1901)."""
 _CHUNK = 4096  # samples of a random walk that are drawn together
 _HORIZON = 1 << 32  # chunks that the walk is long: centuries
+_WARM_UP_S = 200.0  # in which 63 % of the change by warming up is done (assumption)
 _HEADING = 6  # lane of the heading's random walk, behind those of the six axes
 
 
@@ -109,9 +110,7 @@ class ImuSampler:
     ) -> tuple[Array, Array]:
         """Errors (count, 3) of three axes, white noise and bias; and the bias alone. What is zero is not drawn."""
         bias, noise, walk, warm_up = sizes
-        warmed = (
-            1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * self._imu.warm_up_s)) if warm_up else 0.0
-        )
+        warmed = 1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * _WARM_UP_S)) if warm_up else 0.0
         out, slow = np.zeros((count, 3)), np.zeros((count, 3))
         for axis in range(3):
             lane = first_axis + axis

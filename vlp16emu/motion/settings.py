@@ -380,11 +380,9 @@ class Imu(Preset):
     accel_walk_m_s3_sqrt_hz: _Error = 0.0
     """Random walk of the bias."""
     gyro_warm_up_rad_s: _Error = 0.0
-    """Change of the bias as the unit warms up, one sigma."""
+    """Change of the bias as the unit warms up from the first pulse on, one sigma; 63 % of it in 200 s."""
     accel_warm_up_m_s2: _Error = 0.0
     """Change of the bias as the unit warms up, one sigma."""
-    warm_up_s: Annotated[float, Field(ge=1, le=86_400)] = 200.0
-    """Time in which 63 % of the change is done, from the first pulse on."""
     scale_error: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """Error of each axis' sensitivity, as a share, one sigma."""
     cross_axis: Annotated[float, Field(ge=0, le=0.2)] = 0.0

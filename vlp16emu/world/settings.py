@@ -64,12 +64,6 @@ class People(Section):
     """Time from one person to the next who comes towards the carrier on the same way, and passes; 0 for none (assumption)."""
     passes_at_m: Annotated[float, Field(ge=0.6, le=100)] = 1.0
     """How far to the side such a person passes (assumption)."""
-    stature_m: Annotated[float, Field(ge=1, le=2.5)] = 1.74
-    """Height; median of British men (City University of Hong Kong, online anthropometry, chapter 2)."""
-    shoulders_m: Annotated[float, Field(ge=0.2, le=1)] = 0.5
-    """Width of the shoulders; the median of the same, 0.465 m, with 0.04 m for outdoor clothing."""
-    reflectance: Fraction = 0.5
-    """Lambertian, at 903 nm (assumption)."""
 
 
 class HallThing(Finish):

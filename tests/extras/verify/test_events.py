@@ -9,7 +9,7 @@ from vlp16emu.extras.bench.faults import arriving
 from vlp16emu.extras.verify import Rule, verify
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
-from vlp16emu.units import seconds_to_ns
+from vlp16emu.units import S_NS, seconds_to_ns
 
 TABLES = {
     "schema": 1,
@@ -145,7 +145,12 @@ RUNS = {
         [DARK, event("power_cycle", 2.0, off_s=3.0)],
         7.0,
         {},
-        {Rule.SILENCE: "no packet for 3.0", Rule.PPS: LOST_LOCK, Rule.CLOCK_DRIFT: "off the capture stamps"},
+        {
+            Rule.SILENCE: "no packet for 3.0",
+            Rule.PPS: LOST_LOCK,
+            Rule.CLOCK_DRIFT: "off the capture stamps",
+            Rule.TIME_STEP: " us",
+        },
     ),
     "step of the clock": (
         [event("oscillator", 0.5, offset_us=500.0)],
@@ -172,11 +177,16 @@ RUNS = {
 def test_what_happens_to_a_sensor_is_named(verified, name):
     """Each event breaks its rules and no others; sentences of status V, which trees cause too, are counted and break none."""
     events, duration_s, tables, rules = RUNS[name]
-    found, result = verified(emulator(*events, duration_s=duration_s, **tables).packets())
+    run = emulator(*events, duration_s=duration_s, **tables)
+    found, result = verified(run.packets())
     data = {Rule.LOST_PACKETS, Rule.HEADER} if name == "power cycle" else set()  # the count of packets begins anew
     assert set(found) - data == set(rules)
     assert all(any(words in text for text in found[rule]) for rule, words in rules.items())
     assert result.void_sentences == 3 or not name.startswith("void")
+    if name == "power cycle":
+        # Its clock begins at 0 whole seconds after the start; the next pulse resets its sub-seconds (63-9243, app. G).
+        step_us, since_second_us = int(found[Rule.TIME_STEP][0].split()[2]), run.scenario.start_ns % S_NS / 1000
+        assert (step_us - since_second_us) % 10**6 == pytest.approx(1327.1, abs=1.5)  # packets are so far apart
 
 
 def test_garbled_sentences(verified):

@@ -1,4 +1,4 @@
-"""Statistics of a unit, from its packets alone, most of which depend little on what stood before it."""
+"""Statistics of a unit, from its packets alone; most depend little on what stood before it."""
 
 import math
 

@@ -69,7 +69,9 @@ def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: in
             until_ns = last_ns + 1 - start_ns
         count = number_at(scenario, unit, kind, until_ns) - first
         times = start_ns + begin_ns, start_ns + until_ns
-        yield Happening(*times, place + 1, event.unit, event.kind, kind, first, count)
+        yield Happening(
+            *times, place + 1, event.unit, event.kind, kind, first - number_at(scenario, unit, kind, 0), count
+        )
 
 
 def _single(
@@ -85,4 +87,5 @@ def _single(
         for fault in faults:
             if fault.unit.number == packet.unit and fault.befalls(packet, number):
                 times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
-                yield Happening(*times, *of, fault.event.kind, packet.kind, number, 1)
+                first = number - number_at(scenario, fault.unit, packet.kind, 0)
+                yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)

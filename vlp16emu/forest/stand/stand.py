@@ -122,7 +122,7 @@ def competition(
 def residuals(normal: Array) -> Array:
     """Residuals (n, 4) of height, crown ratio, crown width and stem volume, in sigmas, from as many normal numbers, correlated as measured."""
     z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
-    own = math.sqrt(1 - _WIDTH_BY_HEIGHT**2 - _WIDTH_BY_RATIO**2)
+    own = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
     z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + own * z[:, 2]
     return z
 
@@ -319,7 +319,7 @@ def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array
     for cohort in cohorts:
         species, dbh_cm = cohort.species, cohort.sample_cm
         # The mean of squares is as much more than the square of the mean.
-        wider = math.exp(species.spread.crown_width**2)
+        wider = exp(species.spread.crown_width * species.spread.crown_width)
         area_m2 = np.column_stack([species.rival_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))])
         areas_m2.append(pattern.per_ha * cohort.share.share / whole / len(dbh_cm) * area_m2)
     return np.concatenate([cohort.sample_cm for cohort in cohorts]), np.concatenate(areas_m2)
