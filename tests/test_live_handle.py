@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import vlp16emu
 from vlp16emu import Emulator, decode
 from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.packets.layout import DATA_PAYLOAD
-from vlp16emu.sinks import RigSink, free_ports
+from vlp16emu.sinks import RigSink, UdpSink, free_ports
 from vlp16emu.types import PacketKind
 
 SCENE = "static_bench"
@@ -204,3 +205,20 @@ def test_a_program_that_forgets_to_stop_ends_all_the_same():
     code = "import vlp16emu; live = vlp16emu.stream('static_bench', {'duration_s': 900.0}); print(len(live.packets(5)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "5\n", "")
+
+
+def test_a_packet_has_its_truth_as_soon_as_a_receiver_has_it(live, monkeypatch):
+    """The truth of a packet is known while its datagram is being sent, as a receiver is sooner than the sender's own notice."""
+    found, sent = [], UdpSink.send
+
+    def send(sink, packet):
+        sent(sink, packet)
+        if packet.kind is PacketKind.DATA:
+            with suppress(InputError):
+                found.append(live.truth(packet.payload).size)
+            found.append(0)
+
+    monkeypatch.setattr(UdpSink, "send", send)
+    while len(found) < 80:
+        live.packets(1)
+    assert found[:80] == [384, 0] * 40

@@ -68,6 +68,8 @@ class _Lane:
 
     def __init__(self) -> None:
         self.held = deque[Packet](maxlen=_HELD)
+        self.leaving: Packet | None = None
+        """Packet that a receiver may have before it counts as left."""
         self.count = self.taken = 0
         self.wake_at: float = np.inf
         """Count at which a thread is to be woken that waits for packets."""
@@ -78,12 +80,13 @@ class _Lane:
 
 
 class _Tap(PacketSink):
-    """Sends packets, and gives notice of each."""
+    """Sends packets, and gives notice of each, before and after."""
 
-    def __init__(self, sink: PacketSink, left: Callable[[Packet], None]) -> None:
-        self._sink, self._left = sink, left
+    def __init__(self, sink: PacketSink, leaves: Callable[[Packet], None], left: Callable[[Packet], None]) -> None:
+        self._sink, self._leaves, self._left = sink, leaves, left
 
     def send(self, packet: Packet) -> None:
+        self._leaves(packet)
         self._sink.send(packet)
         self._left(packet)
 
@@ -198,10 +201,10 @@ class Live:
         """
         lane, stamp = self._lane(unit, "data"), _stamp(payload)
         with self._changed:
-            held = list(lane.held)
-        slots = next((packet.slots for packet in reversed(held) if _stamp(packet.payload) == stamp), None)
+            known = [*lane.held, *filter(None, [lane.leaving])]
+        slots = next((packet.slots for packet in reversed(known) if _stamp(packet.payload) == stamp), None)
         if slots is None:
-            expected = f"one of the last {len(held)} of unit {unit}, in a stream with truth"
+            expected = f"one of the last {len(known)} of unit {unit}, in a stream with truth"
             raise InputError("packet", "found no truth of its time stamp", expected)
         rows = np.zeros(len(slots), RECORD_TRUTH)
         for name in SLOT.names or ():
@@ -251,7 +254,11 @@ class Live:
             self._stop.wait(max(left_ns / S_NS / self._asked.speed, 0.001))
 
     def _watches(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
-        return _Tap(sink, lambda packet: self._left(packet, pacer))
+        return _Tap(sink, self._leaves, lambda packet: self._left(packet, pacer))
+
+    def _leaves(self, packet: Packet) -> None:
+        """Keep a packet that is about to leave."""
+        self._lanes[packet.unit, packet.kind].leaving = packet
 
     def _left(self, packet: Packet, pacer: Pacer) -> None:
         """Keep a packet that has left, and wake who waits for it."""
