@@ -84,7 +84,7 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_rate_of_lost_records_comes_back(recorded, share):
-    """Of a unit that loses none no loss is found, of one like the real ones between a third and three times theirs."""
+    """A unit that loses no record has a rate of 0; one like the real ones has between a third of their rate and three times it."""
     lost = fitted(recorded(f"lost {share}", UNIT | SHORT_SIGHTED | {"noise.records_lost": share}, 0.9))["noise"][
         "records_lost"
     ]

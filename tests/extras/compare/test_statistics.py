@@ -177,7 +177,7 @@ def test_clocks_are_held_against_each_other():
 
 
 def test_ranges_of_real_units_are_widened_by_half():
-    """By ratios above 0, and of one unit by a factor of two; by differences elsewhere."""
+    """Limits are widened by ratios above 0, by a factor of two for one unit, and by differences elsewhere."""
     assert Known(0.01, 0.04, "").limits == pytest.approx((0.005, 0.08))
     assert Known(4.0, 4.0, "").limits == pytest.approx((2.0, 8.0))
     assert Known(-0.3, -0.2, "").limits == pytest.approx((-0.35, -0.15))

@@ -196,7 +196,7 @@ def walk_of(path, duration_s=130.0, rate_hz=20):
 
 
 def test_odometry_that_begins_anywhere_scores_as_if_it_began_at_the_truth(truth, capsys):
-    """By default the first pose is laid on the truth: one that drifts by 1 % of the path has that drift over 10 and 100 m."""
+    """The first pose is laid on the truth by default: an estimate off by 1 % of the path has that drift over 10 and 100 m."""
     rows = walk_of(truth / "trajectory.tum")
     rows[:, 1] *= 1.01
     turn = Rotation.from_euler("zyx", [70, 10, 5], degrees=True)
@@ -214,7 +214,7 @@ def test_odometry_that_begins_anywhere_scores_as_if_it_began_at_the_truth(truth,
 
 @pytest.mark.parametrize("late_s", [0.1, -0.064])
 def test_late_stamps_are_found(truth, capsys, late_s):
-    """An estimate whose stamps are late is told what to add to them; a motion without swing, or a path of 9 m, tells nothing."""
+    """The offset of late stamps is reported; a motion without swing, or a path of 9 m, gives none."""
     rows = walk_of(truth / "trajectory.tum", 20.0)
     rows = rows[20:-20:2]
     rows[:, 0] += late_s

@@ -205,7 +205,7 @@ DAMAGES = {
     "truth moves base_link": (moving_body, "tf-map", {"cartographer": "map -> base_link", "hdl-graph-slam": "map -> base_link"}),
     "walks at once": (samples(turning), "rest", {"dlio": "3 s of rest", "rko-lio": "initialization_phase: false"}),
 }  # fmt: skip
-"""Damage, the rule that it breaks, and what programs are to be told."""
+"""Damage, the rule that it breaks, and what is reported for each program."""
 
 
 def test_our_bag_is_fit_for_all(rest, tmp_path):
@@ -219,11 +219,11 @@ def test_our_bag_is_fit_for_all(rest, tmp_path):
 @pytest.mark.parametrize("name", DAMAGES)
 def test_each_damage_is_found(rest, tmp_path, name):
     """A damaged bag has the one finding, with the parameter of each program; programs that do not mind have none."""
-    damage, rule, told = DAMAGES[name]
+    damage, rule, reported = DAMAGES[name]
     found = fitness(write(tmp_path / "bag", [made for one in rest if (made := damage(one))]), "all")
     assert {one.rule for one in found.findings} == {rule}
     assert {one.program for one in found.findings} == {one.name for one in programs().values() if rule in one.needs}
-    for program, words in told.items():
+    for program, words in reported.items():
         (finding,) = found.of(program)
         assert words in str(finding)
         assert "\n" not in str(finding)
