@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from woods import THIN
 
 from vlp16emu import Emulator, Scenario, decode
 from vlp16emu.errors import CaptureError, InputError, PacketError
@@ -114,7 +115,7 @@ def test_points_are_as_many_as_the_packets_have(hall, tmp_path):
 
 def test_poses_take_points_to_the_world(tmp_path):
     """On a walk each point, put by the pose of its own instant, is where `write_points` has it; the scan's is that of its start."""
-    emulator = Emulator("birch_walk", {"sensor.max_range_m": 20.0, "world.stems_per_ha": 150, "seed": 5}, threads=1)
+    emulator = Emulator("birch_walk", THIN, threads=1)
     scan = next(emulator.scans(start_s=2.0, duration_s=0.25))
     np.testing.assert_array_equal(scan.world_T_sensor, emulator.world_T_sensor(np.array([scan.start_ns]))[0])
     T = emulator.world_T_sensor(scan.t_ns)

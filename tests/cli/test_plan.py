@@ -1,6 +1,7 @@
 """What a run needs, leaves out, and how fast it is."""
 
 import pytest
+from woods import THIN, WORDS
 
 from vlp16emu.engine import Engine, assemble
 from vlp16emu.engine.windows import Batching
@@ -61,10 +62,8 @@ def test_a_walk_moves_and_swings():
 
 def test_a_walk_is_counted_and_measured(cli):
     """Trees in reach are as many as the world itself names, a span is measured, and the speed beside the sender decides."""
-    thin = "sensor.max_range_m=20", "world.stems_per_ha=150", "seed=5"
-    settings = (word for setting in thin for word in ("--set", setting))
-    tree = cli("plan", "birch_walk", *settings, "--threads", "1", "--json").tree
-    scenario = load("birch_walk", thin)
+    tree = cli("plan", "birch_walk", *WORDS, "--threads", "1", "--json").tree
+    scenario = load("birch_walk", THIN)
     parts = assemble(scenario)
     edges_ns = scenario.start_ns + Batching(16, 55_296).edges_ns(0)
     trees = parts.world.trees(parts.motion.poses_at(edges_ns).world_p_body_m)

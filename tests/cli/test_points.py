@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 import trimesh
+from woods import LINES, WORDS
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.packets import DISTANCE_LSB_M
@@ -61,8 +62,7 @@ def test_both_frames_are_reported(points):
 
 def test_a_walk_has_points_in_the_world_pulse_by_pulse(points):
     """On a walk a point in the world is origin + distance * direction of its own pulse."""
-    settings = ["seed=5", "world.stems_per_ha=150", "sensor.max_range_m=15.0"]
-    settings += ["sensor.preset=steady", "noise.preset=ideal"]
+    settings = [*LINES, "sensor.preset=steady", "noise.preset=ideal"]
     settings += ["sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0"]
     own, _ = points(*(word for setting in settings for word in ("--set", setting)), scene="birch_walk")
     emulator, world_m = Emulator(load("birch_walk", settings)), []
@@ -137,8 +137,7 @@ def test_fog_is_of_no_class(points):
 
 def test_leaves_are_distinguished_from_wood(points):
     """In a forest every point on a leaf is labelled leaf, on any other part of a plant wood, elsewhere neither."""
-    settings = ["seed=5", "world.stems_per_ha=150", "sensor.max_range_m=15.0"]
-    own, _ = points("--truth", *(word for s in settings for word in ("--set", s)), scene="birch_walk")
+    own, _ = points("--truth", *WORDS, scene="birch_walk")
     assert {0, 1, 2} == set(own["leaf_wood"])
     assert (own["leaf_wood"] == 2).tolist() == (own["part"] == PlantPart.LEAF).tolist()
     assert (own["leaf_wood"] == 0).tolist() == (own["part"] == PlantPart.NONE).tolist()
