@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from vlp16emu.scenario import Scenario
 
 
-_TIMES = 8
-"""So many times as many pulses for means of worlds, by which single pulses are not compared."""
+_TIMES = 8  # so many times as many pulses for means of worlds, by which single pulses are not compared
 
 
 def accuracy(

@@ -20,8 +20,7 @@ from vlp16emu.cli.verb import command
 from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError, Vlp16emuError
 
-_LEFT_S = 0.8
-"""How long a command that is interrupted may take to remove what it has not finished."""
+_LEFT_S = 0.8  # how long a command that is interrupted may take to remove what it has not finished
 
 _was_interrupted = threading.Event()
 

@@ -30,8 +30,7 @@ _LABELS = {
     "wall_s": "run time",
     "walk_share": "of the walk",
 }
-_WIDEST = 10.0
-"""Quotient of the ends of an interval beyond which it does not give as much as the order of magnitude."""
+_WIDEST = 10.0  # quotient of the ends of an interval beyond which it does not give as much as the order of magnitude
 
 
 def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:

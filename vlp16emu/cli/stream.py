@@ -32,8 +32,7 @@ _POLICY = {
     "pace": "the delay stays, at the sensor's own spacing (--late pace)",
     "skip": "late packets are dropped until the stream is at now (--late skip)",
 }
-_LATE = 1
-"""Exit code of a strict stream that was late."""
+_LATE = 1  # exit code of a strict stream that was late
 
 Strict = Annotated[bool, Option("End with 1 if packets were late by more than 50 ms, or were skipped.")]
 

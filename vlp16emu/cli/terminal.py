@@ -48,8 +48,7 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         restore()
 
 
-_REFRESH_S = 0.5
-"""Drawing takes a millisecond, which a packet that is due must not wait for more often."""
+_REFRESH_S = 0.5  # drawing takes a millisecond, which a packet that is due must not wait for more often
 
 
 class Progress:

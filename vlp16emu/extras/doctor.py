@@ -27,8 +27,7 @@ _EXTRAS = {
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
 """Instruction sets that Embree has kernels for, by their names in /proc/cpuinfo, the widest first (Embree 4 manual, rtcNewDevice)."""
 _FEWEST_CORES = 2
-_CASTER = "raycast."
-"""Begin of the names of compiled kernels of that room."""
+_CASTER = "raycast."  # begin of the names of compiled kernels of that room
 
 
 def all_checks() -> Iterator[Check]:

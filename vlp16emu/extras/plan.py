@@ -32,10 +32,8 @@ _KINDS = {
     MeshKey: "meshes",
 }
 _LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "matplotlib", "rich", "serial")
-_SCARCE = 1.2
-"""Speed below which other programs, a driver on the same machine for instance, may make a stream late."""
-_SENT_S = 0.4
-"""Of packets that are sent, to no other program, in order to measure what sending takes."""
+_SCARCE = 1.2  # speed below which other programs, a driver on the same machine for instance, may make a stream late
+_SENT_S = 0.4  # of packets that are sent, to no other program, in order to measure what sending takes
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,15 +15,11 @@ from vlp16emu.sinks.pacing import prompt_sleeps
 from vlp16emu.types import Packet
 
 _SLEEPS = 200
-_SLEEP_S = 0.001_327
-"""As long as between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)."""
-_PROMPT_NS = 1_327_104
-"""A packet that is later than that leaves after the next one is due."""
+_SLEEP_S = 0.001_327  # as long as between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)
+_PROMPT_NS = 1_327_104  # a packet that is later than that leaves after the next one is due
 _COARSE_S = 1e-6
-_PAUSE_S = 0.1
-"""A revolution at 600 rpm: pauses of receivers that share their cores are shorter."""
-_RIG_PACKETS_HZ = 2 * 1508
-"""Data packets of two sensors in dual return (63-9243 Rev D, section 8.2)."""
+_PAUSE_S = 0.1  # a revolution at 600 rpm: pauses of receivers that share their cores are shorter
+_RIG_PACKETS_HZ = 2 * 1508  # data packets of two sensors in dual return (63-9243 Rev D, section 8.2)
 _HELD_BYTES = 2304
 """That Linux counts for one of them in a receive buffer: payload, headers and its own record, rounded up."""
 

@@ -30,8 +30,7 @@ GROUP = 8
 """Firing sequences of a group, from a multiple of eight on: an adaptive beam is judged among so many, and no others."""
 TIMED_SEQUENCES = 96
 """Firing sequences on which run time is measured in each window: then a call costs below a tenth of a ray each."""
-_MOST_SEGMENTS = 8
-"""Most segments of a long walk: each needs a window of the world."""
+_MOST_SEGMENTS = 8  # most segments of a long walk: each needs a window of the world
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 
 

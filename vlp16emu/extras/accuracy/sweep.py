@@ -23,13 +23,10 @@ from vlp16emu.types import I8, Poses, ReturnMode
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 
 _COUNTS = (4, 8, 16, 32, 64, 128)
-_TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Targets of adaptive beams, over that of the scene."""
-_RAYS, _TIMES = 4096, 4
-"""Sub-rays of an answer: at least the first, and the second times those of a pulse of the scene."""
+_TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, over that of the scene
+_RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times those of a pulse of the scene
 _REPEATS = 5
-_POSED = 4
-"""Every fourth group measures errors of poses and of the answer itself, as answers are costly."""
+_POSED = 4  # every fourth group measures errors of poses and of the answer itself, as answers are costly
 
 
 class BeamSetting(NamedTuple):

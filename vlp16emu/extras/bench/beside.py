@@ -18,8 +18,7 @@ PULSE_HIGH, PULSE_LOW = b"\1", b"\0"
 _READS_PER_S = 50
 """How often samples are read: those of 20 ms together, and none of a time long to come, in which live poses are unknown."""
 
-_Beat = tuple[int, Packet | Callable[[], Packet]]
-"""When a packet is due, and the packet or what makes it."""
+_Beat = tuple[int, Packet | Callable[[], Packet]]  # when a packet is due, and the packet or what makes it
 
 
 class Beside:

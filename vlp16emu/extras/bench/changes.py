@@ -20,10 +20,8 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 RUN_UP_RPM_S = 300.0
 """Change of the rotor's speed per second (assumption: the manual has no figure)."""
-_PULL = 0.05
-"""Share of the speed by which a rotor is faster or slower while it is pulled into its phase (assumption)."""
-_GRID = 24
-"""Firing sequences: settings take effect between packets, in every return mode."""
+_PULL = 0.05  # share of the speed by which a rotor is faster or slower while it is pulled into its phase (assumption)
+_GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 ALL_AROUND = (0, 359)
 
 

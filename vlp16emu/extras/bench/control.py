@@ -34,15 +34,13 @@ from vlp16emu.units import S_NS, seconds_to_ns
 _LEAD_NS = 150_000_000
 """Least time from a setting to the first packet that follows it: by then the engine has made that packet anew."""
 _MOST_LEAD_NS = 1_000_000_000
-_MERGED_S = 5.0
-"""For so long at most what is set waits until the packets of the settings before are made ahead again."""
+_MERGED_S = 5.0  # for so long at most what is set waits until the packets of the settings before are made ahead again
 _CALM_S, _PROMPT = 2.0, 2
 """Changes, without so long a calm between them, that have packets made anew; later ones begin where the packets that are made end."""
 _APART_S, _APART = 1.0, 20.0
 """Least time from such a later change to the next, at least so many times what making it took: each makes the next one dearer."""
 _POLL_S, _WARM_S = 0.01, 0.01
-_STEP_S = 0.001
-"""Times of events are rounded up to that."""
+_STEP_S = 0.001  # times of events are rounded up to that
 
 
 @contextmanager

@@ -10,12 +10,9 @@ from vlp16emu.extras.bench.state import DeviceStatus
 from vlp16emu.units import S_NS
 
 _COUNTS_PER_V = 4096 / 5
-_AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1
-"""Of the surroundings, and of the boards in the end."""
-_WARM_UP_S = 150.0
-"""In which a board comes nearer to its last temperature by a factor of e."""
-_SWAY_C = 0.2
-"""By which a temperature goes up and down."""
+_AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1  # of the surroundings, and of the boards in the end
+_WARM_UP_S = 150.0  # in which a board comes nearer to its last temperature by a factor of e
+_SWAY_C = 0.2  # by which a temperature goes up and down
 _REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
 """Current of the electronics, of the lasers and of the motor: together 0.48 A at 600 rpm."""
 

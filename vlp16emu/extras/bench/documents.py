@@ -62,15 +62,12 @@ def _switch(on: bool) -> str:
 class _Key(NamedTuple):
     """A setting of the web interface."""
 
-    form: str
-    """Last part of the path that it is sent to, and the table that shows it; empty for the outermost."""
+    form: str  # last part of the path that it is sent to, and the table that shows it; empty for the outermost
     name: str
-    field: str
-    """Of `DeviceSettings`."""
+    field: str  # of `DeviceSettings`
     read: Callable[[str], object] = _whole
     shown: Callable[[Any], object] = str
-    end: int | None = None
-    """Which end of the field of view it is."""
+    end: int | None = None  # which end of the field of view it is
 
 
 _KEYS = (

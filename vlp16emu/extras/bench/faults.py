@@ -21,8 +21,7 @@ from vlp16emu.units import MS_NS, seconds_to_ns
 
 _ORDER = ("jitter", "reorder", "delay", "freeze", "drop", "corrupt", "truncate", "duplicate")
 """Which of several faults of a packet comes first."""
-_LATE_KEYS = {"delay": "by_s", "jitter": "up_to_s", "duplicate": "after_s"}
-"""Key of the longest delay of a fault."""
+_LATE_KEYS = {"delay": "by_s", "jitter": "up_to_s", "duplicate": "after_s"}  # key of the longest delay of a fault
 _LONGEST_NS = 20 * MS_NS
 """No more than this lies between packets that follow each other at their rate: 18.6 ms of position packets (63-9243 Rev D,
 section 8.2.2). Where nothing follows, because nothing is sent, a packet is not overtaken."""

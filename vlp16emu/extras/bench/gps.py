@@ -17,8 +17,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 _STALE_NS = 5 * S_NS
 """After so long without a sentence the sensor is as one that never had any (assumption: the window of the pulse)."""
-_PRINTABLE = (0x30, 0x5B)
-"""What a garbled character becomes: digits, capitals, and what is between them in ASCII."""
+_PRINTABLE = (0x30, 0x5B)  # what a garbled character becomes: digits, capitals, and what is between them in ASCII
 
 _Spans = tuple[tuple[int, int], ...]
 

@@ -19,12 +19,9 @@ from vlp16emu.sinks.sink import Away, PacketSink
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import seconds_to_ns
 
-_BAUD = 9600
-"""63-9243 Rev D, section 7.4."""
-_LOOK_S = 0.001
-"""From one look at the line to the next."""
-_AWAY_S = 0.1
-"""From one look for a device that has vanished to the next; `SerialPort` tries once a second."""
+_BAUD = 9600  # 63-9243 Rev D, section 7.4
+_LOOK_S = 0.001  # from one look at the line to the next
+_AWAY_S = 0.1  # from one look for a device that has vanished to the next; `SerialPort` tries once a second
 
 
 @dataclass(frozen=True, slots=True)

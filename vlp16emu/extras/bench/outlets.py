@@ -14,11 +14,9 @@ from vlp16emu.sinks.sink import Outlet, OutletResult
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
 
-_GPS_BAUD = 9600
-"""What the sensor takes (63-9243 Rev D, section 7.4)."""
+_GPS_BAUD = 9600  # what the sensor takes (63-9243 Rev D, section 7.4)
 _BAUD = 921_600
-_BITS = 10
-"""Of a byte on the line: start, eight, stop."""
+_BITS = 10  # of a byte on the line: start, eight, stop
 _WHERE = "--imu-out"
 
 

@@ -17,14 +17,11 @@ from vlp16emu.types import Packet, PacketKind
 
 T = TypeVar("T")
 
-_RETRY_S = 1.0
-"""How often a device that is away is looked for."""
+_RETRY_S = 1.0  # how often a device that is away is looked for
 _PATIENCE_S = 0.25
 """How long a message may wait for the line, and for how long one is written at most: a quarter of a receiver's second."""
-_WAITING = 4096
-"""Messages that wait at most: more than an inertial unit takes in that time."""
-_LINELESS = ("socket://",)
-"""Ports that take the setting of a line without an error, and have none."""
+_WAITING = 4096  # messages that wait at most: more than an inertial unit takes in that time
+_LINELESS = ("socket://",)  # ports that take the setting of a line without an error, and have none
 
 
 class SerialPort:

@@ -18,8 +18,7 @@ from vlp16emu.sensor.settings import Address, Port
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 _ALL_ONES = 0xFFFF_FFFF
-_MOST_BYTES = 10_000
-"""Of saved settings, which are some 400."""
+_MOST_BYTES = 10_000  # of saved settings, which are some 400
 
 
 def _address(expected: str, is_good: Callable[[IPv4Address], bool]) -> AfterValidator:

@@ -52,14 +52,10 @@ class HttpFault:
 @dataclass(frozen=True, slots=True)
 class _Request:
     method: str
-    path: str
-    """Without the query."""
-    headers: dict[str, str]
-    """By names in lower case."""
-    body: bytes
-    """With one byte more than `MOST_BODY_BYTES` if it is too long."""
-    is_last: bool
-    """Whether the connection ends with its answer."""
+    path: str  # without the query
+    headers: dict[str, str]  # by names in lower case
+    body: bytes  # with one byte more than `MOST_BODY_BYTES` if it is too long
+    is_last: bool  # whether the connection ends with its answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +63,7 @@ class _Answer:
     status: int
     body: bytes = b""
     kind: str = _JSON
-    header: tuple[str, str] = ("Cache-Control", "no-store")
-    """Beside type and length."""
+    header: tuple[str, str] = ("Cache-Control", "no-store")  # beside type and length
 
     def packed(self, *, bare: bool = False, is_last: bool) -> bytes:
         """Write it in one piece, to a HEAD request bare of its body."""

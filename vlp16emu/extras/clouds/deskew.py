@@ -35,8 +35,7 @@ from vlp16emu.scenario import load
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 _MINUTE_NS = 60 * S_NS
-_PACKETS = 100
-"""Placed at once: 38 400 points, some 20 MB."""
+_PACKETS = 100  # placed at once: 38 400 points, some 20 MB
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
 """Columns that packets have as they are."""
 

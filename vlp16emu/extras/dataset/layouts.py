@@ -13,8 +13,7 @@ from vlp16emu.scan import Scan
 from vlp16emu.types import F8, U4
 from vlp16emu.units import S_NS
 
-_MOST_INSTANCES = 0xFFFF
-"""The upper 16 bits of a label hold the instance (SemanticKITTI, "Data")."""
+_MOST_INSTANCES = 0xFFFF  # the upper 16 bits of a label hold the instance (SemanticKITTI, "Data")
 _IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
 
 

@@ -20,10 +20,8 @@ Entry = dict[str, Any]
 """A walk in the manifest."""
 
 _WRITTEN_BY = f"vlp16emu {version('vlp16emu')}"
-_PARTS = ".parts."
-"""Prefix of the folder in which walks are made; the manifest names the folder while it exists."""
-_EVERY_S = 10.0
-"""Least time between writings of the manifest, which is long if walks are many."""
+_PARTS = ".parts."  # prefix of the folder in which walks are made; the manifest names the folder while it exists
+_EVERY_S = 10.0  # least time between writings of the manifest, which is long if walks are many
 _LARGEST_BYTES = 10**10
 
 

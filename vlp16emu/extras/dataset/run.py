@@ -23,8 +23,7 @@ from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import lock
 
-_DEATHS = 10
-"""Deaths of workers, without a finished walk between them, that end a run: then a walk kills them."""
+_DEATHS = 10  # deaths of workers, without a finished walk between them, that end a run: then a walk kills them
 
 Made = tuple[DatasetWalk, Path, Entry]
 """A walk, the folder with its files, and its entry in the manifest."""
@@ -99,8 +98,7 @@ def _locked(out: Path) -> Iterator[None]:
         _LAST.clear()
 
 
-_LAST = list[Emulator]()
-"""The emulator of the walk before in this process, whose world the next one may share."""
+_LAST = list[Emulator]()  # the emulator of the walk before in this process, whose world the next one may share
 
 
 def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:

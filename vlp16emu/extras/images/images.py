@@ -35,10 +35,8 @@ occluded. Casters return no normals, so sunlight knows no incidence."""
 _UP, _AZIMUTH = math.radians(40), math.radians(150)
 _SUN = np.array([math.cos(_UP) * math.sin(_AZIMUTH), math.cos(_UP) * math.cos(_AZIMUTH), math.sin(_UP)])
 """Direction to the sun in the world: in the south-south-east, 40 degrees high."""
-_CLEAR_M = 0.02
-"""Offset of shadow rays from the surface."""
-_BAND = 1 << 16
-"""Pixels cast at once, about: whole rows, independent of the number of threads."""
+_CLEAR_M = 0.02  # offset of shadow rays from the surface
+_BAND = 1 << 16  # pixels cast at once, about: whole rows, independent of the number of threads
 _LABELS = ("semantic", "part", "species", "instance")
 
 

@@ -25,24 +25,19 @@ from vlp16emu.raycast.caster import Geometry, caster
 if TYPE_CHECKING:
     from vlp16emu.extras.live.motion import LiveMotion
 
-_WIDE_M, _HIGH_M = 16.0, 32.0
-"""Size of a box on the map, and its height."""
-_ASIDE_M = 8.0
-"""How far beyond its box a window serves: at 3 m/s the next one has 2 s to be opened."""
+_WIDE_M, _HIGH_M = 16.0, 32.0  # size of a box on the map, and its height
+_ASIDE_M = 8.0  # how far beyond its box a window serves: at 3 m/s the next one has 2 s to be opened
 _APART_M = 2.0
 """Between the lines that a window is opened along: no place is farther from them than the 1 m that the medium allows for."""
-_SPARE_M, _SPARE_S = 2.0, 0.15
-"""What is left of that when the next window is waited for: a block goes on for 0.1 s."""
-_EXPECTED_S = 1.0
-"""So far ahead the place is looked at whose window is opened."""
+_SPARE_M, _SPARE_S = 2.0, 0.15  # what is left of that when the next window is waited for: a block goes on for 0.1 s
+_EXPECTED_S = 1.0  # so far ahead the place is looked at whose window is opened
 
 _LATE_BLOCKS = 6
 """So many steps late, 32 ms, a step is left out, and those after it until now: who waits for packets wants young ones."""
 _NICE = 10
 """By how much threads that open windows of a live run are nicer than those that cast, who then get nine tenths of a core."""
 
-_Name = tuple[Cell, int]
-"""Box, and segment of time where trees sway."""
+_Name = tuple[Cell, int]  # box, and segment of time where trees sway
 
 
 def cell_of(place_m: NDArray[np.float64]) -> Cell:

@@ -25,14 +25,10 @@ from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
-_POLL_S = 0.05
-"""How often a run that waits for the first pose looks whether it shall end."""
-_START_NS = 20_000_000
-"""From when all is ready to the first pulse: threads start in it."""
-_WARM_S = 0.02
-"""What is computed before the run, so that kernels are loaded and compiled."""
-_ROWS_NS = S_NS
-"""How often knots are written."""
+_POLL_S = 0.05  # how often a run that waits for the first pose looks whether it shall end
+_START_NS = 20_000_000  # from when all is ready to the first pulse: threads start in it
+_WARM_S = 0.02  # what is computed before the run, so that kernels are loaded and compiled
+_ROWS_NS = S_NS  # how often knots are written
 
 
 @dataclass(frozen=True, slots=True)

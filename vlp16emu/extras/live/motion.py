@@ -33,16 +33,12 @@ _AHEAD_NS = 2_000_000
 """How long before its first pulse a step is computed: some packets need that, and each is due after its last pulse."""
 _BASE_NS = 20_000_000
 """Rates are taken from poses at least that far apart, if there are such: noise of 1 mm then makes 0.07 m/s."""
-_LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000
-"""Poses closer together, or farther apart, say nothing of rates."""
+_LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000  # poses closer together, or farther apart, say nothing of rates
 _MOST_PULL = 500.0
 """Accelerations beyond that, in gaps that are led back slowly, per s2, are jumps: 50 m/s2 and 100 rad/s2."""
-_RESTART_NS = S_NS
-"""A sender whose stamps are older than ever by more than that has begun a new clock."""
-_CREEP_NS_S = 100_000
-"""By how much per second a sender's clock may be slow: 100 ppm."""
-_FARTHEST_M = 1e6
-"""As far out as a scene may lie."""
+_RESTART_NS = S_NS  # a sender whose stamps are older than ever by more than that has begun a new clock
+_CREEP_NS_S = 100_000  # by how much per second a sender's clock may be slow: 100 ppm
+_FARTHEST_M = 1e6  # as far out as a scene may lie
 
 
 @dataclass(frozen=True, slots=True)

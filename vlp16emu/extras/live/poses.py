@@ -10,12 +10,9 @@ from typing import Self
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.packets.pose import POSE_BYTES, is_pose, unpack_pose
 
-_POLL_S = 0.1
-"""How often the thread looks whether it shall end."""
-_MERGED_S = 0.002
-"""Poses that come within this time are one; knots are 5 ms apart."""
-_MOST = 1000
-"""Datagrams that are looked at before a pose is handed on."""
+_POLL_S = 0.1  # how often the thread looks whether it shall end
+_MERGED_S = 0.002  # poses that come within this time are one; knots are 5 ms apart
+_MOST = 1000  # datagrams that are looked at before a pose is handed on
 _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 

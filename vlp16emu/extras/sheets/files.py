@@ -16,8 +16,7 @@ from vlp16emu.forest.twin import write_glb
 from vlp16emu.output import OutputFile
 from vlp16emu.world.vectors import places_m
 
-_GROUND_CELL_M = 0.25
-"""Cell of the ground grid: the finest that is usual for forests."""
+_GROUND_CELL_M = 0.25  # cell of the ground grid: the finest that is usual for forests
 
 
 def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> None:

@@ -26,18 +26,13 @@ _DRAWN_IN_ORDER = (
 )
 """Kinds of things, the lowest first."""
 _MARGIN_M = 2.0
-_LEAST_STEM_PX = 2.4
-"""Thinner stems are drawn this wide, or nobody would see them."""
-_SMOOTH_M = 2.0
-"""One sigma of the smoothing of contour lines, which show hills and not every step."""
-_ARROW_EVERY = 0.12
-"""Share of the path's length."""
+_LEAST_STEM_PX = 2.4  # thinner stems are drawn this wide, or nobody would see them
+_SMOOTH_M = 2.0  # one sigma of the smoothing of contour lines, which show hills and not every step
+_ARROW_EVERY = 0.12  # share of the path's length
 _ROUND_M = (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar or a contour interval may have."""
-_DARK = 0.6
-"""Brightness of a face's edge, relative to the face."""
-_BELOW_PX = 14.0
-"""Middle of the scale bar under the plan, where it covers nothing."""
+_DARK = 0.6  # brightness of a face's edge, relative to the face
+_BELOW_PX = 14.0  # middle of the scale bar under the plan, where it covers nothing
 
 
 def extent_m(seen: Survey) -> tuple[F8, F8]:

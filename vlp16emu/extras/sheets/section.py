@@ -19,28 +19,20 @@ MARK_LEAD = 0.02
 """Share of a strip's length between its ends and the marks that name them on a plan."""
 
 _PAPER, _SOIL = np.array([252.0, 251.0, 248.0]), np.array([196.0, 178.0, 150.0])
-_DOTS = 3
-"""Rays per pixel along either axis; a pixel is their mean."""
-_HAZE = 0.55
-"""Share of the paper's colour in the farthest things."""
-_DARKEST = 0.6
-"""Brightness of a surface seen edge on."""
-_LEAD = 0.06
-"""Share of a strip's length that lies before the path begins, and after it leaves."""
-_ROWS = 8
-"""Rows of pixels cast at once; casters take rays by the eight."""
+_DOTS = 3  # rays per pixel along either axis; a pixel is their mean
+_HAZE = 0.55  # share of the paper's colour in the farthest things
+_DARKEST = 0.6  # brightness of a surface seen edge on
+_LEAD = 0.06  # share of a strip's length that lies before the path begins, and after it leaves
+_ROWS = 8  # rows of pixels cast at once; casters take rays by the eight
 _SECTION_M = 60.0
 """Length of a section, the classic one of forest profile diagrams (Davis and Richards 1933: 200 ft by 25 ft)."""
 _DEPTHS_M, _ENOUGH_TREES = (8.0, 12.0, 20.0, 30.0), 25
 """A section takes the first of these depths in which so many trees stand, or else the last."""
-_OVERHANG_M = 15.0
-"""How far crowns may reach out of the strip in which their trees stand."""
-_LEAD_M = 6.0
-"""Trees this far beyond the ends of a section may have crowns that reach into it."""
+_OVERHANG_M = 15.0  # how far crowns may reach out of the strip in which their trees stand
+_LEAD_M = 6.0  # trees this far beyond the ends of a section may have crowns that reach into it
 _BELOW_M, _ABOVE_M, _LEAST_HEIGHT_M = 1.5, 0.8, 6.0
 """How far a section reaches below the lowest ground and above the highest top, and its least height."""
-_INSIDE_M = 0.01
-"""How far behind a hall's wall its section begins."""
+_INSIDE_M = 0.01  # how far behind a hall's wall its section begins
 
 
 @dataclass(frozen=True, slots=True)

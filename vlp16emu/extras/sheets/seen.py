@@ -22,11 +22,9 @@ STEM_SEEN = np.dtype(
 )
 """Coverage of a stem by returns."""
 
-_SECTORS = 36
-"""Cells around a stem."""
+_SECTORS = 36  # cells around a stem
 
-_LOW_M, _CELL_M = 0.3, 0.5
-"""Beginning of the cells above the foot, and their height."""
+_LOW_M, _CELL_M = 0.3, 0.5  # beginning of the cells above the foot, and their height
 
 _BREAST_M = (1.1, 1.5)
 

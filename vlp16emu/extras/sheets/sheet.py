@@ -18,11 +18,9 @@ _PAPER, _DPI = "#fcfbf8", 84
 _WIDTH_IN, _LEGEND_IN, _EDGE_IN = 12.0, 1.9, 0.35
 _HEAD_IN, _GAP_IN, _FOOT_IN = 0.85, 0.45, 0.45
 _TALLEST_PLAN_IN, _TALLEST_SECTION_IN = 7.0, 9.0
-_COLOURS = 88
-"""Size of the file's palette: leaves fill pictures with noise, which is costly in more."""
+_COLOURS = 88  # size of the file's palette: leaves fill pictures with noise, which is costly in more
 _TICK_M = 5.0
-_BEAM_M = 12.0
-"""How far the lines of the field of view are drawn."""
+_BEAM_M = 12.0  # how far the lines of the field of view are drawn
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 

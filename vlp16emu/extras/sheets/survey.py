@@ -27,8 +27,7 @@ from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.vectors import places_m
 
-_STEPS_PER_S = 10
-"""Rate of the points of the path: some 12 cm apart at walking speed."""
+_STEPS_PER_S = 10  # rate of the points of the path: some 12 cm apart at walking speed
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,9 @@ from vlp16emu.types import Packet
 LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
 """Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
 
-_GROUP = 256
-"""Packets of a row group, 98 304 rows: what is held in memory, some 20 MB."""
+_GROUP = 256  # packets of a row group, 98 304 rows: what is held in memory, some 20 MB
 _CHANNELS = 32
-_LATE = 64
-"""By how many packets one may be late in a capture."""
+_LATE = 64  # by how many packets one may be late in a capture
 _EXPECTED = "the returns.parquet of the run that made the capture (`record --truth DIR --truth-returns`)"
 
 SLOT_COLUMNS = {

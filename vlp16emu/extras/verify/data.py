@@ -21,40 +21,27 @@ _STEP_TOLERANCE_CDEG = 6
 _GAP_TOLERANCE_CDEG = 26
 """Difference of the azimuth left out from the time left out: 9 cdeg of once-per-revolution error, as
 seen on real units, at either end, and the noise of two readings and a step."""
-_GAP_TOLERANCE = 0.005
-"""Further difference in proportion to the gap, for speed control: 3 rpm of 600."""
-_CLOCK_PPM = 10
-"""Rate error of a clock that follows GPS, for a while."""
+_GAP_TOLERANCE = 0.005  # further difference in proportion to the gap, for speed control: 3 rpm of 600
+_CLOCK_PPM = 10  # rate error of a clock that follows GPS, for a while
 
-_RPM = (300, 1200)
-"""Source: 63-9243 Rev D, section 8.3, p. 50."""
-_RPM_TOLERANCE = 0.01
-"""Speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder."""
-_RPM_STEPS = 100
-"""Fewer steps than these say too little about the speed."""
+_RPM = (300, 1200)  # source: 63-9243 Rev D, section 8.3, p. 50
+_RPM_TOLERANCE = 0.01  # speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder
+_RPM_STEPS = 100  # fewer steps than these say too little about the speed
 _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
-_STILL_CDEG = 12
-"""Two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220."""
-_SET_RPM = 60
-"""Speeds that can be set are multiples of this (63-9243 Rev D, section 8.3)."""
-_HELD_RPM = 4.0
-"""Error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings."""
+_STILL_CDEG = 12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
+_SET_RPM = 60  # speeds that can be set are multiples of this (63-9243 Rev D, section 8.3)
+_HELD_RPM = 4.0  # error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
 """Lasers from the lowest to the highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
-_SHORTEST = 300
-"""Firing sequences: fewer may all look into the sky."""
-_SEEN = 0.1
-"""Share of pulses with a return from which on a laser sees something."""
+_SHORTEST = 300  # firing sequences: fewer may all look into the sky
+_SEEN = 0.1  # share of pulses with a return from which on a laser sees something
 _SECTORS = 36
-_SECTOR_RETURNS = 300
-"""Fewer returns say too little about a sector."""
-_SECTOR_BLOCKS = 20
-"""Fewer blocks say too little; a whole revolution has more in each sector."""
+_SECTOR_RETURNS = 300  # fewer returns say too little about a sector
+_SECTOR_BLOCKS = 20  # fewer blocks say too little; a whole revolution has more in each sector
 _DARKER = 0.35
 """Light of a sector as a share of that before; behind dirt that lets 0.5 through it is 0.25, as light passes twice."""
-_STEADY = 0.25
-"""Largest median change of the sectors while one turns dark."""
+_STEADY = 0.25  # largest median change of the sectors while one turns dark
 
 
 class DataChunk:

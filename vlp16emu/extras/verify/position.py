@@ -16,18 +16,12 @@ from vlp16emu.packets.layout import POSITION_PAYLOAD
 from vlp16emu.types import PpsState
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
-_HEAD_BYTES = 14
-"""Other sensors of the family report motion from here on; software takes the zeros for a mark."""
-_SHORTEST_INTERVAL_NS = 1_400_000
-"""Real units leave 1.47 ms or more between position packets."""
-_LATEST_S = 2
-"""The sentence of a second arrives during the next one, and until then its forerunner is echoed."""
-_UNEVEN_S = 0.25
-"""Difference between the delays of two sentences of one receiver."""
-_NEXT_NS = 50 * MS_NS
-"""Position packets farther apart than this do not show when a sentence came."""
-_SENTENCE_CHARACTERS = 82
-"""Longest sentence of NMEA 0183."""
+_HEAD_BYTES = 14  # other sensors of the family report motion from here on; software takes the zeros for a mark
+_SHORTEST_INTERVAL_NS = 1_400_000  # real units leave 1.47 ms or more between position packets
+_LATEST_S = 2  # the sentence of a second arrives during the next one, and until then its forerunner is echoed
+_UNEVEN_S = 0.25  # difference between the delays of two sentences of one receiver
+_NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show when a sentence came
+_SENTENCE_CHARACTERS = 82  # longest sentence of NMEA 0183
 _SENTENCE = re.compile(
     rb"\$(?P<talker>[A-Z]{2})RMC,"
     rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d)(\.\d*)?)?,"
@@ -43,16 +37,13 @@ _SENTENCE = re.compile(
 class _Sentence(NamedTuple):
     """Contents of a sentence, and the words of its faults, empty without one."""
 
-    second: int = -1
-    """Past the hour; -1 unless the sentence names a time."""
+    second: int = -1  # past the hour; -1 unless the sentence names a time
     status: str = ""
     malformed: str = ""
     end: str = ""
     checksum: str = ""
-    right: str = ""
-    """The checksum that it should have."""
-    talker: str = ""
-    """Talker of a receiver other than GPS alone, whose sentences the manual does not name."""
+    right: str = ""  # the checksum that it should have
+    talker: str = ""  # talker of a receiver other than GPS alone, whose sentences the manual does not name
 
 
 class PositionChunk:

@@ -17,20 +17,15 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
-_CHUNK_PACKETS = 512
-"""Data packets looked at together: 0.6 MB, 0.7 s of single return."""
+_CHUNK_PACKETS = 512  # data packets looked at together: 0.6 MB, 0.7 s of single return
 _HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
 """Length of the chunks of all units together, and of the shortest."""
-_MODE_AT = -2
-"""Return mode and product end a data payload."""
+_MODE_AT = -2  # return mode and product end a data payload
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
-_SHORTEST_S = 2.0
-"""A shorter piece says too little about rates: position packets come at irregular intervals."""
+_SHORTEST_S = 2.0  # a shorter piece says too little about rates: position packets come at irregular intervals
 _RATE_TOLERANCE = 0.1
-_SILENCE_NS = S_NS // 2
-"""Position packets come every 20 ms or faster, also where lasers are off."""
-_POSITION_RATES_HZ = (146.0, 53.8)
-"""Measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50."""
+_SILENCE_NS = S_NS // 2  # position packets come every 20 ms or faster, also where lasers are off
+_POSITION_RATES_HZ = (146.0, 53.8)  # measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,7 @@ import viser
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.extras.viewer.draft import Course, Draft, Outlook
 
-_FARTHEST_M = 10_000.0
-"""Limit of a way point from the scene's origin: no hand drags it farther."""
+_FARTHEST_M = 10_000.0  # limit of a way point from the scene's origin: no hand drags it farther
 _GAITS = ("as in the scene", "none", "paper", "natural", "strong")
 _RAISED_M = 0.15
 _GOOD, _BAD = (30, 90, 220), (220, 30, 30)

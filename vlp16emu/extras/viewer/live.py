@@ -29,22 +29,15 @@ from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import F8, I8, HeightField, Packet, PacketKind
 from vlp16emu.units import S_NS
 
-_HOST, _PORT = "127.0.0.1", 8016
-"""Port of `vlp16emu view`; any other if it is in use."""
-_NICE = 10
-"""Added to the niceness of the page: the stream then gets nine tenths of a core that both want."""
+_HOST, _PORT = "127.0.0.1", 8016  # port of `vlp16emu view`; any other if it is in use
+_NICE = 10  # added to the niceness of the page: the stream then gets nine tenths of a core that both want
 _RADIUS_M, _LIVE_RADIUS_M = 25.0, 35.0
 """How far from the path the stand is drawn; in a live scene as far as the body may go."""
-_EVERY_NS = 50_000_000
-"""Time between glimpses: some 40 packets, half a revolution at 600 rpm."""
-_MOST = 100
-"""Most packets of a glimpse: with their poses they fit into a message of the channel."""
-_DRAW_S = 0.1
-"""Time between pictures."""
-_BEHIND_M, _OVER_M = 9.0, 5.0
-"""Place of the camera at first."""
-_NEAR_M = 0.05
-"""The camera follows a sensor that is farther from the point that it looks at."""
+_EVERY_NS = 50_000_000  # time between glimpses: some 40 packets, half a revolution at 600 rpm
+_MOST = 100  # most packets of a glimpse: with their poses they fit into a message of the channel
+_DRAW_S = 0.1  # time between pictures
+_BEHIND_M, _OVER_M = 9.0, 5.0  # place of the camera at first
+_NEAR_M = 0.05  # the camera follows a sensor that is farther from the point that it looks at
 _PERSON_RADIUS_M, _PERSON_RGB = 0.2, (40, 70, 160)
 
 

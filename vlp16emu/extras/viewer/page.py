@@ -27,14 +27,10 @@ from vlp16emu.scan import Scan
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.types import F4, F8, U4
 
-_MOST_KEPT = 50
-"""Sweeps drawn together: 1.2 million points."""
-_LISTED = 6
-"""Most faults of a sweep that are listed."""
-_LOST_M = 30.0
-"""Length of a beam that meets nothing."""
-_SECTOR_M, _STEP_DEG = 8.0, 1.0
-"""Radius of a sector of faults, and the width of its triangles."""
+_MOST_KEPT = 50  # sweeps drawn together: 1.2 million points
+_LISTED = 6  # most faults of a sweep that are listed
+_LOST_M = 30.0  # length of a beam that meets nothing
+_SECTOR_M, _STEP_DEG = 8.0, 1.0  # radius of a sector of faults, and the width of its triangles
 _PATH, _HIT, _LOST, _WRONG = (220, 60, 40), (255, 70, 50), (150, 160, 175), (230, 0, 60)
 
 

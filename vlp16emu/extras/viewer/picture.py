@@ -24,26 +24,18 @@ from vlp16emu.output import OutputFile, spare
 from vlp16emu.scan import decode
 from vlp16emu.types import F8, U1
 
-_NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}
-"""Library by suffix; of the extra 'picture'."""
+_NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # library by suffix; of the extra 'picture'
 _FRAMES_PER_S, _ELEVATION_DEG = 10, 32.0
-_AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0
-"""What is in the picture around, below and above the path of the sensor."""
-_SHARE = 0.93
-"""Share of the points in a sweep that the box of a capture in its sensor holds."""
+_AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0  # what is in the picture around, below and above the path of the sensor
+_SHARE = 0.93  # share of the points in a sweep that the box of a capture in its sensor holds
 _CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
-_DEEP_M, _CIRCLE_RGB = -1e3, (58, 68, 82)
-"""Circles of range about the sensor are behind all points."""
+_DEEP_M, _CIRCLE_RGB = -1e3, (58, 68, 82)  # circles of range about the sensor are behind all points
 _SENSOR_RGB = (255, 70, 50)
 _MOST_ENTRIES = 12
-_MILLIONS = 100_000
-"""Points from which on they are counted in millions."""
-_FROM_DEG = 205.0
-"""Bearing of the eye, unless another is wanted: light falls from the south."""
-_STATIONS = 200
-"""Number of places along a path."""
-_FEWEST_COLUMNS = 800
-"""Firing sequences of a revolution at 1200 rpm are some 900."""
+_MILLIONS = 100_000  # points from which on they are counted in millions
+_FROM_DEG = 205.0  # bearing of the eye, unless another is wanted: light falls from the south
+_STATIONS = 200  # number of places along a path
+_FEWEST_COLUMNS = 800  # firing sequences of a revolution at 1200 rpm are some 900
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,19 +21,15 @@ Rgb = tuple[int, int, int]
 
 _FACES = 300_000
 """Triangles of all plants and things without stems, about: crowns look like crowns, and a browser without a graphics card draws a picture every second or two."""
-_FEWEST, _MOST = 6, 3_000
-"""Faces of one mesh of one thing; between these limits in proportion to its size."""
+_FEWEST, _MOST = 6, 3_000  # faces of one mesh of one thing; between these limits in proportion to its size
 _MOST_GROWN = 3.5
 """Limit of the growth of a leaf in length: larger ones look wrong; a crown that would need them is drawn less dense."""
-_BRANCHES = 0.25
-"""Faces of branches, as a share of those of leaves, which largely hide them."""
-_SIDES, _RINGS = 6, 7
-"""Sides and rings of a stem."""
+_BRANCHES = 0.25  # faces of branches, as a share of those of leaves, which largely hide them
+_SIDES, _RINGS = 6, 7  # sides and rings of a stem
 _DENSE_M = 6.0
 """Ground cover is complete up to this distance from the path; beyond it thins out with the square of the distance."""
 _GOLDEN = 0.618034
-_CELL_M = 1.0
-"""Cell of the ground mesh."""
+_CELL_M = 1.0  # cell of the ground mesh
 _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
 """Parts too fine to be seen among leaves."""
 _ONE = np.eye(3, 4)[None]

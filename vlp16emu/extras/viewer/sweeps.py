@@ -23,14 +23,10 @@ from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable
 from vlp16emu.types import F8, I8
 
-_TURNS = 2.2
-"""Span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed."""
-_KEPT = 300
-"""Sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file."""
-_MARKED = 10_000
-"""Most findings of a rule that are marked; all are counted."""
-_PASSED_OVER = Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE
-"""Rules for which a packet is not read."""
+_TURNS = 2.2  # span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed
+_KEPT = 300  # sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file
+_MARKED = 10_000  # most findings of a rule that are marked; all are counted
+_PASSED_OVER = Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE  # rules for which a packet is not read
 _ABOUT_POINTS = (
     *_PASSED_OVER,
     *(Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE, Rule.FROZEN, Rule.AZIMUTH_STEP),
