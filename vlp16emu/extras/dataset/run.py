@@ -11,14 +11,23 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from threading import Thread
 from typing import Any
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import in_one_world
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.extras.dataset.folders import (
+    PARTS,
+    Entry,
+    check_manifest,
+    finished,
+    list_files,
+    take_place,
+    write_manifest,
+)
 from vlp16emu.extras.dataset.layouts import LAYOUTS
-from vlp16emu.extras.dataset.manifest import Entry, Manifest, described, identity
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import lock
@@ -48,7 +57,7 @@ def make_dataset(
 ) -> DatasetResult:
     """Make the walks of a dataset that are not there yet, and its manifest.
 
-    A walk is there if the manifest of an earlier run lists it, and its files have the sizes and sha256 of that list.
+    A walk is there if its folder lists it, and its files have the sizes and sha256 of that list.
 
     Parameters
     ----------
@@ -59,27 +68,35 @@ def make_dataset(
     Raises
     ------
     OutputError
-        If the folder cannot be written, another run writes it, or a file that no manifest lists is in the place of a walk
+        If the folder cannot be written, another run writes it, or a file that is not listed is in the place of a walk
     RunError
         If a walk fails, or workers die over one walk again and again
     """
     out, asked = out.absolute(), DatasetOptions(**options)
     walks = walks[slice(*(asked.share or (None,)))]
+    path, parts = out / "manifest{}.json".format(".{}-{}".format(*asked.share) if asked.share else ""), out / PARTS
     with _locked(out):
-        manifest = Manifest(out, walks, ".{}-{}".format(*asked.share) if asked.share else "")
-        missing, done_s = manifest.missing, sum(walk.scenario.duration_s for walk in walks)
-        progress(done_s := done_s - sum(walk.scenario.duration_s for walk in missing))
-        with manifest.making() as parts:
+        check_manifest(path)
+        entries = {walk.number: entry for walk in walks if (entry := finished(out, walk))}
+        missing = [walk for walk in walks if walk.number not in entries]
+        done_s = sum(walk.scenario.duration_s for walk in walks if walk.number in entries)
+        progress(done_s)
+        try:
+            rmtree(parts, ignore_errors=True)
+            parts.mkdir()
             for walk, made, entry in _made(missing, parts, asked.workers):
-                manifest.add(walk.number, made, entry)
+                take_place(made, out / walk.folder)
+                entries[walk.number] = entry
                 progress(done_s := done_s + walk.scenario.duration_s)
-        text = manifest.write()
+        finally:
+            rmtree(parts, ignore_errors=True)
+            text = write_manifest(path, (entry for _, entry in sorted(entries.items())))
     return DatasetResult(
-        manifest=str(manifest.path),
+        manifest=str(path),
         sha256=hashlib.sha256(text).hexdigest(),
         walks=len(walks),
         made=len(missing),
-        bytes=sum(file["bytes"] for entry in manifest.entries.values() for file in entry["files"]),
+        bytes=sum(file["bytes"] for entry in entries.values() for file in entry["files"]),
     )
 
 
@@ -110,11 +127,10 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
             _LAST.clear()
         _LAST[:] = [emulator := Emulator(walk.scenario, threads=threads, like=next(iter(_LAST), None))]
         LAYOUTS[walk.layout](emulator, folder)
-        files = [described(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()]
+        entry = list_files(folder, walk, len(emulator.parts.units[0].head.beams.elevation_deg))
     except OSError as error:
         raise RunError(f"walk {walk.name}: {error.strerror}; what is made so far is kept") from None
-    beams = len(emulator.parts.units[0].head.beams.elevation_deg)
-    return walk, folder, identity(walk) | {"beams": beams, "files": files}
+    return walk, folder, entry
 
 
 def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
