@@ -80,7 +80,7 @@ LIBRARIES = {
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
-    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/readiness.py", "extras/viewer/"),
+    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/doctor.py", "extras/viewer/"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }

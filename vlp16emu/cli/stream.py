@@ -13,8 +13,7 @@ import typer
 
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
-from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
+from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.options import Option
 from vlp16emu.run.options import ReplayOptions, StreamOptions

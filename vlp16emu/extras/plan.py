@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.windows import window_of
-from vlp16emu.extras.readiness import sending_share
+from vlp16emu.extras.doctor import sending_share
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.stem import StemKey
@@ -42,21 +42,17 @@ class Need:
 
     name: str
     on: bool
-    costs: str
-    """Cost if it is on, else what is saved."""
+    costs: str  # cost if it is on, else what is saved
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """Things in reach of the sensor at the start."""
 
-    kind: str
-    """Kind of the world."""
+    kind: str  # kind of the world
     species: tuple[str, ...]
-    placed: Mapping[str, int]
-    """Placements by kind."""
-    surfaces: int
-    """Rows of the window's table."""
+    placed: Mapping[str, int]  # placements by kind
+    surfaces: int  # rows of the window's table
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +60,10 @@ class StreamOutlook:
     """Forecast of whether a stream keeps up in real time."""
 
     keeps_up: bool
-    real_time_factor: float
-    """Speed of the engine beside the thread that sends."""
-    sender_share: float
-    """Share of a core that sending takes."""
-    keeps_up_with: tuple[str, ...]
-    """Options of `vlp16emu stream` that are enough, each by itself; none if it keeps up."""
-    rung: str
-    """What `stream --keep-up` takes, by this speed."""
+    real_time_factor: float  # speed of the engine beside the thread that sends
+    sender_share: float  # share of a core that sending takes
+    keeps_up_with: tuple[str, ...]  # options of `vlp16emu stream` that are enough, each by itself; none if it keeps up
+    rung: str  # what `stream --keep-up` takes, by this speed
 
     @property
     def verdict(self) -> str:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import settings
 
-from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
+from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import S_NS

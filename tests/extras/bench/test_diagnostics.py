@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from vlp16emu.extras.bench.diagnostics import diagnostics
-from vlp16emu.extras.bench.state import DeviceStatus
+from vlp16emu.extras.bench.device import DeviceStatus, diagnostics
 from vlp16emu.types import PpsState
 from vlp16emu.units import S_NS
 

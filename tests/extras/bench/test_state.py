@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from vlp16emu.errors import InputError, OutputError, RunError
-from vlp16emu.extras.bench.state import DeviceSettings
+from vlp16emu.extras.bench.device import DeviceSettings
 from vlp16emu.types import ReturnMode
 
 OTHERS = DeviceSettings(

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 
-from vlp16emu.extras.bench.state import DeviceSettings
+from vlp16emu.extras.bench.device import DeviceSettings
 from vlp16emu.types import ReturnMode
 
 WANTED = {

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from vlp16emu.extras.bench.state import DeviceSettings
+from vlp16emu.extras.bench.device import DeviceSettings
 from vlp16emu.extras.bench.web import MOST_BODY_BYTES, MOST_CONNECTIONS, MOST_HEADER_BYTES, WebServer
 
 DOCUMENTS = [f"/cgi/{name}" for name in ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")]

@@ -34,8 +34,7 @@ class Audit:
         self._apart_m = apart_m
         self.exact = exact
         self._lock = threading.Lock()
-        self.tally = Tally()
-        """Errors so far, of all units."""
+        self.tally = Tally()  # errors so far, of all units
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:

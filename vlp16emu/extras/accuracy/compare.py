@@ -35,23 +35,17 @@ class Outcome(IntEnum):
 class Detections(NamedTuple):
     """Detections of n pulses; columns as in `Returns`."""
 
-    distance_m: F4
-    """(n, 3), 0 if there is no such return."""
-    reflectivity: U1
-    """(n, 3)."""
+    distance_m: F4  # (n, 3), 0 if there is no such return
+    reflectivity: U1  # (n, 3)
 
 
 class Comparison(NamedTuple):
     """Comparison of n pulses with the answer."""
 
-    outcome: I8
-    """(n,) `Outcome`."""
-    error_m: F8
-    """(k,) range errors of the matched pulses."""
-    reflectivity_error: F8
-    """(k,) likewise, in counts."""
-    wrong_last: int
-    """Number of pulses with another echo taken for the last."""
+    outcome: I8  # (n,) `Outcome`
+    error_m: F8  # (k,) range errors of the matched pulses
+    reflectivity_error: F8  # (k,) likewise, in counts
+    wrong_last: int  # number of pulses with another echo taken for the last
 
     @property
     def returns(self) -> int:
@@ -64,21 +58,17 @@ class Errors:
     """Errors over many pulses. Shares are of the answer's returns; NaN if there is nothing to take a mean of."""
 
     pulses: int
-    returns: int
-    """Pulses with a return in the answer."""
-    range_rmse_m: float
-    """RMSE of strongest returns that match the answer's, as all that follow up to `range_p95_m`."""
+    returns: int  # pulses with a return in the answer
+    range_rmse_m: float  # RMSE of strongest returns that match the answer's, as all that follow up to `range_p95_m`
     range_bias_m: float
-    range_p95_m: float
-    """95 % of absolute errors are smaller."""
+    range_p95_m: float  # 95 % of absolute errors are smaller
     mean_error_m: float
     """Mean absolute error of all strongest returns, a lost or wrong one counting as the detector's resolution."""
     lost: float
     invented: float
     wrong_strongest: float
     wrong_last: float
-    reflectivity_rmse: float
-    """In counts."""
+    reflectivity_rmse: float  # in counts
 
 
 def compare(answer: Detections, detected: Detections, resolution_m: float) -> Comparison:
@@ -136,19 +126,15 @@ class Tally:
     """Sums over clusters of pulses so far; shares and ranges are defined as in `Errors`."""
 
     clusters: int = 0
-    with_errors: int = 0
-    """Clusters with any error of range."""
+    with_errors: int = 0  # clusters with any error of range
     pulses: int = 0
-    returns: int = 0
-    """Pulses with a return in the answer."""
+    returns: int = 0  # pulses with a return in the answer
     lost: int = 0
     invented: int = 0
     wrong_strongest: int = 0
     matched: int = 0
-    matched_2: int = 0
-    """Sum over clusters of the square of their number."""
-    squares_um2: int = 0
-    """Sum of squares of errors of range."""
+    matched_2: int = 0  # sum over clusters of the square of their number
+    squares_um2: int = 0  # sum of squares of errors of range
     squares_2_um4: int = 0
     """Sum over clusters of the square of their sum, and below of its product with their number of matched."""
     squares_matched_um2: int = 0

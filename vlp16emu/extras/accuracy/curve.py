@@ -32,15 +32,11 @@ class Row:
     """Error and run time of one setting."""
 
     kind: Kind
-    name: str
-    """Setting of a beam as `--set` takes it."""
-    in_use: bool
-    """Whether it is the scene's own."""
+    name: str  # setting of a beam as `--set` takes it
+    in_use: bool  # whether it is the scene's own
     errors: Errors
-    us_per_pulse: float
-    """Run time on one core: of casting and detecting, or for poses of posing and aiming."""
-    us_spread: float
-    """Difference between the slowest and the quickest repeat."""
+    us_per_pulse: float  # run time on one core: of casting and detecting, or for poses of posing and aiming
+    us_spread: float  # difference between the slowest and the quickest repeat
     rays_per_pulse: float
 
 
@@ -49,10 +45,8 @@ class Mean:
     """A mean over pulses."""
 
     value: float
-    off: float
-    """Difference from the explicit world."""
-    half: float
-    """Half of the 95 % interval of that difference."""
+    off: float  # difference from the explicit world
+    half: float  # half of the 95 % interval of that difference
 
     @property
     def departs(self) -> bool:
@@ -64,11 +58,9 @@ class Mean:
 class LevelOfDetail:
     """A world cast leaf by leaf to some distance."""
 
-    name: str
-    """As `--set` takes it."""
+    name: str  # as `--set` takes it
     in_use: bool
-    us_per_pulse: float
-    """Run time of casting and detecting on one core."""
+    us_per_pulse: float  # run time of casting and detecting on one core
     means: Mapping[str, Mean]
 
 
@@ -78,10 +70,8 @@ class Accuracy:
 
     scene: str
     seed: int
-    answer_rays: int
-    """Sub-rays of the answer."""
-    answer_rmse_m: float
-    """Error of the answer itself, from two answers with different sub-rays."""
+    answer_rays: int  # sub-rays of the answer
+    answer_rmse_m: float  # error of the answer itself, from two answers with different sub-rays
     rows: tuple[Row, ...]
     poses: tuple[Row, ...]
     """Held poses against a pose per pulse, with the beam of the answer; none if the sensor stands still."""

@@ -102,8 +102,7 @@ class Bench:
     """Casts and detects pulses of a unit."""
 
     unit: Unit
-    rays: int
-    """Sub-rays of an answer."""
+    rays: int  # sub-rays of an answer
 
     def aimed(self, group: range, poses_at: PosesAt) -> Firings:
         """Aim the sequences of a group."""

@@ -33,8 +33,7 @@ class BeamSetting(NamedTuple):
     """A setting of the beam."""
 
     kind: Kind
-    name: str
-    """As `--set` takes it."""
+    name: str  # as `--set` takes it
     in_use: bool
     beam: Footprint
 

@@ -18,8 +18,8 @@ from pydantic import ValidationError
 from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError, PacketError
 from vlp16emu.explain import explain
+from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
-from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
@@ -93,18 +93,14 @@ class Control:
     def __init__(self, feed: PacketFeed, sink: RigSink, under_way: UnderWay, saved: Path | None) -> None:
         self._feed, self._sink, self._under_way = feed, sink, under_way
         self._factory = [_settings_of(unit, sink.address) for unit in feed.engine.parts.units]
-        self._made = list(self._factory)
-        """Settings that packets are made with."""
-        self._restarts = set[int]()
-        """Units that start again with the next change."""
+        self._made = list(self._factory)  # settings that packets are made with
+        self._restarts = set[int]()  # units that start again with the next change
         self._events: list[Event] = list(feed.engine.scenario.events)
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
         self._errors = [event for event in self._events if event.effect == "web"]
-        self._wanted = list[dict[str, Any]]()
-        """Events that are to happen with the next change, without their times."""
-        self._at_ns = 0
-        """UTC, ns, from which on packets follow the latest change."""
+        self._wanted = list[dict[str, Any]]()  # events that are to happen with the next change, without their times
+        self._at_ns = 0  # UTC, ns, from which on packets follow the latest change
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
         self._taking_up = threading.Lock()
         self._lead_ns, self._ahead_ns, self._calm_s, self._prompt = _LEAD_NS, 0, 0.0, _PROMPT
@@ -141,10 +137,7 @@ class Control:
     def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
         """Let an event happen to a unit, from 1, a moment from now, and return its UTC in ns; from any thread.
 
-        Raises
-        ------
-        InputError
-            If it is no event, or cannot happen in this scene
+        Raises InputError if it is no event, or cannot happen in this scene.
         """
         table: dict[str, Any] = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
         scene = {key: getattr(self._scenario, key) for key in ("sensor", "rig", "gps")}
@@ -207,10 +200,7 @@ class Control:
     def _changed(self, unit: int, old: DeviceSettings, new: DeviceSettings, *, restarts: bool) -> None:
         """Set a unit anew, with the next change of the stream.
 
-        Raises
-        ------
-        OutputError
-            If the new receiver is out of reach, or another machine, though the stream began on this one
+        Raises OutputError if the new receiver is out of reach, or another machine, though the stream began on this one.
         """
         with self._lock:
             self._redirect(unit, old, new)

@@ -186,10 +186,7 @@ def checked(given: object, scene: dict[str, Any]) -> list[Event]:
     ----------
     scene : the tables `sensor`, `rig` and `gps`, as far as they are sound
 
-    Raises
-    ------
-    ValueError
-        If one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene
+    Raises ValueError if one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene.
     """
     events = tables().validate_python(given)
     sensor, rig, gps = (scene.get(key) for key in ("sensor", "rig", "gps"))

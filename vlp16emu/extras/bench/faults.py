@@ -41,13 +41,10 @@ class PacketFault:
     """An event of packets of one unit."""
 
     event: Event
-    number: int
-    """Its place among the events of the run, from 0."""
+    number: int  # its place among the events of the run, from 0
     unit: Unit
-    start_ns: int
-    """UTC of the first pulse, from which position packets count."""
-    counted: Mapping[PacketKind, range]
-    """Numbers of the packets that it may befall, where they are counted."""
+    start_ns: int  # UTC of the first pulse, from which position packets count
+    counted: Mapping[PacketKind, range]  # numbers of the packets that it may befall, where they are counted
 
     def befalls(self, packet: Packet, number: int) -> bool:
         """Return whether it befalls a packet with a number among those of its unit and kind, by what that was before all faults."""

@@ -19,8 +19,7 @@ from typing import Self
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, Vlp16emuError
-from vlp16emu.extras.bench.documents import PATHS, FormError, document, submit
-from vlp16emu.extras.bench.state import Device
+from vlp16emu.extras.bench.device import PATHS, Device, FormError, document, submit
 
 MOST_CONNECTIONS = 32
 """At a time; further ones are closed."""
@@ -45,8 +44,7 @@ _PAGE_POLICY = (
 class HttpFault:
     """Fault of the web interface."""
 
-    status: int | None
-    """Status of every answer; None for no answer at all."""
+    status: int | None  # status of every answer; None for no answer at all
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +88,7 @@ class WebServer:
     host, port : where it listens; port 0 for a free one
     fault : returns what is wrong with it now, None for nothing; called from its thread, and must not wait
 
-    Raises
-    ------
-    OutputError
-        If it cannot listen there
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

@@ -31,17 +31,12 @@ Block = Mapping[str, NDArray[Any]]
 class Column:
     """One array of the points, and how each format shows it."""
 
-    name: str
-    """In .npz."""
+    name: str  # in .npz
     dtype: str
-    csv: tuple[str, ...]
-    """Headers, one for each number that a point has in this column."""
-    decimals: int = 0
-    """Behind the point in .csv. Whole numbers with decimals count units of the last one."""
-    ply: tuple[str, ...] = ()
-    """Names of properties, as many; empty for a column that only .npz and .csv have."""
-    ply_dtype: str = ""
-    """Type of the properties, if it is not the array's."""
+    csv: tuple[str, ...]  # headers, one for each number that a point has in this column
+    decimals: int = 0  # behind the point in .csv. Whole numbers with decimals count units of the last one
+    ply: tuple[str, ...] = ()  # names of properties, as many; empty for a column that only .npz and .csv have
+    ply_dtype: str = ""  # type of the properties, if it is not the array's
 
     @property
     def kind(self) -> str:
@@ -59,14 +54,11 @@ class Column:
 class CloudAbout:
     """Metadata of a file of points, for formats that have a place for it."""
 
-    comments: tuple[str, ...]
-    """Lines for people."""
-    start_utc: datetime | None = None
-    """Date of the file."""
+    comments: tuple[str, ...]  # lines for people
+    start_utc: datetime | None = None  # date of the file
     origin: tuple[float, float, float] | None = None
     """Latitude and longitude in degrees and height in metres (WGS 84) of (0, 0, 0), for points in a world."""
-    unit: int = 1
-    """Which sensor of a rig, from 1."""
+    unit: int = 1  # which sensor of a rig, from 1
 
 
 RETURN_NAMES = ("strongest", "last", "second_strongest")
@@ -165,8 +157,7 @@ def _codes(labels: type[IntEnum]) -> str:
 class PointWriter(ABC):
     """Takes points block by block."""
 
-    points = 0
-    """So far."""
+    points = 0  # so far
 
     @abstractmethod
     def write(self, block: Block) -> None:

@@ -28,8 +28,7 @@ class LabelScheme:
 
     def __init__(self, name: str, table: Mapping[str, Any]) -> None:
         self.name = name
-        self.source: str = table["source"]
-        """Publisher of the numbers, and their meaning."""
+        self.source: str = table["source"]  # publisher of the numbers, and their meaning
         self._codes = np.full((len(Semantic), len(PlantPart)), table["none"], np.uint8)
         for semantic in Semantic:
             for part in PlantPart:

@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp
-from vlp16emu.extras.recorded.motion import fill_poses, fill_rates
-from vlp16emu.motion.pose import Kinematics
+from vlp16emu.extras.recorded.motion import Pieces
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]
@@ -30,10 +28,8 @@ GAP_M, GAP_RAD = 0.1, 0.2
 _SMALL = 1e-6  # angle in rad, below which series are exact to float64
 
 
-class Knots:
-    """Poses between knots: cubic Hermite pieces of position and quaternion, with velocity and rate without jumps.
-
-    Before its first knot the body is at rest, and after its last.
+class Knots(Pieces):
+    """Poses between two knots or more: cubic Hermite pieces of position and quaternion, with velocity and rate without jumps.
 
     Parameters
     ----------
@@ -42,13 +38,12 @@ class Knots:
     """
 
     def __init__(self, start_ns: int, states: Array) -> None:
-        self._start_ns, self._first, self._count = start_ns, 0, 0
+        self._first = self._count = 0
         room = max(_MOST, len(states))
         self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
         self._states, self._pieces = np.empty((room, STATE)), np.empty((4, room, 7))
-        self._arrays = self._knots_ns[:0], self._pieces
-        self.last_state = states[0]
-        """(13,)."""
+        super().__init__(start_ns, self._knots_ns[:0], self._pieces)
+        self.last_state = states[0]  # (13,)
         for state in states:
             self.append(state)
 
@@ -76,18 +71,6 @@ class Knots:
         self._count += 1
         # In one piece, as other threads read it.
         self._arrays = self._knots_ns[: self._count], self._pieces
-
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
-        """Poses at UTC instants (n,); of two knots or more."""
-        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-        fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
-        return Poses(t_ns, turn, position_m)
-
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
-        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
-        fill_rates(*self._arrays, t_ns - self._start_ns, rates)
-        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
 
     def _forget(self) -> None:
         """Drop the older half, in new arrays: others may be reading these."""

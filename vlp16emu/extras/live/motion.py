@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import norm
 from vlp16emu.engine import Batching, Parts
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.extras.live.cells import LiveWindows
-from vlp16emu.extras.live.flown import FlownMotion, read_flown
+from vlp16emu.extras.live.flown import FlownMotion, LiveWindows, read_flown
 from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.live_settings import Live
@@ -45,20 +44,16 @@ _FARTHEST_M = 1e6  # as far out as a scene may lie
 class SeenPose:
     """A pose that came in."""
 
-    state: Array
-    """(13,) as a knot has it; rates are those since poses before."""
-    at_ns: int
-    """When it was true, on the monotonic clock of this machine."""
-    arrived_ns: int
-    """When it came, on the same clock."""
+    state: Array  # (13,) as a knot has it; rates are those since poses before
+    at_ns: int  # when it was true, on the monotonic clock of this machine
+    arrived_ns: int  # when it came, on the same clock
 
 
 @dataclass(frozen=True, slots=True)
 class PosesLost:
     """A time without poses."""
 
-    at_s: float
-    """Last pose before it, since the first pulse."""
+    at_s: float  # last pose before it, since the first pulse
     lasted_s: float
 
 
@@ -83,8 +78,7 @@ class PoseInput:
         self.last: SeenPose | None = None
         self.received = self.refused = self.out_of_order = 0
         """Poses: taken, malformed, and with a stamp that is not after that of the pose before."""
-        self.longest_gap_ns = 0
-        """Between one arrival and the next, since the run began."""
+        self.longest_gap_ns = 0  # between one arrival and the next, since the run began
         self.gaps_ns: list[tuple[int, int]] = []
         """Arrivals before and after each time without poses for more than a second, since the run began."""
 
@@ -97,10 +91,7 @@ class PoseInput:
         quaternion : (4,) x, y, z, w of unit length, body to world
         t_ns : when it was true, on the sender's clock of any epoch; None for now
 
-        Raises
-        ------
-        TrajectoryError
-            If a number is not finite, or the quaternion is not of unit length
+        Raises TrajectoryError if a number is not finite, or the quaternion is not of unit length.
         """
         now_ns = self._clock_ns()
         try:
@@ -197,8 +188,7 @@ class LiveMotion:
         self._knots: Knots | None = None
         self._used: SeenPose | None = None
         self.poses = PoseInput(clock_ns)
-        self.is_open = False
-        """Whether poses are waited for, as in a stream."""
+        self.is_open = False  # whether poses are waited for, as in a stream
         self.first_uses = deque[tuple[int, int]]()
         """Of each pose that was used: UTC of the first pulse whose pose it decides, and its arrival on the monotonic clock."""
 

@@ -39,16 +39,12 @@ _INSIDE_M = 0.01  # how far behind a hall's wall its section begins
 class StandSection:
     """A strip of the world, seen level and from the side."""
 
-    start_xy_m: F8
-    """(2,) left end of the strip's middle line."""
-    along: F8
-    """(2,) unit vector to the right of the picture; the view is to the left of it."""
+    start_xy_m: F8  # (2,) left end of the strip's middle line
+    along: F8  # (2,) unit vector to the right of the picture; the view is to the left of it
     length_m: float
-    depth_m: float
-    """Width of the strip, half of it on either side of its middle line."""
+    depth_m: float  # width of the strip, half of it on either side of its middle line
     low_m: float
-    high_m: float
-    """Heights in the world between which it is drawn."""
+    high_m: float  # heights in the world between which it is drawn
 
     @property
     def towards(self) -> F8:

@@ -1,17 +1,186 @@
-"""Plan and section together on one sheet, as PNG."""
+"""Files that `vlp16emu forest` writes: inventory, stems, ground, digital twin; and plan and section on one sheet."""
 
-from typing import TYPE_CHECKING, BinaryIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.spatial import KDTree
 
+from vlp16emu.extras.palette import colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.extras.plots import plotted
-from vlp16emu.extras.sheets.plan import INK, SOFT, WALK, draw_plan, extent_m, legend_entries
-from vlp16emu.extras.sheets.section import StandSection
+from vlp16emu.extras.sheets.section import MARK_LEAD, StandSection, draw_stand, section_of
 from vlp16emu.extras.sheets.survey import Survey
-from vlp16emu.types import U1
+from vlp16emu.forest.ground.dem import write_ascii
+from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
+from vlp16emu.forest.stand.inventory import write_csv
+from vlp16emu.forest.stand.nearby import Grow, cut_out
+from vlp16emu.forest.twin import write_glb
+from vlp16emu.output import OutputFile
+from vlp16emu.types import F8, U1
+from vlp16emu.world.vectors import places_m
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+
+INK, SOFT, WALK = "#26302b", "#747e78", "#c8372d"
+"""Colours of writing, of what is less important, and of the path; on paper."""
+
+_DRAWN_IN_ORDER = (
+    *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "broken_log"),
+    *("stump", "broken_stump", "root_plate", "deadwood", "sapling", "shrub", "tree", "other"),
+)
+"""Kinds of things, the lowest first."""
+_MARGIN_M = 2.0
+_LEAST_STEM_PX = 2.4  # thinner stems are drawn this wide, or nobody would see them
+_SMOOTH_M = 2.0  # one sigma of the smoothing of contour lines, which show hills and not every step
+_ARROW_EVERY = 0.12  # share of the path's length
+_ROUND_M = (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Lengths that a scale bar or a contour interval may have."""
+_DARK = 0.6  # brightness of a face's edge, relative to the face
+_BELOW_PX = 14.0  # middle of the scale bar under the plan, where it covers nothing
+
+
+def extent_m(seen: Survey) -> tuple[F8, F8]:
+    """Return the south-west and the north-east corner (2,) of the plan of a survey."""
+    low_m, high_m = seen.bounds_m
+    return low_m - _MARGIN_M, high_m + _MARGIN_M
+
+
+def draw_plan(axes: "Axes", seen: Survey, section: StandSection) -> None:
+    """Draw the plan of a survey, with the strip of a section marked, into axes whose size is settled."""
+    low_m, high_m = extent_m(seen)
+    axes.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]), aspect="equal", anchor="NW", xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set_color("#d8d5cc")
+    _draw_ground(axes, seen)
+    _draw_things(axes, seen)
+    _draw_trees(axes, seen)
+    _draw_path(axes, seen.path_m[:, :2])
+    _draw_strip(axes, section)
+    _draw_scale_and_north(axes)
+
+
+def _kinds(seen: Survey) -> list[str]:
+    """Return the kinds of things of a survey in the order of drawing."""
+    return sorted({thing.kind for thing in seen.things}, key=_DRAWN_IN_ORDER.index)
+
+
+def legend_entries(seen: Survey) -> "list[Artist]":
+    """Return samples of what a plan shows, with names as labels: species first, the most frequent at the top."""
+    from matplotlib.lines import Line2D
+
+    def sample(name: str, colour: tuple[int, int, int], marker: str, size: float, alpha: float = 1.0) -> Line2D:
+        looks: dict[str, Any] = {"markerfacecolor": _rgba(colour, alpha), "markeredgecolor": _rgba(colour, 1.0, _DARK)}
+        looks |= {"marker": marker, "markersize": size, "markeredgewidth": 0.6}
+        return Line2D([], [], linestyle="none", label=name.replace("_", " "), **looks)
+
+    numbers, stems = np.unique(seen.near["species"], return_counts=True)
+    names = [seen.species[int(numbers[i])] for i in np.argsort(-stems, kind="stable")]
+    entries: list[Artist] = [sample(name, colour_of_species(name), "o", 11, 0.6) for name in names]
+    entries += [sample(kind, colour_of_kind(kind), "s", 6) for kind in _kinds(seen)]
+    return [*entries, Line2D([], [], color=WALK, lw=1.6, label="path of the sensor")]
+
+
+def _draw_ground(axes: "Axes", seen: Survey) -> None:
+    """Draw contour lines, and the border of the survey."""
+    low, high = extent_m(seen)
+    cell_m = float((high - low).max()) / 240
+    x_m, y_m = np.meshgrid(*(np.arange(a, b + cell_m, cell_m) for a, b in zip(low, high, strict=True)))
+    if seen.hall is None:
+        grid = np.column_stack([x_m.ravel(), y_m.ravel()])
+        gap_m = np.reshape(KDTree(seen.path_m[:, :2]).query(grid)[0], x_m.shape)
+        border: dict[str, Any] = {"colors": SOFT, "linewidths": 0.9, "linestyles": [(0, (6, 4))], "zorder": 6}
+        axes.contour(x_m, y_m, gap_m, [seen.radius_m], **border)
+    ground_m = gaussian_filter(seen.bare.height_m(x_m, y_m), _SMOOTH_M / cell_m, mode="nearest")
+    interval_m = _round_up_m(float(np.ptp(ground_m)) / 8)
+    if np.ptp(ground_m) > interval_m:
+        levels = np.arange(np.ceil(ground_m.min() / interval_m), ground_m.max() / interval_m) * interval_m
+        looks: dict[str, Any] = {"colors": "#b08d5b", "linewidths": 0.6, "linestyles": "solid", "alpha": 0.8}
+        lines = axes.contour(x_m, y_m, ground_m, levels, zorder=1, **looks)
+        axes.clabel(lines, fontsize=6.5, fmt="%g m", inline_spacing=2)
+
+
+def _draw_things(axes: "Axes", seen: Survey) -> None:
+    """Draw outlines of everything that is no tree, and names."""
+    from matplotlib.collections import PolyCollection
+
+    for kind in _kinds(seen):
+        colour, outlines = colour_of_kind(kind), [one.outline_m for one in seen.things if one.kind == kind]
+        faces, edges = _rgba(colour, 0.2 if kind == "ground" else 0.75), _rgba(colour, 0.8, _DARK)
+        looks: dict[str, Any] = {"facecolors": [faces], "edgecolors": [edges], "linewidths": 0.3, "zorder": 2}
+        axes.add_collection(PolyCollection(outlines, **looks), autolim=False)
+    beside: dict[str, Any] = {"xytext": (5, 5), "textcoords": "offset points", "size": 8, "color": INK, "zorder": 9}
+    for thing in seen.things:
+        if (name := seen.names.get(thing.instance)) is not None:
+            axes.annotate(name, (thing.place_m[0], thing.place_m[1]), **beside)
+
+
+def _draw_trees(axes: "Axes", seen: Survey) -> None:
+    """Draw crowns as discs of their width, small ones first, then stems at their diameter."""
+    from matplotlib.collections import EllipseCollection
+
+    trees = seen.near[np.argsort(seen.near["crown_width_m"], kind="stable")]
+    if not len(trees):
+        return
+    colours = [colour_of_species(seen.species[number]) for number in trees["species"].tolist()]
+    least_m = _LEAST_STEM_PX * float(np.ptp(axes.get_xlim())) / axes.get_window_extent().width
+    crowns: dict[str, Any] = {"facecolors": [_rgba(c, 0.42) for c in colours], "zorder": 3}
+    crowns["edgecolors"] = [_rgba(c, 0.75, _DARK) for c in colours]
+    stems: dict[str, Any] = {"facecolors": [(0.22, 0.16, 0.11)], "edgecolors": ["none"], "zorder": 4}
+    at: dict[str, Any] = {"units": "xy", "offsets": places_m(trees, "xy"), "offset_transform": axes.transData}
+    for width_m, looks in ((trees["crown_width_m"], crowns), (np.maximum(trees["dbh_m"], least_m), stems)):
+        discs = EllipseCollection(width_m, width_m, np.zeros(len(trees)), linewidths=0.5, **at, **looks)
+        axes.add_collection(discs, autolim=False)
+
+
+def _draw_path(axes: "Axes", path_xy_m: F8) -> None:
+    """Draw the path with arrow heads along it, or the place where the sensor stands."""
+    axes.plot(*path_xy_m[0], marker="o", ms=6, mfc="white", mec=WALK, mew=1.6, zorder=8)
+    if len(path_xy_m) < 2:
+        return
+    axes.plot(*path_xy_m.T, color=WALK, lw=1.6, zorder=7)
+    gone_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path_xy_m, axis=0).T))])
+    for share in np.arange(_ARROW_EVERY, 1.0 + 1e-9, (1 - _ARROW_EVERY) / 6):
+        head = max(1, int(np.searchsorted(gone_m, share * gone_m[-1] - 1e-9)))
+        back = max(0, min(int(np.searchsorted(gone_m, gone_m[head] - 1.0)), head - 1))
+        arrow = {"arrowstyle": "-|>", "color": WALK, "lw": 0, "mutation_scale": 13}
+        axes.annotate("", path_xy_m[head], path_xy_m[back], arrowprops=arrow, zorder=8)
+
+
+def _draw_strip(axes: "Axes", section: StandSection) -> None:
+    """Draw the outline of the section's strip, with its ends named."""
+    half_m = section.depth_m / 2 * section.towards
+    ends = section.start_xy_m, section.start_xy_m + section.length_m * section.along
+    corners = np.array([ends[0] - half_m, ends[1] - half_m, ends[1] + half_m, ends[0] + half_m])
+    axes.plot(*np.concatenate([corners, corners[:1]]).T, color=INK, lw=0.9, ls=(0, (3, 2)), zorder=7)
+    for name, end, side in (("A", ends[0], -1), ("B", ends[1], 1)):
+        place_m = end + side * MARK_LEAD * section.length_m * section.along
+        box = {"boxstyle": "circle,pad=0.15", "fc": "white", "ec": INK, "lw": 0.8}
+        axes.text(place_m[0], place_m[1], name, size=9, color=INK, ha="center", va="center", bbox=box, zorder=9)
+
+
+def _draw_scale_and_north(axes: "Axes") -> None:
+    """Draw a bar of a round length, and an arrow to the north, below the plan."""
+    (x_m, right_m), pixel = axes.get_xlim(), 1.0 / axes.get_window_extent().height
+    bar_m, y = _round_up_m((right_m - x_m) / 12), -_BELOW_PX * pixel
+    below: dict[str, Any] = {"color": INK, "transform": axes.get_xaxis_transform(), "clip_on": False}
+    axes.plot([x_m, x_m + bar_m], [y, y], lw=3.5, solid_capstyle="butt", **below)
+    axes.text(x_m + 1.08 * bar_m, y, f"{bar_m:g} m", size=8.5, va="center_baseline", **below)
+    arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.4, "mutation_scale": 12, "shrinkA": 0, "shrinkB": 0}
+    ends = (0.995, y + 10 * pixel), (0.995, y - 12 * pixel)
+    axes.annotate("", *ends, "axes fraction", arrowprops=arrow)
+    axes.text(0.985, y, "N", size=9, ha="right", va="center_baseline", color=INK, transform=axes.transAxes)
+
+
+def _round_up_m(length_m: float) -> float:
+    return next((length for length in _ROUND_M if length >= length_m), _ROUND_M[-1])
+
+
+def _rgba(colour: tuple[int, int, int], alpha: float, light: float = 1.0) -> tuple[float, float, float, float]:
+    red, green, blue = colour
+    return light * red / 255, light * green / 255, light * blue / 255, alpha
 
 
 _PAPER, _DPI = "#fcfbf8", 84
@@ -93,3 +262,53 @@ def _draw_sensor(axes: "Axes", seen: Survey, row: int, x_m: float) -> None:
     for side in (-1, 1):
         for rise_m in _BEAM_M * np.tan(np.radians(seen.field_of_view_deg)):
             axes.plot([x_m, x_m + side * _BEAM_M], [sensor_m, sensor_m + rise_m], color=WALK, lw=0.5, alpha=0.6)
+
+
+_GROUND_CELL_M = 0.25  # cell of the ground grid: the finest that is usual for forests
+
+
+def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> None:
+    """Write all trees within the sensor's range, with what a run saw of their stems if the folder of its truth is given.
+
+    InputError if the folder has no truth of returns of this scene.
+    """
+    more = seen.stems_seen(seen.trees, truth) if truth else None
+    rows = seen.inventory(seen.trees)
+    with output.writing() as file:
+        write_csv(file, rows, more, table=seen.plants.trees)
+
+
+def write_stems(output: OutputFile, seen: Survey) -> None:
+    """Write circles along all stems within range and the branches within the radius: skeletons with radii, as a QSM has them."""
+    circles = seen.stem_circles(seen.trees)
+    with output.writing() as file:
+        header = ",".join(STEM_CIRCLE.names or ())
+        np.savetxt(file, circles, fmt=[*["%d"] * 4, *["%.4f"] * 5], delimiter=",", header=header, comments="")
+
+
+def write_ground(output: OutputFile, seen: Survey) -> None:
+    """Write the height of the ground of the survey's bounding rectangle."""
+    with output.writing() as file:
+        write_ascii(file, seen.bare.height_m, *seen.bounds_m, _GROUND_CELL_M)
+
+
+def write_twin(output: OutputFile, seen: Survey) -> None:
+    """Write everything within the radius, or the whole hall, as glTF."""
+    at_m = {thing.instance: thing.place_m for thing in seen.things}
+    at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
+    window = seen.window
+    shape: Grow = seen.world.shape
+    if seen.hall is None:
+        wanted = np.array(list(at_m), np.uint32)
+        window, shape = cut_out(window, shape, instances=wanted, inside=seen.inside)
+    colours = surface_colours(seen.window.surfaces, seen.species)
+    with output.writing() as file:
+        write_glb(file, window, shape, places_m=at_m, species=seen.species, colours=colours)
+
+
+def write_picture(output: OutputFile, seen: Survey, *, title: str, subtitle: str) -> None:
+    """Draw plan and section."""
+    section = section_of(seen)
+    drawn = draw_stand(seen, section, section_pixels_per_m(section))
+    with output.writing() as file:
+        draw_sheet(file, seen, section, drawn, title=title, subtitle=subtitle)

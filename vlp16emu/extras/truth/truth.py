@@ -1,11 +1,13 @@
-"""What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
+"""Ground truth beside what was sent: trajectory, inertial unit, GNSS, events, rig and scenario of a run."""
 
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
-from threading import Event
+from itertools import islice
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -13,11 +15,11 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
-from vlp16emu.engine.position import timetable
+from vlp16emu.engine.position import number_at, timetable
 from vlp16emu.errors import RunError
-from vlp16emu.extras.bench.faults import arriving, earliest_ns, faults_of
+from vlp16emu.extras.bench.events import Event
+from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
-from vlp16emu.extras.truth.happenings import Happening, happenings
 from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.geodesy import to_geodetic
@@ -32,6 +34,81 @@ from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Happening:
+    """An event, and the packets of one kind that are due while it lasts; or one packet that an event befalls."""
+
+    begin_ns: int  # UTC, as the next
+    end_ns: int
+    event: int  # number of the table in the scene, from 1
+    unit: int  # from 1
+    kind: str
+    packets: PacketKind
+    first: int  # number of the first packet from its begin on, from 0 at the first pulse of the run
+    count: int  # packets until its end
+
+
+def happenings(
+    scenario: Scenario, units: Sequence[Unit], from_ns: int | None, until_ns: int, stop_ns: int
+) -> list[Happening]:
+    """List what begins to happen in a span of time since the first pulse.
+
+    Events that befall each packet with a probability are listed packet by packet, as these are due.
+
+    Parameters
+    ----------
+    from_ns : of the span; None with what began earlier
+    until_ns : end of the span
+    stop_ns : end of the run, and of what lasts longer
+    """
+    found = list[Happening]()
+    for place, event in enumerate(scenario.events):
+        begin_ns = event.begin_ns
+        if not event.is_random and (from_ns is None or from_ns <= begin_ns) and begin_ns < until_ns:
+            found += _whole(scenario, units[event.unit - 1], place, event, stop_ns)
+    random = [fault for fault in faults_of(scenario, units) if fault.event.is_random]
+    if random:
+        found += _single(scenario, units, random, from_ns or 0, until_ns)
+    return sorted(found)
+
+
+def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: int) -> Iterator[Happening]:
+    """Yield an event with all packets that are due meanwhile."""
+    begin_ns, over_ns, start_ns = event.begin_ns, event.end_ns, scenario.start_ns
+    if event.effect != "power":
+        over_ns = min(over_ns, max(stop_ns, begin_ns))
+    kinds: tuple[PacketKind, ...] = (PacketKind.POSITION if event.effect == "gps" else PacketKind.DATA,)
+    for kind in kinds_of(event) if event.effect == "packets" else kinds:
+        first, until_ns = number_at(scenario, unit, kind, begin_ns), over_ns
+        if event.effect == "packets" and event.count is not None:
+            due_ns = (packet.due_ns for packet in timetable(scenario, [unit], begin_ns, over_ns) if packet.kind is kind)
+            last_ns = max(islice(due_ns, event.count), default=start_ns + begin_ns)
+            until_ns = last_ns + 1 - start_ns
+        count = number_at(scenario, unit, kind, until_ns) - first
+        times = start_ns + begin_ns, start_ns + until_ns
+        yield Happening(
+            *times, place + 1, event.unit, event.kind, kind, first - number_at(scenario, unit, kind, 0), count
+        )
+
+
+def _single(
+    scenario: Scenario, units: Sequence[Unit], faults: Sequence[PacketFault], from_ns: int, until_ns: int
+) -> Iterator[Happening]:
+    """Yield the packets due in a span that faults befall."""
+    numbers = {unit.number: number_at(scenario, unit, PacketKind.DATA, from_ns) for unit in units}
+    for packet in timetable(scenario, units, from_ns, until_ns):
+        number = packet.number
+        if packet.kind is PacketKind.DATA:
+            number = numbers[packet.unit]
+            numbers[packet.unit] += 1
+        for fault in faults:
+            if fault.unit.number == packet.unit and fault.befalls(packet, number):
+                times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
+                first = number - number_at(scenario, fault.unit, packet.kind, 0)
+                yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)
+
 
 _TUM_HEADER = (
     "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
@@ -64,14 +141,8 @@ class Truth:
     of : has the engine that makes the packets, with the events so far
     span_s : of the run, since the first pulse
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be used, or holds a file that the scenario names
-    ScenarioError
-        If poses of packets are wanted of a sensor that has none
-    RunError
-        If it cannot be written: here, or later
+    Raises OutputError if the folder cannot be used, or holds a file that the scenario names; ScenarioError if poses of
+    packets are wanted of a sensor that has none; RunError if it cannot be written: here, or later.
     """
 
     def __init__(self, to: TruthTo, of: HasEngine, span_s: tuple[float, float]) -> None:
@@ -367,7 +438,7 @@ def write_truth(
     start_s: float = 0.0,
     duration_s: float | None = None,
     progress: Callable[[float], None] = lambda _: None,
-    stop: Event | None = None,
+    stop: threading.Event | None = None,
 ) -> float:
     """Write the ground truth that `record` writes beside a run, byte for byte, without casting a pulse.
 
@@ -382,21 +453,14 @@ def write_truth(
     -------
     Simulated seconds
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, or holds an input of the scene
-    ScenarioError
-        If poses of packets are wanted of a sensor that has none
-    TrajectoryError
-        If the walk ends before the span does
-    RunError
-        If the disk is full; the lines before are kept
+    Raises OutputError if the folder cannot be written, or holds an input of the scene; ScenarioError if poses of
+    packets are wanted of a sensor that has none; TrajectoryError if the walk ends before the span does; RunError if the
+    disk is full; the lines before are kept.
     """
     run = emulator.run.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
     run.engine.span_ns(*span_s)  # checks the span before the folder is touched
-    done_s, stop = 0.0, stop or Event()
+    done_s, stop = 0.0, stop or threading.Event()
     with run.truth(to, span_s, of=run) as truth:
         while truth and done_s < stop_s - begin_s and not stop.is_set():
             done_s = min(done_s + 1.0, stop_s - begin_s)

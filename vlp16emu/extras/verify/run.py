@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.extras.verify.data import DataChunk, DataRules
+from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
 from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, InOrder, check_frames, kind_of
-from vlp16emu.extras.verify.position import PositionRules
 from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
@@ -68,12 +67,8 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
     unit : the sensor, if there are several: its number from 1, or `address:port` with its data port
     limit_per_rule : findings kept of each rule; all are counted
 
-    Raises
-    ------
-    CaptureError
-        If the file cannot be read, or holds no VLP-16 packets at all
-    InputError
-        If there is no such unit, or there are several and none is named
+    Raises CaptureError if the file cannot be read, or holds no VLP-16 packets at all; InputError if there is no such
+    unit, or there are several and none is named.
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
@@ -100,8 +95,7 @@ class _Check:
         self._data, self._position = DataRules(findings), PositionRules(findings)
         self._in_order = {kind: InOrder(kind, findings) for kind in PORT}
         self._chunk: dict[PacketKind, list[Datagram]] = {kind: [] for kind in PORT}
-        self._before: Datagram | None = None
-        """Last data packet of the chunk before, if this one goes on from it."""
+        self._before: Datagram | None = None  # last data packet of the chunk before, if this one goes on from it
         self._factory = b""
         self._packets = Counter[PacketKind]()
         self._first: dict[PacketKind, Datagram] = {}

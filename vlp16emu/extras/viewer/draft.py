@@ -37,10 +37,8 @@ class Course:
     points: tuple[Point, ...]
     speed_m_s: float
     laps: int
-    gait: str | None
-    """Preset; None for the gait of the scene."""
-    harness: bool
-    """Whether the pack hangs loose."""
+    gait: str | None  # preset; None for the gait of the scene
+    harness: bool  # whether the pack hangs loose
 
     def moved(self, number: int, x_m: float, y_m: float) -> "Course":
         """Return the course with a way point elsewhere, to the mm; the stop there goes with it."""
@@ -72,16 +70,11 @@ class Outlook:
     run_time_s: float = 0.0
     length_m: float = 0.0
     revolutions: float = 0.0
-    packets: int = 0
-    """Data packets of the first sensor."""
-    path_m: F8 | None = None
-    """(n, 3) on the ground; None if nobody can walk it."""
-    in_the_way_m: F8 | None = None
-    """(m, 3) feet of stems nearer than `path_clearance_m`."""
-    fault: str = ""
-    """Why nobody can walk it."""
-    fault_m: F8 | None = None
-    """(1, 3) place of the fault on the ground."""
+    packets: int = 0  # data packets of the first sensor
+    path_m: F8 | None = None  # (n, 3) on the ground; None if nobody can walk it
+    in_the_way_m: F8 | None = None  # (m, 3) feet of stems nearer than `path_clearance_m`
+    fault: str = ""  # why nobody can walk it
+    fault_m: F8 | None = None  # (1, 3) place of the fault on the ground
 
 
 class Draft:

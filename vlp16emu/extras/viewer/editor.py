@@ -23,8 +23,7 @@ class Editor:
     """Gizmos and panel of a draft that is saved `to` a file; `step` executes their requests on the thread that draws."""
 
     def __init__(self, server: viser.ViserServer, draft: Draft, duration_s: float, to: Path | None) -> None:
-        self.wake = Event()
-        """Set when there is a request."""
+        self.wake = Event()  # set when there is a request
         self._server, self._draft = server, draft
         self._duration_s, self._to = duration_s, to
         self._asked: list[Callable[[], Course | None]] = []

@@ -14,7 +14,6 @@ import numpy as np
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
-from vlp16emu.extras.canvas import Canvas
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
@@ -23,6 +22,54 @@ from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.scan import decode
 from vlp16emu.types import F8, U1
+
+_BACKGROUND = (14, 18, 24)
+_RELIEF = 0.35
+"""How dark a pixel gets per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""
+_DARKEST = 0.3
+_NEIGHBOUR_PX = 2
+
+
+class Canvas:
+    """A picture of a size in pixels, width and height, that points of `dot_px` are added to."""
+
+    def __init__(self, size: tuple[int, int], dot_px: tuple[int, int] = (2, 2)) -> None:
+        self.size, self._dot_px = size, dot_px
+        self.clear()
+
+    def clear(self) -> None:
+        """Take away all points."""
+        width, height = self.size
+        self._near = np.full(height * width, -np.inf)
+        self._rgb = np.zeros((height * width, 3), np.uint8)
+
+    def add(self, pixels: Pixels, rgb: U1) -> None:
+        """Draw points at pixels (n,) in colours (n, 3); what lies outside is left out."""
+        width, height = self.size
+        order = np.argsort(pixels[2], kind="stable")
+        column, row, near, rgb = *(of[order] for of in pixels), rgb[order]
+        for x in range(self._dot_px[0]):
+            for y in range(self._dot_px[1]):
+                inside = (column + x >= 0) & (column + x < width) & (row + y >= 0) & (row + y < height)
+                pixel = (row[inside] + y) * width + column[inside] + x
+                in_front = near[inside] > self._near[pixel]
+                # Points come by nearness, and of several at one pixel numpy keeps the last.
+                self._near[pixel[in_front]] = near[inside][in_front]
+                self._rgb[pixel[in_front]] = rgb[inside][in_front]
+
+    def image(self) -> U1:
+        """Return the picture (height, width, 3), with relief."""
+        width, height = self.size
+        near = self._near.reshape(height, width)
+        drawn = np.isfinite(near)
+        behind, flat = np.zeros((height, width)), np.where(drawn, near, -1e6)
+        for axis in (0, 1):
+            for step in (-_NEIGHBOUR_PX, _NEIGHBOUR_PX):
+                behind += np.clip(np.roll(flat, step, axis) - flat, 0.0, 2.0)
+        light = np.maximum(np.exp(-_RELIEF * behind), _DARKEST)
+        rgb = np.where(drawn[..., None], self._rgb.reshape(height, width, 3) * light[..., None], _BACKGROUND)
+        return np.rint(rgb).astype(np.uint8)
+
 
 _NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # library by suffix; of the extra 'picture'
 _FRAMES_PER_S, _ELEVATION_DEG = 10, 32.0
@@ -55,19 +102,15 @@ class View:
     """Layout of a picture: the places of a sweep's points, and the words beside them."""
 
     size: tuple[int, int]
-    pixels: Callable[[F8], Pixels]
-    """Pixels of places (n, 3)."""
-    places: Callable[[Sweep], F8]
-    """Places (n, 3) of the points of a sweep that are shown, NaN for the others."""
+    pixels: Callable[[F8], Pixels]  # pixels of places (n, 3)
+    places: Callable[[Sweep], F8]  # places (n, 3) of the points of a sweep that are shown, NaN for the others
     sensor: Callable[[Sweep], F8 | None] = lambda _: None
     """Place (3,) of the sensor, or None if it is not in the picture."""
     px_per_m: float | None = None
     """Scale of a view in which the points of all sweeps add up; None if it shows one sweep at a time."""
     dot_px: tuple[int, int] = (2, 2)
-    circles_m: F8 | None = None
-    """(k, 3) points of circles of range."""
-    labels: tuple[tuple[float, float, str], ...] = ()
-    """Words at columns and rows, from below, of a still."""
+    circles_m: F8 | None = None  # (k, 3) points of circles of range
+    labels: tuple[tuple[float, float, str], ...] = ()  # words at columns and rows, from below, of a still
 
 
 def check_suffix(path: Path) -> None:

@@ -41,15 +41,11 @@ class Piece:
 
     name: str
     vertices_m: F4
-    faces: U4
-    """(f, 3) triangles."""
+    faces: U4  # (f, 3) triangles
     colour: Rgb
-    position_m: F8
-    """(n, 3) in the world."""
-    wxyz: F8
-    """(n, 4) unit quaternions."""
-    scale: F8
-    """(n, 3) along the axes of the mesh."""
+    position_m: F8  # (n, 3) in the world
+    wxyz: F8  # (n, 4) unit quaternions
+    scale: F8  # (n, 3) along the axes of the mesh
 
 
 def pieces_of(seen: Survey) -> Iterator[Piece]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import InputError
-from vlp16emu.extras.sheets.seen import stems_seen, tables_of_returns
+from vlp16emu.extras.sheets.survey import stems_seen, tables_of_returns
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.stand.stand import TREE
