@@ -202,8 +202,7 @@ def accuracy(
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
     """Measure a scene, with a progress bar."""
-    from vlp16emu.extras.accuracy.foliage import measure_foliage
-    from vlp16emu.extras.accuracy.sweep import measure_accuracy
+    from vlp16emu.extras.accuracy.sweep import measure_accuracy, measure_foliage
 
     whole_s = scenario.duration_s
     with Progress(whole_s) as progress:
@@ -218,7 +217,7 @@ def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
 
 def _tree(measured: "Accuracy") -> dict[str, Any]:
     """Return the report in the types of JSON."""
-    from vlp16emu.extras.accuracy.curve import Kind, choices, fitted_order, front
+    from vlp16emu.extras.accuracy.curve import choices, front
 
     tree: dict[str, Any] = tree_of(measured)
     return (
@@ -226,8 +225,7 @@ def _tree(measured: "Accuracy") -> dict[str, Any]:
         | tree
         | {
             "front": [row.name for row in front(measured.rows)],
-            "fits": {kind: tree_of(fit) for kind in Kind if (fit := fitted_order(measured.rows, kind))},
-            "choices": [{"wanted_m": one.wanted_m, "take": one.row.name} for one in choices(measured.rows)],
+            "choices": [{"wanted_m": wanted_m, "take": name} for name, wanted_m in choices(measured.rows).items()],
         }
     )
 
@@ -247,7 +245,7 @@ def _print_accuracy(measured: "Accuracy") -> None:
         _print_rows(measured.poses, "pose")
     if measured.foliage:
         _print_foliage(measured.foliage)
-    taken = "; ".join(f"{one.wanted_m:g} m: {one.row.name}" for one in choices(measured.rows))
+    taken = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in choices(measured.rows).items())
     print(f"For a mean error of {taken}" if taken else "No setting has a mean error below 0.5 m")
 
 

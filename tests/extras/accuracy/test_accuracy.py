@@ -6,8 +6,14 @@ import pytest
 from vlp16emu.engine import Engine
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.curve import Kind
-from vlp16emu.extras.accuracy.foliage import _held, is_two, measure_foliage
-from vlp16emu.extras.accuracy.sweep import beam_settings, measure_accuracy, pose_rates
+from vlp16emu.extras.accuracy.sweep import (
+    beam_settings,
+    departures,
+    is_two,
+    measure_accuracy,
+    measure_foliage,
+    pose_rates,
+)
 from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -123,5 +129,5 @@ def test_a_departure_is_seen_and_chance_is_not(leaves_off, departs):
         plain = rng.normal(40, 8, 50)
         other = plain + rng.normal(leaves_off, 4, 50)
         of = [[{"leaf": value} for value in values.tolist()] for values in (other, plain)]
-        found += _held(*of)["leaf"].departs
+        found += departures(*of)["leaf"].departs
     assert (found > 95) if departs else (found < 15)

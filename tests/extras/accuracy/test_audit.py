@@ -9,8 +9,8 @@ import pytest
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import Batching
 from vlp16emu.extras.accuracy import Audit
-from vlp16emu.extras.accuracy.compare import Tally, compare, errors_of
-from vlp16emu.extras.accuracy.sample import Bench, apart_m, draw_groups, joined
+from vlp16emu.extras.accuracy.compare import Tally, apart_m, compare, errors_of
+from vlp16emu.extras.accuracy.sweep import Bench, draw_groups, joined
 from vlp16emu.scenario import load
 
 BLOCK_S = 1920 * 55_296e-9

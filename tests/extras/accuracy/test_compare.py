@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.extras.accuracy.compare import Detections, Tally, compare, errors_of
-from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row, choices, draw_accuracy, fitted_order, front
-from vlp16emu.extras.accuracy.sample import joined
+from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row, choices, draw_accuracy, front
+from vlp16emu.extras.accuracy.sweep import joined
 
 RESOLUTION_M = 1.0
 
@@ -71,7 +71,7 @@ def test_the_interval_holds_the_true_rmse_as_often_as_it_says(sigma, least):
             off_m = scale_m * rng.choice([0.0, 1.0], size)
             tally.add(compare(answer, detections_of(*(30.0 + off_m)), RESOLUTION_M))
         interval = tally.range_rmse_interval_m
-        held += interval.low <= true_m <= interval.high
+        held += interval[0] <= true_m <= interval[1]
     assert least <= held / trials <= 0.99
 
 
@@ -112,7 +112,7 @@ def test_clusters_that_err_alike_leave_no_doubt():
             tally.add(compare(answer, got, RESOLUTION_M))
         assert tally.range_rmse_m == pytest.approx(off_m, abs=1e-6), off_m
         interval = tally.range_rmse_interval_m
-        assert (interval.low, interval.high) == pytest.approx((off_m, off_m), abs=1e-6), off_m
+        assert interval == pytest.approx((off_m, off_m), abs=1e-6), off_m
 
 
 def test_the_front_keeps_what_nothing_beats():
@@ -122,19 +122,10 @@ def test_the_front_keeps_what_nothing_beats():
     assert [one.name for one in front(rows)] == ["a", "b", "c"]
 
 
-def test_the_order_is_the_slope():
-    """Errors that fall as run time to the power of -0.75 have the order 0.75; of two settings there is none."""
-    rows = [row(str(us), us, 0.3 * us**-0.75) for us in (1.0, 2.0, 4.0, 8.0)]
-    assert fitted_order(rows, Kind.FIXED).order == pytest.approx(0.75)
-    assert fitted_order(rows, Kind.FIXED).at_1_us_m == pytest.approx(0.3)
-    assert fitted_order(rows[:2], Kind.FIXED) is None
-    assert fitted_order(rows, Kind.ADAPTIVE) is None
-
-
 def test_choices_name_the_quickest_that_is_good_enough():
     """For each wanted error the quickest setting within it is named, once, with the least error it is good for."""
     rows = [row("one", 1.0, 0.15), row("eight", 4.0, 0.06), row("many", 20.0, 0.009)]
-    assert [(one.wanted_m, one.row.name) for one in choices(rows)] == [(0.2, "one"), (0.1, "eight"), (0.01, "many")]
+    assert choices(rows) == {"one": 0.2, "eight": 0.1, "many": 0.01}
 
 
 def test_the_picture_is_drawn():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.engine.windows import Batching
-from vlp16emu.extras.accuracy.sample import GROUP, draw_groups
+from vlp16emu.extras.accuracy.sweep import GROUP, draw_groups
 
 BATCHING = Batching(16, 55_296)
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from vlp16emu.engine import Job, Unit
 from vlp16emu.engine.windows import Batching
-from vlp16emu.extras.accuracy.compare import MISTAKES, Tally, compare
-from vlp16emu.extras.accuracy.sample import answer_beam, apart_m, detections_of
+from vlp16emu.extras.accuracy.compare import MISTAKES, Tally, answer_beam, apart_m, compare, detections_of
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.run.report import AuditFinding

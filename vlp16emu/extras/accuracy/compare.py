@@ -1,13 +1,19 @@
 """Errors of detections against the answer, summed up as whole numbers by cluster, so that neither order nor number matters."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vlp16emu.types import F4, F8, I8, U1
+from vlp16emu.random import Purpose, generator
+from vlp16emu.raycast.beam import Footprint
+from vlp16emu.returns.detect import detect
+from vlp16emu.returns.detector import UnitDetector
+from vlp16emu.returns.settings import Detector
+from vlp16emu.types import F4, F8, I8, U1, Firings, Hits
 
 FEWEST_CLUSTERS = 8
 """Clusters with errors; with fewer no interval is given."""
@@ -16,6 +22,7 @@ MISTAKES = ("lost", "invented", "wrong_strongest")
 _STRONGEST, _LAST = 0, 1
 _CONFIDENCE = 0.95
 _UM = 1e-6
+_HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 
 
 class Outcome(IntEnum):
@@ -71,6 +78,23 @@ class Errors:
     reflectivity_rmse: float  # in counts
 
 
+def apart_m(detector: Detector) -> float:
+    """Return the range between echoes that are surely two: the resolution, or a pulse's full width if that is more."""
+    return max(detector.resolution_m, _HALF_LIGHT_M_PER_NS * detector.pulse_ns)
+
+
+def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footprint:
+    """Return the beam of an answer; its sub-rays must not be those that it judges, so each number has a seed of its own."""
+    own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
+    return replace(beam.changed(model="fixed", rays=rays), seed=own)
+
+
+def detections_of(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector) -> Detections:
+    """Detect all echoes of some pulses with a detector without noise, in order of sequence, then of laser."""
+    returns = detect(firings, hits, surfaces, exact, truth=False)
+    return Detections(returns.distance_m.reshape(-1, 3), returns.reflectivity.reshape(-1, 3))
+
+
 def compare(answer: Detections, detected: Detections, resolution_m: float) -> Comparison:
     """Compare the detections of n pulses with the answer; ranges more than half a resolution apart are of different echoes."""
     seen, got = answer.distance_m[:, _STRONGEST] > 0, detected.distance_m[:, _STRONGEST] > 0
@@ -114,13 +138,6 @@ def _rms(values: F8) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
-class Interval(NamedTuple):
-    """Interval that holds a quantity with 95 % confidence."""
-
-    low: float
-    high: float
-
-
 @dataclass(slots=True)
 class Tally:
     """Sums over clusters of pulses so far; shares and ranges are defined as in `Errors`."""
@@ -162,7 +179,7 @@ class Tally:
         return _UM * math.sqrt(self.squares_um2 / self.matched) if self.matched else None
 
     @property
-    def range_rmse_interval_m(self) -> Interval | None:
+    def range_rmse_interval_m(self) -> tuple[float, float] | None:
         """Interval of that RMSE over all pulses, from the clusters as a sample; None if they are too few.
 
         The mean square is a ratio of sums over clusters, whose variance is that of the clusters about the ratio
@@ -181,4 +198,4 @@ class Tally:
         relative = math.sqrt(max(away, 0.0) * self.clusters / (self.clusters - 1)) / self.squares_um2
         carrying = self.squares_um2**2 / self.squares_2_um4
         reach = relative * float(stdtrit(max(carrying / 4, 1.0), 0.5 + _CONFIDENCE / 2))
-        return Interval(self.range_rmse_m * math.exp(-reach / 2), self.range_rmse_m * math.exp(reach / 2))
+        return self.range_rmse_m * math.exp(-reach / 2), self.range_rmse_m * math.exp(reach / 2)

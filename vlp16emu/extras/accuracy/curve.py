@@ -79,22 +79,6 @@ class Accuracy:
     """Worlds cast leaf by leaf to some distances, the explicit one last; none of a hall."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """A power law: mean error = `at_1_us_m` times run time in microseconds per pulse to the power of -`order`."""
-
-    order: float
-    at_1_us_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """The quickest setting whose error is small enough."""
-
-    wanted_m: float
-    row: Row
-
-
 def front(rows: Sequence[Row]) -> list[Row]:
     """Return the rows that no other beats in both speed and mean error, the quickest first.
 
@@ -107,26 +91,14 @@ def front(rows: Sequence[Row]) -> list[Row]:
     return kept
 
 
-def fitted_order(rows: Sequence[Row], kind: Kind) -> Fit | None:
-    """Fit how the mean error of a kind falls; None with fewer than three settings, or if none costs twice another."""
-    points = [(row.us_per_pulse, row.errors.mean_error_m) for row in rows if row.kind is kind]
-    points = [point for point in points if point[1] > 0]
-    if len(points) < 3 or max(points)[0] < 2 * min(points)[0]:
-        return None
-    us, error_m = np.log(np.array(points)).T
-    slope, height = np.polyfit(us, error_m, 1)
-    return Fit(order=float(-slope), at_1_us_m=float(np.exp(height)))
-
-
-def choices(rows: Sequence[Row]) -> list[Choice]:
-    """Return what to take for some wanted mean errors; each setting once, for the least error that it is good for."""
-    found: dict[str, Choice] = {}
+def choices(rows: Sequence[Row]) -> dict[str, float]:
+    """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for."""
+    found: dict[str, float] = {}
     for wanted_m in WANTED_M:
         good = [row for row in _to_choose(rows) if row.errors.mean_error_m <= wanted_m]
         if good:
-            row = min(good, key=lambda row: row.us_per_pulse)
-            found[row.name] = Choice(wanted_m, row)
-    return list(found.values())
+            found[min(good, key=lambda row: row.us_per_pulse).name] = wanted_m
+    return found
 
 
 def _to_choose(rows: Sequence[Row]) -> list[Row]:
@@ -152,13 +124,6 @@ def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
         _draw(left, rows, lambda row: row.errors.mean_error_m)
         us, error_m = zip(*((row.us_per_pulse, row.errors.mean_error_m) for row in front(rows)), strict=True)
         left.plot(us, error_m, color=SOFT, linewidth=6, alpha=0.5, zorder=0, label="Pareto front")
-        for kind in (Kind.FIXED, Kind.ADAPTIVE):
-            if (fit := fitted_order(rows, kind)) is not None:
-                ends = [row.us_per_pulse for row in rows if row.kind is kind]
-                span_us = np.array([min(ends) / 1.2, max(ends) * 1.2])
-                look: dict[str, Any] = {"color": _STYLES[kind][0], "lw": 1, "ls": "--"}
-                look["label"] = f"{kind.value}: error ~ time^-{fit.order:.2f}"
-                left.plot(span_us, fit.at_1_us_m * span_us**-fit.order, **look)
         left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
         _draw(right, rows, lambda row: row.errors.range_rmse_m)
         right.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
