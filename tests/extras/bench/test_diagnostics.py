@@ -73,11 +73,3 @@ def test_the_current_follows_motor_and_laser():
     assert currents == sorted(currents, reverse=True)
     assert len(set(currents)) == 4
     assert currents[1] == pytest.approx(0.48, abs=0.03)
-
-
-def test_a_fault_shows_zeros():
-    """Where a fault has switched motor and lasers off, all of diag.json is zero."""
-    tree = diagnostics(replace(WARM, disabled=True))
-    bottom, top = tree["volt_temp"]["bot"], tree["volt_temp"]["top"]
-    assert {*bottom.values(), *top.values(), tree["vhv"], tree["adc_nf"], tree["ixe"]} == {0}
-    assert len(bottom) == len(top) == 8

@@ -186,7 +186,6 @@ class Control:
             phase_cdeg=round(100 * float(of.head.rotor.angle_deg(np.array([second_ns]))[0])) % 36_000,
             laser_on=settings.laser_on,
             powered_for_s=powered_ns / S_NS,
-            is_up=not of.timeline.is_silent(since_ns),
         )
 
     @property

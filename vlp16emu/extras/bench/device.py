@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial, reduce
 from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Lock
@@ -94,8 +95,7 @@ class DeviceSettings:
 _SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceInfo:
+class DeviceInfo(NamedTuple):
     """Constants of a unit: names, versions, serial number."""
 
     serial: str  # digits, as on the label
@@ -116,24 +116,22 @@ class DeviceStatus:
     phase_cdeg: int  # rotor angle at the latest pulse, in 0.01 degree
     laser_on: bool
     powered_for_s: float  # since power-up: boards warm up
-    is_up: bool = True  # false while it starts: nothing answers
-    disabled: bool = False  # motor and laser are switched off by a fault; the web interface lives on, and shows zeros
 
 
 class Device:
     """The settings of one sensor, for all threads that read and change them.
 
+    Raises InputError if the file is none that has been saved.
+
     Parameters
     ----------
     factory : what is set where nothing has been saved
     status : gives the sensor as it is now; called from the thread of the web server, and must not wait
-    is_up : returns whether the sensor answers; for a `status` that costs more
+    is_up : returns whether the sensor answers, as it does not while it starts
     changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` where the sensor starts
         again; must not wait; if it raises, nothing changes
     info : serial number and the like
     saved : file that saved settings are kept in from run to run; None to keep them for this run
-
-    Raises InputError if the file is none that has been saved.
     """
 
     def __init__(
@@ -141,56 +139,46 @@ class Device:
         factory: DeviceSettings,
         *,
         status: Callable[[], DeviceStatus],
+        is_up: Callable[[], bool],
         changed: Callable[..., None],
         info: DeviceInfo,
-        is_up: Callable[[], bool] | None = None,
         saved: Path | None = None,
     ) -> None:
-        self.status, self.info, self.is_up = status, info, is_up or (lambda: status().is_up)
-        self._changed, self._file = changed, saved
-        self._lock = Lock()
-        self._power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
-        self._settings = self._power_up
-
-    @property
-    def settings(self) -> DeviceSettings:
-        """Present settings."""
-        return self._settings
-
-    @property
-    def power_up(self) -> DeviceSettings:
+        self.status, self.is_up, self.info = status, is_up, info
+        self._changed, self._file, self._lock = changed, saved, Lock()
+        self.power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
         """Settings after the next power-up: those that were saved last, otherwise those of the factory."""
-        return self._power_up
+        self.settings = self.power_up
 
-    def change(self, made: Callable[[DeviceSettings], DeviceSettings], *, restarts: bool = False) -> None:
-        """Replace the settings by `made(settings)`; errors as of `changed`."""
+    def change(self, update: Callable[[DeviceSettings], DeviceSettings], *, restarts: bool = False) -> None:
+        """Replace the settings by `update(settings)`; errors as of `changed`."""
         with self._lock:
-            before = self._settings
-            self._settings = after = made(before)
+            before = self.settings
+            self.settings = after = update(before)
             if after == before and not restarts:
                 return
             try:
                 self._changed(before, after, restarts=restarts)
             except Vlp16emuError:
-                self._settings = before
+                self.settings = before
                 raise
 
-    def adopt(self, made: Callable[[DeviceSettings], DeviceSettings]) -> None:
+    def adopt(self, update: Callable[[DeviceSettings], DeviceSettings]) -> None:
         """Replace the settings as the sensor has already been set by another way, such as an event of the scene."""
         with self._lock:
-            self._settings = made(self._settings)
+            self.settings = update(self.settings)
 
     def restart(self) -> None:
         """Start again from the settings after power-up; those that are not saved are lost."""
-        self.change(lambda _: self._power_up, restarts=True)
+        self.change(lambda _: self.power_up, restarts=True)
 
     def save(self) -> None:
         """Keep what is set for the next power-up; `OutputError` or `RunError` if the file cannot be written."""
         with self._lock:
             if self._file is not None:
                 with OutputFile(self._file) as output, output.writing() as file:
-                    file.write(_SETTINGS.dump_json(self._settings, indent=2) + b"\n")
-            self._power_up = self._settings
+                    file.write(_SETTINGS.dump_json(self.settings, indent=2) + b"\n")
+            self.power_up = self.settings
 
 
 def explained(error: ValidationError) -> tuple[str, str, str]:
@@ -223,37 +211,31 @@ _REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
 """Current of the electronics, of the lasers and of the motor: together 0.48 A at 600 rpm."""
 
 
+_RAILS = {
+    "bot": {"pwr_1_2v": (1.2036, 11), "pwr_5v": (5.020 / 2, 13), "pwr_2_5v": (2.499, 17), "pwr_3_3v": (3.3032, 19)}
+    | {"pwr_v_in": (11.964 / 11, 23)},
+    "top": {"hv": (5 - 181 / 101, 29), "ad_temp": (0.735, 31), "pwr_5v": (5.073 / 2, 37), "pwr_2_5v": (2.499, 41)}
+    | {"pwr_3_3v": (3.280, 43), "pwr_5v_raw": (5.347 / 2, 47), "pwr_vccint": (1.1914, 59)},
+}
+"""Volts at the converters of both boards, and the period of their small movement in seconds."""
+
+
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
-    """Make `diag.json`: counts of the converters, which follow the state; all zero if a fault has switched the sensor off."""
+    """Make `diag.json`: counts of the converters, which follow the state.
+
+    Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values are those of healthy units; how they move is an
+    assumption.
+    """
 
     def counts(volts: float, period_s: int) -> int:
         return round(volts * _COUNTS_PER_V + 0.8 * _sine(status, period_s))
 
     current_a = _REST_A + _LASER_A * status.laser_on + _MOTOR_A_PER_RPM * status.motor_rpm
-    bottom = {
-        "i_out": counts(2.5 + current_a / 10, 7),
-        "pwr_1_2v": counts(1.2036, 11),
-        "lm20_temp": _lm20(_warmed(_BOTTOM_C, status, 61)),
-        "pwr_5v": counts(5.020 / 2, 13),
-        "pwr_2_5v": counts(2.499, 17),
-        "pwr_3_3v": counts(3.3032, 19),
-        "pwr_v_in": counts(11.964 / 11, 23),
-        "pwr_1_25v": 0,
-    }
-    top = {
-        "hv": counts(5 - 181 / 101, 29),
-        "ad_temp": counts(0.735, 31),
-        "lm20_temp": _lm20(_warmed(_TOP_C, status, 53)),
-        "pwr_5v": counts(5.073 / 2, 37),
-        "pwr_2_5v": counts(2.499, 41),
-        "pwr_3_3v": counts(3.280, 43),
-        "pwr_5v_raw": counts(5.347 / 2, 47),
-        "pwr_vccint": counts(1.1914, 59),
-    }
-    rest = {"vhv": 412, "adc_nf": 14, "ixe": 1}
-    if status.disabled:
-        bottom, top, rest = (dict.fromkeys(some, 0) for some in (bottom, top, rest))
-    return {"volt_temp": {"bot": bottom, "top": top}, **rest}
+    boards = {board: {name: counts(*of) for name, of in rails.items()} for board, rails in _RAILS.items()}
+    boards["bot"] |= {"i_out": counts(2.5 + current_a / 10, 7), "pwr_1_25v": 0}
+    for board, last_c, period_s in (("bot", _BOTTOM_C, 61), ("top", _TOP_C, 53)):
+        boards[board]["lm20_temp"] = _lm20(_warmed(last_c, status, period_s))
+    return {"volt_temp": boards, "vhv": 412, "adc_nf": 14, "ixe": 1}
 
 
 def _lm20(temperature_c: float) -> int:
@@ -275,10 +257,7 @@ _MODELS = {SensorModel.VLP_16: "VLP-16", SensorModel.PUCK_LITE: "Puck LITE", Sen
 _FIRMWARE = Path(__file__).with_name("firmware.json")
 """Images 3.0.41.1, and 1.9.3.0 to fall back on, and their states: invented, and of one piece."""
 _PARTS = {
-    "/cgi/settings.json": "config",
-    "/cgi/diag.json": "diag",
-    "/cgi/status.json": "status",
-    "/cgi/info.json": "info",
+    f"/cgi/{name}.json": part for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
 }
 """What is read alone, and its name in the snapshot of all."""
 _MOST_KEYS = 16
@@ -379,16 +358,11 @@ def submit(path: str, body: bytes, device: Device) -> None:
     if not pairs:
         raise FormError(f"body: found {_quoted(body)}, expected key=value")
 
-    def made(settings: DeviceSettings) -> DeviceSettings:
-        for name, text in pairs:
-            settings = _with(settings, _FORMS[path], name, text)
-        return settings
-
-    device.change(made)
+    device.change(lambda settings: reduce(partial(_with, _FORMS[path]), pairs, settings))
 
 
-def _with(settings: DeviceSettings, form: str, name: str, text: str) -> DeviceSettings:
-    keys = {key.name: key for key in _KEYS if key.form == form}
+def _with(form: str, settings: DeviceSettings, pair: tuple[str, str]) -> DeviceSettings:
+    (name, text), keys = pair, {key.name: key for key in _KEYS if key.form == form}
     if name not in keys:
         raise FormError(f"{name[:40]!r}: unknown key, expected {' or '.join(keys)}")
     key = keys[name]
@@ -419,16 +393,11 @@ def _settings(settings: DeviceSettings) -> dict[str, Any]:
 
 
 def _status(status: DeviceStatus) -> dict[str, object]:
-    disabled = status.disabled
+    motor = {"state": _switch(status.motor_on), "rpm": round(status.motor_rpm), "lock": _switch(status.phase_locked)}
     return {
         "gps": {"pps_state": status.pps.name.capitalize(), "position": status.position},
-        "motor": {
-            "state": "Disabled" if disabled else _switch(status.motor_on),
-            "rpm": 0 if disabled else round(status.motor_rpm),
-            "lock": _switch(status.phase_locked and not disabled),
-            "phase": status.phase_cdeg,
-        },
-        "laser": {"state": "Disabled" if disabled else _switch(status.laser_on)},
+        "motor": motor | {"phase": status.phase_cdeg},
+        "laser": {"state": _switch(status.laser_on)},
     }
 
 
