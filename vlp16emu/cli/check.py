@@ -74,7 +74,6 @@ def verify(
 
 
 def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> None:
-    """Print why a bag is not fit for programs, a line each."""
     from vlp16emu.extras.slam import fitness
 
     if unit is not None:
@@ -95,7 +94,6 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
 
 
 def _tree(result: "Verification") -> dict[str, Any]:
-    """Return findings, counts and the verdict."""
     return {
         "clean": result.is_clean,
         "packets": result.data_packets,

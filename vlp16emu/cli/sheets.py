@@ -28,9 +28,8 @@ from vlp16emu.options import Option
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from vlp16emu.extras.accuracy.curve import Accuracy, LevelOfDetail, Row
-    from vlp16emu.extras.sheets.summary import WorldSummary
-    from vlp16emu.extras.sheets.survey import Survey
+    from vlp16emu.extras.accuracy.sweep import Accuracy, LevelOfDetail, Row
+    from vlp16emu.extras.sheets.survey import Survey, WorldSummary
     from vlp16emu.scenario import Scenario
 
 _SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
@@ -105,8 +104,7 @@ def _surveyed(
 ) -> "WorldSummary":
     """Look at the world and write files, which are opened before anything heavy."""
     from vlp16emu.extras.sheets import files
-    from vlp16emu.extras.sheets.summary import summary_of
-    from vlp16emu.extras.sheets.survey import survey
+    from vlp16emu.extras.sheets.survey import summary_of, survey
     from vlp16emu.output import OutputFile
 
     with ExitStack() as stack:
@@ -126,8 +124,7 @@ def _surveyed(
 
 
 def _subtitle(summary: "WorldSummary") -> str:
-    """Sum up a world in one line."""
-    from vlp16emu.extras.sheets.summary import ForestSummary
+    from vlp16emu.extras.sheets.survey import ForestSummary
 
     words = [f"{Path(summary.scene).stem}, seed {summary.seed}"]
     if summary.path.length_m:
@@ -188,7 +185,7 @@ def accuracy(
         measured = _measured(scenario, name, pulses)
         tree = _tree(measured)
         if files:
-            from vlp16emu.extras.accuracy.curve import draw_accuracy
+            from vlp16emu.extras.accuracy.sweep import draw_accuracy
 
             files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
             draw_accuracy(files[1], measured)
@@ -201,7 +198,6 @@ def accuracy(
 
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
-    """Measure a scene, with a progress bar."""
     from vlp16emu.extras.accuracy.sweep import measure_accuracy, measure_foliage
 
     whole_s = scenario.duration_s
@@ -216,8 +212,7 @@ def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
 
 
 def _tree(measured: "Accuracy") -> dict[str, Any]:
-    """Return the report in the types of JSON."""
-    from vlp16emu.extras.accuracy.curve import choices, front
+    from vlp16emu.extras.accuracy.sweep import choices, front
 
     tree: dict[str, Any] = tree_of(measured)
     return (
@@ -231,7 +226,7 @@ def _tree(measured: "Accuracy") -> dict[str, Any]:
 
 
 def _print_accuracy(measured: "Accuracy") -> None:
-    from vlp16emu.extras.accuracy.curve import choices
+    from vlp16emu.extras.accuracy.sweep import choices
 
     errors = measured.rows[0].errors
     print(f"{measured.scene}, seed {measured.seed}: error against run time")

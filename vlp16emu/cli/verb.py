@@ -45,7 +45,6 @@ def _dataclass_in(annotation: Any) -> type[Options] | None:
 
 
 def _leaves(name: str, annotation: Any, default: Any) -> Iterator[Declared]:
-    """Yield the options of a parameter or a field."""
     if one := declared(name, annotation, MISSING if default is inspect.Parameter.empty else default):
         yield one
     elif owner := _dataclass_in(annotation):

@@ -145,12 +145,11 @@ def _deskew(
     clock: str | None,
     as_json: bool,
 ) -> None:
-    """Write the points of a capture."""
     if trajectory is None:
         expected = "--trajectory DIR or FILE.tum; `vlp16emu decode` leaves points in the sensor"
         raise InputError(str(capture), "is a capture", expected)
+    from vlp16emu.extras.clouds.cloud import label_scheme
     from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed
-    from vlp16emu.extras.clouds.labels import label_scheme
 
     way, truth, labels = Trajectory(trajectory, options.unit, errors), None, options.labels
     if options.truth or labels:
@@ -228,7 +227,6 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
 
 
 def _tree(summary: "Summary") -> dict[str, Any]:
-    """Return what a capture holds."""
     gps, ranges_m = summary.gps, summary.range_m
     return {
         "model": summary.model,

@@ -106,7 +106,6 @@ def _clock() -> Check:
 
 
 def _wake_ups() -> Check:
-    """Measure how late sleeps end, as streams sleep."""
     late_ns = []
     with prompt_sleeps():
         for _ in range(_SLEEPS):

@@ -5,8 +5,8 @@ import pytest
 
 from vlp16emu.engine import Engine
 from vlp16emu.errors import RunError
-from vlp16emu.extras.accuracy.curve import Kind
 from vlp16emu.extras.accuracy.sweep import (
+    Kind,
     beam_settings,
     departures,
     is_two,

@@ -9,7 +9,7 @@ import pytest
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import Batching
 from vlp16emu.extras.accuracy import Audit
-from vlp16emu.extras.accuracy.compare import Tally, apart_m, compare, errors_of
+from vlp16emu.extras.accuracy.audit import Tally, apart_m, compare, errors_of
 from vlp16emu.extras.accuracy.sweep import Bench, draw_groups, joined
 from vlp16emu.scenario import load
 

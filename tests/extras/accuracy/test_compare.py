@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.extras.accuracy.compare import Detections, Tally, compare, errors_of
-from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row, choices, draw_accuracy, front
-from vlp16emu.extras.accuracy.sweep import joined
+from vlp16emu.extras.accuracy.audit import Detections, Tally, compare, errors_of
+from vlp16emu.extras.accuracy.sweep import Accuracy, Kind, Row, choices, draw_accuracy, front, joined
 
 RESOLUTION_M = 1.0
 

@@ -13,8 +13,7 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.sheets.survey import survey
-from vlp16emu.extras.viewer.draft import Draft
-from vlp16emu.extras.viewer.editor import Editor
+from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.guard import guarded_server
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.scenario import load

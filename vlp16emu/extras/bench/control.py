@@ -61,7 +61,6 @@ def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: H
 
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
-    """Return what the scene sets on a sensor."""
     sensor = on_the_wire(unit.section)
     return DeviceSettings(
         rpm=sensor.rpm,
@@ -240,7 +239,6 @@ class Control:
             deque(engine.packets(0.0, _WARM_S), 0)
 
     def _run(self) -> None:
-        """Body of the thread."""
         while self._asked.wait() and not self._over.is_set():
             self._asked.clear()
             begin_s = time.monotonic()
@@ -298,7 +296,6 @@ class Control:
                 return
 
     def _keys(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
-        """Keys of a setting that takes the one to the other."""
         before, after = _keys_of(old), _keys_of(new)
         if not self._scenario.gps.connected:
             del after["phase_lock_deg"]

@@ -105,7 +105,6 @@ class PacketFault:
         return bytes(payload)
 
     def _random(self, purpose: Purpose, packet: Packet, number: int) -> float:
-        """Draw a number in [0, 1) of a packet."""
         return float(uniform(self.unit.seed, purpose, number, 1, self._lane(packet))[0])
 
     def _lane(self, packet: Packet) -> int:

@@ -204,7 +204,6 @@ class GpsReader:
         return True
 
     def _run(self) -> None:
-        """Body of the thread."""
         was_high = True
         while not self._over.is_set():
             if (found := self._port.use(self._look)) is None:

@@ -19,10 +19,11 @@ from vlp16emu.extras.clouds.cloud import (
     TRUTH_COLUMNS,
     CloudAbout,
     Column,
+    LabelScheme,
+    PointLabels,
     point_file,
     time_comment,
 )
-from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion

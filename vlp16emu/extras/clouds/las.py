@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter
-from vlp16emu.extras.clouds.labels import label_scheme
+from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter, label_scheme
 from vlp16emu.units import S_NS
 
 _SCALE_M = 1e-4
@@ -118,7 +117,6 @@ class LasFile(PointWriter):
             raise OSError(getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)) from error
 
     def _begin(self, offset_m: NDArray[np.float64]) -> None:
-        """Write the header."""
         laspy = self._laspy
         header = laspy.LasHeader(version="1.4", point_format=6)
         header.scales, header.offsets = np.full(3, _SCALE_M), offset_m

@@ -21,10 +21,12 @@ from vlp16emu.extras.clouds.cloud import (
     TRUTH_COLUMNS,
     Block,
     CloudAbout,
+    LabelScheme,
+    PointLabels,
+    label_scheme,
     point_file,
     scene_comments,
 )
-from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels, label_scheme
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
 from vlp16emu.scenario import Scenario

@@ -214,7 +214,6 @@ def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
 def _pixels(
     camera: Camera, pose: Poses, geometry: Geometry, unit: Unit, species: Mapping[int, str], rows: range
 ) -> tuple[NDArray[Any], ...]:
-    """Return colours, depth and labels of some rows of an image."""
     rays, shape = camera.rays(rows), (len(rows), camera.width)
     direction, t_ns, far_m = rays @ pose.world_R_body[0].T, int(pose.t_ns[0]), unit.section.max_range_m
     near_m = float(unit.head.beams.near_m[0])

@@ -146,7 +146,6 @@ class SlotTable:
                 raise RunError(f"{self._path}: {error.strerror or error}; no file is written") from error
 
     def _flush(self) -> None:
-        """Write the packets that are held as a row group."""
         packets, self._held = self._held, []
         if not packets:
             return
@@ -247,7 +246,6 @@ class SlotReader:
             yield {name: columns[name][~columns["miss"]] for name in names}
 
     def _numbers(self, stamp_us: NDArray[np.uint32]) -> NDArray[np.int64]:
-        """Find the numbers (p,) of packets."""
         expected = self._stamps_us[self._next : self._next + len(stamp_us)]
         if np.array_equal(expected, stamp_us):
             self._next += len(stamp_us)

@@ -75,7 +75,6 @@ def happenings(
 
 
 def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: int) -> Iterator[Happening]:
-    """Yield an event with all packets that are due meanwhile."""
     begin_ns, over_ns, start_ns = event.begin_ns, event.end_ns, scenario.start_ns
     if event.effect != "power":
         over_ns = min(over_ns, max(stop_ns, begin_ns))
@@ -96,7 +95,6 @@ def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: in
 def _single(
     scenario: Scenario, units: Sequence[Unit], faults: Sequence[PacketFault], from_ns: int, until_ns: int
 ) -> Iterator[Happening]:
-    """Yield the packets due in a span that faults befall."""
     numbers = {unit.number: number_at(scenario, unit, PacketKind.DATA, from_ns) for unit in units}
     for packet in timetable(scenario, units, from_ns, until_ns):
         number = packet.number
@@ -243,7 +241,6 @@ class Truth:
         return self._scenario.start_ns + (seconds_to_ns(stop_s) if first is None else first)
 
     def _write(self) -> None:
-        """Write all that was true so far."""
         for samples in self._samples:
             samples.up_to(self._seen_ns)
         self._write_events()
@@ -366,7 +363,6 @@ def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
 
 
 def _event_row(one: Happening) -> str:
-    """Write what happened as a line."""
     last = str(one.first + one.count - 1) if one.count else ""
     times = seconds_text(one.begin_ns), seconds_text(one.end_ns)
     return f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
@@ -395,7 +391,6 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
 
 
 def _extrinsics(key: str, true: Mount, given: Mount) -> dict[str, Any]:
-    """Write the extrinsics of a device, and those that its users are given where they differ."""
     return {key: _mount(true)} | ({f"given_{key}": _mount(given)} if given.has_errors else {})
 
 

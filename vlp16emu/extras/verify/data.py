@@ -13,8 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.verify.frames import HOUR_US, JITTER_US, SENTENCE_OFFSET, ClockWatch, is_rewritten, wrap_hour_us
-from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
+from vlp16emu.extras.verify.frames import (
+    HOUR_US,
+    JITTER_US,
+    SENTENCE_OFFSET,
+    ClockWatch,
+    Findings,
+    Level,
+    Row,
+    Rule,
+    is_rewritten,
+    wrap_hour_us,
+)
 from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
@@ -410,7 +420,6 @@ class PositionChunk:
         self._read_sentences(every, before)
 
     def _count(self, every: Sequence[Datagram]) -> None:
-        """Hold the identifications to their count of position packets."""
         self.due = np.append(self.identification[0], (self.identification[:-1] + 1) % 0x10000)
         self.missing = (self.identification - self.due) % 0x10000
         most = np.diff(self.stamp_ns, prepend=self.stamp_ns[0]).clip(0) // _SHORTEST_INTERVAL_NS

@@ -7,8 +7,17 @@ from pathlib import Path
 
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
-from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, InOrder, check_frames, kind_of
-from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
+from vlp16emu.extras.verify.frames import (
+    PAYLOAD_BYTES,
+    PORT,
+    Finding,
+    Findings,
+    InOrder,
+    Level,
+    Rule,
+    check_frames,
+    kind_of,
+)
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
 from vlp16emu.packets.units import CapturedUnit, chosen_unit

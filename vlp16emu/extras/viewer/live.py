@@ -225,7 +225,6 @@ class LivePage:
         self._parts = [part for part in self._parts if part.scan.start_ns >= oldest_ns] + [sweep]
 
     def _draw(self, glimpse: Glimpse) -> None:
-        """Draw the last revolution, the sensor and the person, and report how punctual the stream is."""
         if not self._parts:
             return
         place_m = glimpse.world_T_sensor[-1][:3, 3]

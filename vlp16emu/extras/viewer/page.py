@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras.sheets.survey import survey, way_m
-from vlp16emu.extras.viewer.draft import Draft
-from vlp16emu.extras.viewer.editor import Editor
+from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.layers import boxed, colours_of, entries_of, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import SceneSweeps, Sweep, Sweeps

@@ -202,7 +202,6 @@ def draw_picture(
 
 
 def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View:
-    """Return the view of a look: around the path, or without one around the sensor."""
     if look.view == "image":
         return laser_rows(look.size, rings)
     if look.view == "sweep":
@@ -285,8 +284,6 @@ def laser_rows(size: tuple[int, int], rings: int) -> View:
 
 
 class _Drawing(Canvas):
-    """A canvas for sweeps in the colours of a layer."""
-
     def __init__(self, view: View, colour: str, species: Mapping[int, str]) -> None:
         super().__init__(view.size, view.dot_px)
         self.view, self.colour, self._species, self.revolutions, self.points = view, colour, species, 0, 0

@@ -106,7 +106,6 @@ def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
 
 
 def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
-    """Simplify a mesh in the way that suits its kind."""
     if part is PlantPart.STEM and isinstance(key, TileKey | SaplingKey):
         return slim_stem(mesh)
     if part is PlantPart.LEAF:
@@ -172,7 +171,6 @@ def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
 
 
 def _ground(seen: Survey) -> Mesh:
-    """Return the ground within the radius, in squares."""
     low, high = seen.bounds_m
     x_m, y_m = (np.arange(np.floor(a), np.ceil(b) + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
     x, y = (grid.ravel() for grid in np.meshgrid(x_m, y_m, indexing="ij"))

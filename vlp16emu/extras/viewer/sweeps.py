@@ -168,7 +168,6 @@ def _species(folder: Path) -> dict[int, str]:
 
 
 def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
-    """Return the arrays of `Labels` of the points of packets."""
     if truth is None:
         return {}
     rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))

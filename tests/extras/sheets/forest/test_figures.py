@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.extras.sheets.summary import CELL_M, cells_near, clark_evans, relief, stand_rows
+from vlp16emu.extras.sheets.survey import CELL_M, cells_near, clark_evans, relief, stand_rows
 
 TREES = np.array(
     [(1, 0.10, 8.0, 0.05, 10.0), (1, 0.30, 20.0, 0.70, 60.0), (7, 0.50, 25.0, 2.00, 130.0)],

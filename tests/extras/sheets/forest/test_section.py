@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.extras.sheets.section import StandSection, draw_section, strip_along
+from vlp16emu.extras.sheets.sheet import StandSection, draw_section, strip_along
 from vlp16emu.types import NO_SURFACE, Hits
 
 PAPER = np.array([252, 251, 248])

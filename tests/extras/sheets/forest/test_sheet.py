@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vlp16emu.extras.palette import colour_of_species
-from vlp16emu.extras.sheets.section import StandSection
-from vlp16emu.extras.sheets.sheet import draw_sheet, draw_side, legend_entries
+from vlp16emu.extras.sheets.sheet import StandSection, draw_sheet, draw_side, legend_entries
 
 TREE = [("x_m", "f8"), ("y_m", "f8"), ("dbh_m", "f8"), ("crown_width_m", "f8"), ("species", "u2")]
 SECTION = StandSection(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 20.0, 8.0, -1.0, 9.0)
