@@ -14,10 +14,8 @@ from vlp16emu.run.options import Span
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
 
-ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-"""Signals that end a run."""
-was_stopped = threading.Event()
-"""Set once a signal has ended a run that goes on to its report."""
+ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP  # signals that end a run
+was_stopped = threading.Event()  # set once a signal has ended a run that goes on to its report
 
 _STDERR = 2
 

@@ -23,10 +23,8 @@ _ALL_ROUND_DEG = 360.0
 class CameraKind(StrEnum):
     """Projection of directions to pixels."""
 
-    PANORAMA = "panorama"
-    """All around, the same angle for each column and row (equirectangular)."""
-    PINHOLE = "pinhole"
-    """A plane at right angles to the optical axis, which is the sensor's azimuth 0."""
+    PANORAMA = "panorama"  # all around, the same angle for each column and row (equirectangular)
+    PINHOLE = "pinhole"  # a plane at right angles to the optical axis, which is the sensor's azimuth 0
 
 
 _DEFAULTS = {CameraKind.PANORAMA: ((2048, 512), _ALL_ROUND_DEG), CameraKind.PINHOLE: ((1024, 768), 90.0)}

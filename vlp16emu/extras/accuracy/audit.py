@@ -27,10 +27,8 @@ from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F4, F8, I8, U1, Firings, Hits
 
-FEWEST_CLUSTERS = 8
-"""Clusters with errors; with fewer no interval is given."""
-MISTAKES = ("lost", "invented", "wrong_strongest")
-"""Outcomes of pulses as fields of `Errors` and `Tally`."""
+FEWEST_CLUSTERS = 8  # clusters with errors; with fewer no interval is given
+MISTAKES = ("lost", "invented", "wrong_strongest")  # outcomes of pulses as fields of `Errors` and `Tally`
 _STRONGEST, _LAST = 0, 1
 _CONFIDENCE = 0.95
 _UM = 1e-6
@@ -40,14 +38,10 @@ _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 class Outcome(IntEnum):
     """Outcome of a pulse, by its strongest return."""
 
-    NOTHING = 0
-    """No return, neither in the answer nor detected."""
-    LOST = 1
-    """The answer has a return, and nothing was detected."""
-    INVENTED = 2
-    """Something was detected, and the answer has nothing."""
-    WRONG_STRONGEST = 3
-    """Another echo was taken for the strongest."""
+    NOTHING = 0  # no return, neither in the answer nor detected
+    LOST = 1  # the answer has a return, and nothing was detected
+    INVENTED = 2  # something was detected, and the answer has nothing
+    WRONG_STRONGEST = 3  # another echo was taken for the strongest
     MATCHED = 4
 
 

@@ -209,8 +209,7 @@ def _before(spans: _Spans, t_ns: int) -> tuple[int, int] | None:
     return spans[place - 1] if place else None
 
 
-RUN_UP_RPM_S = 300.0
-"""Change of the rotor's speed per second (assumption: the manual has no figure)."""
+RUN_UP_RPM_S = 300.0  # change of the rotor's speed per second (assumption: the manual has no figure)
 _PULL = 0.05  # share of the speed by which a rotor is faster or slower while it is pulled into its phase (assumption)
 _GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 ALL_AROUND = (0, 359)

@@ -322,8 +322,7 @@ _ACTIONS: Mapping[str, tuple[bytes, Callable[[Device], None]]] = {
     "/cgi/save": (b"submit", Device.save),
     "/cgi/reset": (b"reset_system", Device.restart),
 }
-PATHS = frozenset((*_FORMS, *_ACTIONS))
-"""Paths that take forms."""
+PATHS = frozenset((*_FORMS, *_ACTIONS))  # paths that take forms
 
 
 def document(path: str, device: Device) -> object | None:

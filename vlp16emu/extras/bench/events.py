@@ -9,8 +9,7 @@ from vlp16emu.sensor.settings import FreeSensor
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section
 from vlp16emu.units import seconds_to_ns
 
-FOREVER_NS = 2**62
-"""End of an event that lasts until the run ends."""
+FOREVER_NS = 2**62  # end of an event that lasts until the run ends
 _MOST = 10_000
 
 

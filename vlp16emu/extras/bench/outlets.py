@@ -27,8 +27,7 @@ from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
-PULSE_NS = 100 * MS_NS
-"""Length of a pulse: the sensor wants 20 to 200 ms (User's Manual of the HDL-32E)."""
+PULSE_NS = 100 * MS_NS  # length of a pulse: the sensor wants 20 to 200 ms (User's Manual of the HDL-32E)
 PULSE_HIGH, PULSE_LOW = b"\1", b"\0"
 _READS_PER_S = 50
 """How often samples are read: those of 20 ms together, and none of a time long to come, in which live poses are unknown."""

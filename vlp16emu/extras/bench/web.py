@@ -21,12 +21,10 @@ from urllib.parse import urlsplit
 from vlp16emu.errors import OutputError, Vlp16emuError
 from vlp16emu.extras.bench.device import PATHS, Device, FormError, document, submit
 
-MOST_CONNECTIONS = 32
-"""At a time; further ones are closed."""
+MOST_CONNECTIONS = 32  # at a time; further ones are closed
 MOST_BODY_BYTES = 4096
 MOST_HEADER_BYTES = 8192
-LONGEST_S = 5.0
-"""Time for a request and its answer, the wait for it included."""
+LONGEST_S = 5.0  # time for a request and its answer, the wait for it included
 
 _TOKEN = rb"[!#-'*+.0-9A-Z^-z|~-]+"
 _HEAD = re.compile(rb"(%b) ([!-~]+) HTTP/1\.([01])\r?\n((?:%b:[^\x00\r\n]*\r?\n)*)\r?\n" % (_TOKEN, _TOKEN))

@@ -88,8 +88,7 @@ class PointLabels:
         return dense
 
 
-Block = Mapping[str, NDArray[Any]]
-"""Arrays of one length by the names of their columns."""
+Block = Mapping[str, NDArray[Any]]  # arrays of one length by the names of their columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +125,7 @@ class CloudAbout:
     unit: int = 1  # which sensor of a rig, from 1
 
 
-RETURN_NAMES = ("strongest", "last", "second_strongest")
-"""Meaning of the numbers in the column `return_number`."""
+RETURN_NAMES = ("strongest", "last", "second_strongest")  # meaning of the numbers in the column `return_number`
 
 _TIME = Column("t_ns", "<i8", ("t_utc_s",), 9, ("time",), "<f8")
 """UTC as in all outputs of a run: ns since 1970 in .npz, seconds elsewhere, but for LAS, whose GPS time is adjusted by its bit."""

@@ -35,8 +35,7 @@ from vlp16emu.scan import Scan
 from vlp16emu.types import F8, U4
 from vlp16emu.units import S_NS
 
-Entry = dict[str, Any]
-"""A walk in its list and in the manifest."""
+Entry = dict[str, Any]  # a walk in its list and in the manifest
 
 PARTS = ".vlp16emu.parts"
 """Folder within the dataset in which walks are made; one that is there when a run begins is left from a run that was killed."""
@@ -207,8 +206,7 @@ LAYOUTS: dict[str, Callable[[Emulator, Path], object]] = {
 
 _DEATHS = 10  # deaths of workers, without a finished walk between them, that end a run: then a walk kills them
 
-Made = tuple[DatasetWalk, Path, Entry]
-"""A walk, the folder with its files, and its entry in the manifest."""
+Made = tuple[DatasetWalk, Path, Entry]  # a walk, the folder with its files, and its entry in the manifest
 
 
 @dataclass(frozen=True, slots=True)

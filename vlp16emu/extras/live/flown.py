@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-Cell = tuple[int, int, int]
-"""Name of a box of the world, for whose sensors a window is opened."""
+Cell = tuple[int, int, int]  # name of a box of the world, for whose sensors a window is opened
 
 _RATES = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 _COLUMNS = {
@@ -42,8 +41,7 @@ _COLUMNS = {
     **{name: Column({name: 1.0}) for name in _RATES},
     "cell": Column({"cell": 1.0}, is_filled=False),
 }
-FLOWN_HEADER = ",".join(_COLUMNS) + "\n"
-"""First line of the table."""
+FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 
 
 @dataclass(frozen=True, slots=True)

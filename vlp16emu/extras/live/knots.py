@@ -13,8 +13,7 @@ from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]
 
-STEP_NS = 5_308_416
-"""From knot to knot: 96 firing sequences of a VLP-16, four packets of single return."""
+STEP_NS = 5_308_416  # from knot to knot: 96 firing sequences of a VLP-16, four packets of single return
 STATE = 13
 """Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world, angular rate
 (3,) in body axes."""
@@ -23,8 +22,7 @@ _MOST = 8192  # knots of a live run that are kept, 43 s; nobody asks for poses t
 _COAST_S = 0.15
 """For how long after a pose the body is taken to go on as it did, and then the time constant with which it comes to
 rest: poses at 10 Hz are followed without a hitch, and 3 m/s end after 0.9 m."""
-GAP_M, GAP_RAD = 0.1, 0.2
-"""Off by more than that, the body is led back more slowly, with a speed that stays bounded."""
+GAP_M, GAP_RAD = 0.1, 0.2  # off by more than that, the body is led back more slowly, with a speed that stays bounded
 _SMALL = 1e-6  # angle in rad, below which series are exact to float64
 
 

@@ -25,8 +25,7 @@ from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]
 
-LOST_NS = S_NS
-"""Without a pose for so long, poses are lost."""
+LOST_NS = S_NS  # without a pose for so long, poses are lost
 
 _AHEAD_NS = 2_000_000
 """How long before its first pulse a step is computed: some packets need that, and each is due after its last pulse."""

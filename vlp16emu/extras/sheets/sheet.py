@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-MARK_LEAD = 0.02
-"""Share of a strip's length between its ends and the marks that name them on a plan."""
+MARK_LEAD = 0.02  # share of a strip's length between its ends and the marks that name them on a plan
 
 _PAPER_RGB, _SOIL = np.array([252.0, 251.0, 248.0]), np.array([196.0, 178.0, 150.0])
 _DOTS = 3  # rays per pixel along either axis; a pixel is their mean

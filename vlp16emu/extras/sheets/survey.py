@@ -245,8 +245,7 @@ def way_m(scenario: Scenario, motion: Motion) -> F8:
     return motion.poses_at(scenario.start_ns + steps).world_p_body_m
 
 
-CELL_M = 0.5
-"""Edge of the cells for areas and slopes: about the length of a foot on the slope."""
+CELL_M = 0.5  # edge of the cells for areas and slopes: about the length of a foot on the slope
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,8 +65,7 @@ def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np
     return rows
 
 
-LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
-"""Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
+LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)  # leaf (2) or wood (1) by `PlantPart`; 0 neither
 
 _GROUP = 256  # packets of a row group, 98 304 rows: what is held in memory, some 20 MB
 _CHANNELS = 32

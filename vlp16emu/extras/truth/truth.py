@@ -119,10 +119,8 @@ _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", 
 _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
 _IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
-ATTITUDE = ("qx", "qy", "qz", "qw")
-"""Columns behind them of a unit that reports its attitude: world_R_imu."""
-STAMP = "stamp_utc_s"
-"""Column behind all others of a unit whose time stamps are late."""
+ATTITUDE = ("qx", "qy", "qz", "qw")  # columns behind them of a unit that reports its attitude: world_R_imu
+STAMP = "stamp_utc_s"  # column behind all others of a unit whose time stamps are late
 
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets by which the truth goes; what leaves beside them changes no line."""

@@ -24,10 +24,8 @@ from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 class Level(StrEnum):
     """Weight of a finding."""
 
-    ERROR = "error"
-    """No sensor sends it."""
-    NOTE = "note"
-    """Settings of the user, receivers, old firmware or recorders cause it; the sensor is sound."""
+    ERROR = "error"  # no sensor sends it
+    NOTE = "note"  # settings of the user, receivers, old firmware or recorders cause it; the sensor is sound
 
 
 class Rule(StrEnum):
@@ -36,76 +34,47 @@ class Rule(StrEnum):
     Sources: 63-9243 Rev D, sections 8 (rates) and 9.3 (packets), and captures of real units.
     """
 
-    FRAMING = "framing"
-    """Payloads of 1206 and 512 bytes, whole frames without padding or trailer."""
-    PORTS = "ports"
-    """Source ports are 2368 and 8308; destination ports may be set."""
-    HEADER = "header"
-    """IPv4 and UDP header fields of each stream, checksums included."""
-    STAMP_ORDER = "stamp-order"
-    """Capture stamps never decrease."""
-    FLAG = "flag"
-    """Every block begins with FF EE."""
-    FACTORY = "factory"
-    """Return mode and product are known and the product does not change; a change of mode is a note."""
-    TIME_RANGE = "time-range"
-    """Time stamps lie within the hour."""
-    TIME_STEP = "time-step"
-    """Time stamps grow by one packet period, over the hour as well."""
-    LOST_PACKETS = "lost-packets"
-    """No packet is missing."""
-    DUPLICATE = "duplicate"
-    """No packet comes twice."""
-    PACKET_ORDER = "packet-order"
-    """Packets come in order of their time stamps."""
-    FROZEN = "frozen"
-    """No payload is sent again and again, as by a sensor that hangs."""
+    FRAMING = "framing"  # payloads of 1206 and 512 bytes, whole frames without padding or trailer
+    PORTS = "ports"  # source ports are 2368 and 8308; destination ports may be set
+    HEADER = "header"  # IPv4 and UDP header fields of each stream, checksums included
+    STAMP_ORDER = "stamp-order"  # capture stamps never decrease
+    FLAG = "flag"  # every block begins with FF EE
+    FACTORY = "factory"  # return mode and product are known and the product does not change; a change of mode is a note
+    TIME_RANGE = "time-range"  # time stamps lie within the hour
+    TIME_STEP = "time-step"  # time stamps grow by one packet period, over the hour as well
+    LOST_PACKETS = "lost-packets"  # no packet is missing
+    DUPLICATE = "duplicate"  # no packet comes twice
+    PACKET_ORDER = "packet-order"  # packets come in order of their time stamps
+    FROZEN = "frozen"  # no payload is sent again and again, as by a sensor that hangs
     SILENCE = "silence"
     """Packets of one kind or the other come all the time, as long as the sensor has power and its cable."""
     LATENESS = "lateness"
     """No packet comes later after its time stamp than those before and after it, by more than 5 ms."""
-    CLOCK_DRIFT = "clock-drift"
-    """Time stamps keep pace with the capture stamps."""
-    AZIMUTH_RANGE = "azimuth-range"
-    """Azimuths lie in 0 .. 35999."""
-    AZIMUTH_STEP = "azimuth-step"
-    """Azimuths grow evenly from block to block, over 0 as well."""
+    CLOCK_DRIFT = "clock-drift"  # time stamps keep pace with the capture stamps
+    AZIMUTH_RANGE = "azimuth-range"  # azimuths lie in 0 .. 35999
+    AZIMUTH_STEP = "azimuth-step"  # azimuths grow evenly from block to block, over 0 as well
     AZIMUTH_GAP = "azimuth-gap"
     """The whole revolution is sent; a limited field of view, a setting of the manual's section 10.1, is a note."""
     SINGLE_AS_DUAL = "single-as-dual"
     """In single return the first two blocks differ in azimuth, which some software takes for dual."""
-    RPM = "rpm"
-    """The rotor makes 300 to 1200 revolutions per minute."""
-    SPEED = "speed"
-    """The rotor holds its speed, a multiple of 60 rpm."""
-    LASER = "laser"
-    """Every laser has returns where those beside it have."""
-    WINDOW = "window"
-    """No sector turns dark from one moment to the next."""
-    DISTANCE_CODE = "distance-code"
-    """Distances are 0 or at least 250 counts."""
-    DUAL_AZIMUTH = "dual-azimuth"
-    """In dual return the two blocks of a pair have one azimuth."""
-    DUAL_ORDER = "dual-order"
-    """The last return, in the even block, is never nearer than its pair."""
-    DUAL_REFLECTIVITY = "dual-reflectivity"
-    """Pairs of equal distance have equal reflectivity, with rare exceptions."""
-    POSITION_HEAD = "position-head"
-    """Position packets begin with 14 zeros."""
-    PPS = "pps"
-    """The state of the pulse per second is 0 .. 2; 3 is an error. Once locked it stays locked."""
+    RPM = "rpm"  # the rotor makes 300 to 1200 revolutions per minute
+    SPEED = "speed"  # the rotor holds its speed, a multiple of 60 rpm
+    LASER = "laser"  # every laser has returns where those beside it have
+    WINDOW = "window"  # no sector turns dark from one moment to the next
+    DISTANCE_CODE = "distance-code"  # distances are 0 or at least 250 counts
+    DUAL_AZIMUTH = "dual-azimuth"  # in dual return the two blocks of a pair have one azimuth
+    DUAL_ORDER = "dual-order"  # the last return, in the even block, is never nearer than its pair
+    DUAL_REFLECTIVITY = "dual-reflectivity"  # pairs of equal distance have equal reflectivity, with rare exceptions
+    POSITION_HEAD = "position-head"  # position packets begin with 14 zeros
+    PPS = "pps"  # the state of the pulse per second is 0 .. 2; 3 is an error. Once locked it stays locked
     NMEA_FORMAT = "nmea-format"
     """The sentence is RMC as NMEA 0183 has it, by a talker GP, else a note; there is one when the state is locked."""
-    NMEA_CHECKSUM = "nmea-checksum"
-    """The sentence's checksum is right."""
-    NMEA_END = "nmea-end"
-    """The sentence ends with CR LF, and only NUL follows."""
+    NMEA_CHECKSUM = "nmea-checksum"  # the sentence's checksum is right
+    NMEA_END = "nmea-end"  # the sentence ends with CR LF, and only NUL follows
     NMEA_SECOND = "nmea-second"
     """The sentence names the second before the time stamp, or the one before that; unless locked, a disagreement is a note."""
-    NMEA_TIME = "nmea-time"
-    """When locked, sentences come at one time after their second, within 0.25 s."""
-    DATA_RATE = "data-rate"
-    """753.5 data packets per second in single, 1507 in dual return, within 10 %."""
+    NMEA_TIME = "nmea-time"  # when locked, sentences come at one time after their second, within 0.25 s
+    DATA_RATE = "data-rate"  # 753.5 data packets per second in single, 1507 in dual return, within 10 %
     POSITION_RATE = "position-rate"
     """146 position packets per second as measured, or 53.8 as in the manual, within 10 %."""
 
@@ -191,8 +160,7 @@ class Findings:
 Microseconds = TypeVar("Microseconds", int, NDArray[np.int64])
 
 HOUR_US = HOUR_NS // US_NS
-JITTER_US = 5 * MS_NS // US_NS
-"""Latest stamp of a capturing host, bursts included; a quiet one stays below 0.1 ms."""
+JITTER_US = 5 * MS_NS // US_NS  # latest stamp of a capturing host, bursts included; a quiet one stays below 0.1 ms
 _DRIFT_PPM = 150  # sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
 _MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields

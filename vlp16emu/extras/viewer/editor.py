@@ -30,8 +30,7 @@ from vlp16emu.units import S_NS
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
-Point = tuple[float, float, float]
-"""x and y in the world (m), and how long the person stops there (s)."""
+Point = tuple[float, float, float]  # x and y in the world (m), and how long the person stops there (s)
 
 
 @dataclass(frozen=True, slots=True)
