@@ -59,16 +59,14 @@ EXTRAS_TAKE = {
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
-    "doctor": {"readiness"},
-    "plan": {"readiness"},
-    "canvas": {"camera"},
+    "plan": {"doctor"},
     "images": {"camera", "options", "palette", "truth"},
     "live": {"recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench"},
-    "viewer": {"camera", "canvas", "clouds", "options", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "options", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 

@@ -203,7 +203,7 @@ def nothing_heavy(monkeypatch):
     def survey(*arguments):
         raise AssertionError(arguments)
 
-    monkeypatch.setattr("vlp16emu.extras.sheets.survey.survey", survey)
+    monkeypatch.setattr("vlp16emu.extras.sheets.sheet.survey", survey)
 
 
 @pytest.mark.usefixtures("nothing_heavy")

@@ -1,12 +1,11 @@
 """Verbs that report on a scene: forest and accuracy."""
 
 import json
-from contextlib import ExitStack, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings
 from vlp16emu.cli.printer import (
@@ -26,11 +25,10 @@ from vlp16emu.errors import InputError
 from vlp16emu.options import Option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Sequence
 
     from vlp16emu.extras.accuracy.sweep import Accuracy, LevelOfDetail, Row
-    from vlp16emu.extras.sheets.survey import Survey, WorldSummary
-    from vlp16emu.scenario import Scenario
+    from vlp16emu.extras.sheets.survey import WorldSummary
 
 _SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
 
@@ -89,53 +87,16 @@ def forest(
 
         check_matplotlib()
     compile_first(scenario.world.kind)
+    from vlp16emu.extras.sheets.sheet import write_sheets
+
     with Progress(0.0):
-        summary = _surveyed(scene, scenario, radius_m, wanted, seen)
+        summary = write_sheets(scene, scenario, radius_m, wanted, truth=seen)
     if as_json:
         written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})
         return
     _print_forest(summary)
     print_files(wanted.values())
-
-
-def _surveyed(
-    scene: str, scenario: "Scenario", radius_m: float, wanted: "Mapping[str, Path]", truth: Path | None
-) -> "WorldSummary":
-    """Look at the world and write files, which are opened before anything heavy."""
-    from vlp16emu.extras.sheets import files
-    from vlp16emu.extras.sheets.survey import summary_of, survey
-    from vlp16emu.output import OutputFile
-
-    with ExitStack() as stack:
-        outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
-        seen = survey(scenario, radius_m)
-        summary = summary_of(scene, scenario, seen)
-        inventory = partial(files.write_inventory, truth=truth)
-        writers: tuple[Callable[[OutputFile, Survey], None], ...]
-        writers = inventory, files.write_stems, files.write_ground, files.write_twin
-        for name, write in zip(_SUFFIXES, writers, strict=False):
-            if name in outputs:
-                write(outputs[name], seen)
-        if "--picture" in outputs:
-            title, subtitle = scenario.title, _subtitle(summary)
-            files.write_picture(outputs["--picture"], seen, title=title, subtitle=subtitle)
-    return summary
-
-
-def _subtitle(summary: "WorldSummary") -> str:
-    from vlp16emu.extras.sheets.survey import ForestSummary
-
-    words = [f"{Path(summary.scene).stem}, seed {summary.seed}"]
-    if summary.path.length_m:
-        words.append(f"{summary.path.length_m:.0f} m of path")
-    if isinstance(summary, ForestSummary):
-        words.append(f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m")
-        if summary.trees:
-            row = summary.trees[-1]
-            words.append(f"{row.stems_per_ha:.0f} stems/ha, DBH {row.dbh_mean_cm:.0f} cm")
-            words.append(f"{row.basal_area_m2_per_ha:.0f} m2/ha, leaf area index {row.leaf_area_index:.1f}")
-    return "  |  ".join(words)
 
 
 def _print_forest(summary: "WorldSummary") -> None:
@@ -181,12 +142,18 @@ def accuracy(
     name = Path(scene).stem
     names = [f"accuracy_{name}.json", f"accuracy_{name}.png"]
     compile_first(scenario.world.kind)
-    with report(out, names) if out else nullcontext() as files:
-        measured = _measured(scenario, name, pulses)
-        tree = _tree(measured)
-        if files:
-            from vlp16emu.extras.accuracy.sweep import draw_accuracy
+    from vlp16emu.extras.accuracy.sweep import choices, draw_accuracy, front, measure_accuracy, measure_foliage
 
+    with report(out, names) if out else nullcontext() as files:
+        with Progress(whole_s := scenario.duration_s) as bar:
+            show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
+            measured = measure_accuracy(scenario, name, pulses=pulses, done=show)
+            show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
+            measured = replace(measured, foliage=measure_foliage(scenario, pulses=_TIMES * pulses, done=show))
+        taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in choices(measured.rows).items()]
+        tree = {"written_by": f"vlp16emu {version('vlp16emu')}"} | tree_of(measured)
+        tree |= {"front": [row.name for row in front(measured.rows)], "choices": taken}
+        if files:
             files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
             draw_accuracy(files[1], measured)
     paths = [out / name for name in names] if out else []
@@ -194,40 +161,12 @@ def accuracy(
         print_json(tree | {"files": [str(path) for path in paths]})
         return
     _print_accuracy(measured)
+    words = "; ".join(f"{one['wanted_m']:g} m: {one['take']}" for one in taken)
+    print(f"For a mean error of {words}" if words else "No setting has a mean error below 0.5 m")
     print_files(paths)
 
 
-def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
-    from vlp16emu.extras.accuracy.sweep import measure_accuracy, measure_foliage
-
-    whole_s = scenario.duration_s
-    with Progress(whole_s) as progress:
-
-        def show(task: str) -> "Callable[[float], None]":
-            return lambda share: progress.show(task, share * whole_s)
-
-        measured = measure_accuracy(scenario, name, pulses=pulses, done=show("measuring"))
-        foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show("comparing worlds"))
-    return replace(measured, foliage=foliage)
-
-
-def _tree(measured: "Accuracy") -> dict[str, Any]:
-    from vlp16emu.extras.accuracy.sweep import choices, front
-
-    tree: dict[str, Any] = tree_of(measured)
-    return (
-        {"written_by": f"vlp16emu {version('vlp16emu')}"}
-        | tree
-        | {
-            "front": [row.name for row in front(measured.rows)],
-            "choices": [{"wanted_m": wanted_m, "take": name} for name, wanted_m in choices(measured.rows).items()],
-        }
-    )
-
-
 def _print_accuracy(measured: "Accuracy") -> None:
-    from vlp16emu.extras.accuracy.sweep import choices
-
     errors = measured.rows[0].errors
     print(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
@@ -240,8 +179,6 @@ def _print_accuracy(measured: "Accuracy") -> None:
         _print_rows(measured.poses, "pose")
     if measured.foliage:
         _print_foliage(measured.foliage)
-    taken = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in choices(measured.rows).items())
-    print(f"For a mean error of {taken}" if taken else "No setting has a mean error below 0.5 m")
 
 
 def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:

@@ -1,7 +1,10 @@
 """Files that `vlp16emu forest` writes: inventory, stems, ground, digital twin; and plan and section on one sheet."""
 
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -13,7 +16,7 @@ from scipy.spatial import KDTree
 from vlp16emu.extras.camera import Orthographic, look
 from vlp16emu.extras.palette import colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.extras.plots import plotted
-from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.extras.sheets.survey import Survey, WorldSummary, subtitle_of, summary_of, survey
 from vlp16emu.forest.ground.dem import write_ascii
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import write_csv
@@ -21,6 +24,7 @@ from vlp16emu.forest.stand.nearby import AllNear, Grow, cut_out
 from vlp16emu.forest.twin import write_glb
 from vlp16emu.output import OutputFile
 from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.scenario import Scenario
 from vlp16emu.types import F8, U1, HeightField
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.vectors import places_m
@@ -417,48 +421,46 @@ def _draw_sensor(axes: "Axes", seen: Survey, row: int, x_m: float) -> None:
 _GROUND_CELL_M = 0.25  # cell of the ground grid: the finest that is usual for forests
 
 
-def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> None:
-    """Write all trees within the sensor's range, with what a run saw of their stems if the folder of its truth is given.
+def write_sheets(
+    scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path], *, truth: Path | None
+) -> WorldSummary:
+    """Survey a scene and write the files of some options, which are opened before anything heavy; return the summary.
 
-    InputError if the folder has no truth of returns of this scene.
+    InputError if `truth`, the folder of a run, has no returns of this scene.
     """
-    more = seen.stems_seen(seen.trees, truth) if truth else None
-    rows = seen.inventory(seen.trees)
-    with output.writing() as file:
-        write_csv(file, rows, more, table=seen.plants.trees)
+    with ExitStack() as stack:
+        outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
+        seen = survey(scenario, radius_m)
+        summary = summary_of(scene, scenario, seen)
+        for name, output in outputs.items():
+            write = _writer(name, seen, scenario.title, summary, truth)
+            with output.writing() as file:
+                write(file)
+    return summary
 
 
-def write_stems(output: OutputFile, seen: Survey) -> None:
-    """Write circles along all stems within range and the branches within the radius: skeletons with radii, as a QSM has them."""
-    circles = seen.stem_circles(seen.trees)
-    with output.writing() as file:
-        header = ",".join(STEM_CIRCLE.names or ())
-        np.savetxt(file, circles, fmt=[*["%d"] * 4, *["%.4f"] * 5], delimiter=",", header=header, comments="")
-
-
-def write_ground(output: OutputFile, seen: Survey) -> None:
-    """Write the height of the ground of the survey's bounding rectangle."""
-    with output.writing() as file:
-        write_ascii(file, seen.bare.height_m, *seen.bounds_m, _GROUND_CELL_M)
-
-
-def write_twin(output: OutputFile, seen: Survey) -> None:
-    """Write everything within the radius, or the whole hall, as glTF."""
-    at_m = {thing.instance: thing.place_m for thing in seen.things}
-    at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
-    window = seen.window
-    shape: Grow = seen.world.shape
-    if seen.hall is None:
-        wanted = np.array(list(at_m), np.uint32)
-        window, shape = cut_out(window, shape, instances=wanted, inside=seen.inside)
-    colours = surface_colours(seen.window.surfaces, seen.species)
-    with output.writing() as file:
-        write_glb(file, window, shape, places_m=at_m, species=seen.species, colours=colours)
-
-
-def write_picture(output: OutputFile, seen: Survey, *, title: str, subtitle: str) -> None:
-    """Draw plan and section."""
+def _writer(
+    name: str, seen: Survey, title: str, summary: WorldSummary, truth: Path | None
+) -> Callable[[BinaryIO], object]:
+    """Return what writes the file of an option."""
+    if name == "--inventory":  # all trees within the sensor's range, with what a run saw of their stems
+        more, rows = seen.stems_seen(seen.trees, truth) if truth else None, seen.inventory(seen.trees)
+        return lambda file: write_csv(file, rows, more, table=seen.plants.trees)
+    if name == "--stems":  # skeletons with radii, as a QSM has them
+        circles, header = seen.stem_circles(seen.trees), ",".join(STEM_CIRCLE.names or ())
+        text: dict[str, Any] = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "header": header, "comments": ""}
+        return partial(np.savetxt, X=circles, **text)
+    if name == "--ground":
+        return lambda file: write_ascii(file, seen.bare.height_m, *seen.bounds_m, _GROUND_CELL_M)
+    if name == "--glb":  # everything within the radius, or the whole hall
+        at_m = {thing.instance: thing.place_m for thing in seen.things}
+        at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
+        shape: Grow = seen.world.shape
+        window = seen.window
+        if seen.hall is None:
+            window, shape = cut_out(window, shape, instances=np.array(list(at_m), np.uint32), inside=seen.inside)
+        colours = surface_colours(seen.window.surfaces, seen.species)
+        return lambda file: write_glb(file, window, shape, places_m=at_m, species=seen.species, colours=colours)
     section = section_of(seen)
     drawn = draw_stand(seen, section, section_pixels_per_m(section))
-    with output.writing() as file:
-        draw_sheet(file, seen, section, drawn, title=title, subtitle=subtitle)
+    return lambda file: draw_sheet(file, seen, section, drawn, title=title, subtitle=subtitle_of(summary))

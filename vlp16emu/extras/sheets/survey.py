@@ -443,6 +443,20 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
     )
 
 
+def subtitle_of(summary: WorldSummary) -> str:
+    """Return a summary in one line."""
+    words = [f"{Path(summary.scene).stem}, seed {summary.seed}"]
+    if summary.path.length_m:
+        words.append(f"{summary.path.length_m:.0f} m of path")
+    if isinstance(summary, ForestSummary):
+        words.append(f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m")
+        if summary.trees:
+            row = summary.trees[-1]
+            words.append(f"{row.stems_per_ha:.0f} stems/ha, DBH {row.dbh_mean_cm:.0f} cm")
+            words.append(f"{row.basal_area_m2_per_ha:.0f} m2/ha, leaf area index {row.leaf_area_index:.1f}")
+    return "  |  ".join(words)
+
+
 def _things(seen: Survey, ground_m2: float) -> dict[str, Things]:
     """Count things without names by kind, with their species and the range of their sizes."""
     kinds = dict[str, Things]()
