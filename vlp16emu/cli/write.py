@@ -226,34 +226,23 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
                 break
 
 
+_DECODED = (
+    *("model", "return_mode", "rpm", "packets", "position_packets", "other_datagrams", "points", "no_returns", "scans"),
+    *("records_per_scan", "range_m", "start_utc", "duration_s", "clock", "host_ahead_s", "gps", "cut", "repeats"),
+)
+
+
 def _tree(summary: "Summary") -> dict[str, Any]:
     gps, ranges_m = summary.gps, summary.range_m
-    return {
-        "model": summary.model,
-        "return_mode": summary.return_mode,
+    start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=summary.first_stamp_ns // 1000)
+    own = {
         "rpm": round(summary.rpm, 2),
-        "packets": summary.packets,
-        "position_packets": summary.position_packets,
-        "other_datagrams": summary.other_datagrams,
-        "points": summary.points,
-        "no_returns": summary.no_returns,
-        "scans": summary.scans,
-        "records_per_scan": summary.records_per_scan,
         "range_m": ranges_m and dict(zip(("min", "median", "max"), (round(r, 3) for r in ranges_m), strict=True)),
-        "start_utc": _utc(summary.first_stamp_ns),
-        "duration_s": summary.duration_s,
-        "clock": summary.clock,
+        "start_utc": start.isoformat().replace("+00:00", "Z"),
         "host_ahead_s": round(summary.host_ahead_s, 6),
         "gps": gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
-        "cut": summary.cut,
-        "repeats": summary.repeats,
     }
-
-
-def _utc(stamp_ns: int) -> str:
-    """Write the stamp of a capture, which has microseconds."""
-    at = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000)
-    return at.isoformat().replace("+00:00", "Z")
+    return {name: own[name] if name in own else getattr(summary, name) for name in _DECODED}
 
 
 def bag(
