@@ -96,14 +96,16 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
 def _tree(result: "Verification") -> dict[str, Any]:
     counted = {name: getattr(result, name) for name in ("position_packets", "other_frames", "lost_packets")}
     return {
-
-            "clean": result.is_clean,
-            "packets": result.data_packets,
-            **counted,
-            "void_sentences": result.void_sentences
-        ,
-        "duration_s": result.span_s, "rpm": result.rpm, "cut": result.is_cut,
-        "broken_rules": result.counts, "notes": result.notes, "findings": result.findings,
+        "clean": result.is_clean,
+        "packets": result.data_packets,
+        **counted,
+        "void_sentences": result.void_sentences,
+        "duration_s": result.span_s,
+        "rpm": result.rpm,
+        "cut": result.is_cut,
+        "broken_rules": result.counts,
+        "notes": result.notes,
+        "findings": result.findings,
     }
 
 

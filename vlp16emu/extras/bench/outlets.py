@@ -6,6 +6,7 @@ import os
 import queue
 import select
 import socket
+import termios
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -75,13 +76,10 @@ class Beside:
         return range(*(-(-utc_ns // S_NS) + -(-(utc_ns - PULSE_NS) // S_NS) for utc_ns in span_ns))
 
     def _sentences(self, seconds: range) -> Iterator[_Beat]:
-        """Yield sentences, each as long after its second as the sensor gets it."""
-
-        def sentence(second_ns: int) -> Packet:
-            return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
-
         for second in seconds:
-            yield second * S_NS + self._delay_ns, partial(sentence, second * S_NS)
+            due_ns = second * S_NS + self._delay_ns  # as long after its second as the sensor gets it
+            fix = partial(self._receiver.fix, second * S_NS)
+            yield due_ns, lambda due_ns=due_ns, fix=fix: Packet(PacketKind.NMEA, due_ns, rmc(fix()))
 
     def _pulses(self, numbers: range) -> Iterator[_Beat]:
         for number in numbers:
@@ -138,10 +136,10 @@ class SerialPort:
         import serial  # here: few runs need it
 
         self.name, self._baud, self.line = name, baud, line
-        self._error, self._slow = _errors(), serial.SerialTimeoutException
+        self._error, self._slow = (serial.SerialException, OSError, termios.error), serial.SerialTimeoutException
         self._away_since_s: float | None = None
         self._opened_s = self._tried_s = time.monotonic()
-        self._away = list[Away]()
+        self.away: tuple[Away, ...] = ()  # times at which the device was not there, that of now left out
         try:
             self._port: Any = self._open()
         except self._error as error:
@@ -163,26 +161,21 @@ class SerialPort:
             return None
         except self._error:
             self._away_since_s = self._tried_s = time.monotonic()
-            self._shut()
+            self.close(for_good=False)
             return None
 
-    def close(self) -> None:
+    def close(self, *, for_good: bool = True) -> None:
         """Close the port, if it is open."""
-        if self._away_since_s is not None:
+        if for_good:
             self._note_away()
-        self._shut()
-
-    @property
-    def away(self) -> tuple[Away, ...]:
-        """Times at which the device was not there, that of now left out."""
-        return tuple(self._away)
+        with suppress(*self._error):
+            self._port.close()
 
     def _open(self) -> Any:  # a class of pyserial, which has no types
         import serial
 
-        port = serial.serial_for_url(
-            self.name, self._baud, timeout=_PATIENCE_S, write_timeout=_PATIENCE_S, do_not_open=True
-        )
+        patience = {"timeout": _PATIENCE_S, "write_timeout": _PATIENCE_S}
+        port = serial.serial_for_url(self.name, self._baud, **patience, do_not_open=True)
         if self.line:
             setattr(port, self.line, False)
         port.open()
@@ -206,29 +199,12 @@ class SerialPort:
         with suppress(*self._error, ValueError):
             self._port = self._open()
             self._note_away()
-            return True
-        return False
+        return self._away_since_s is None
 
     def _note_away(self) -> None:
-        assert self._away_since_s is not None
-        now_s = time.monotonic()
-        self._away.append(Away(self._away_since_s - self._opened_s, now_s - self._away_since_s))
-        self._away_since_s = None
-
-    def _shut(self) -> None:
-        with suppress(*self._error):
-            self._port.close()
-
-
-def _errors() -> tuple[type[Exception], ...]:
-    """Errors that a port raises whose device is gone."""
-    import serial
-
-    try:
-        import termios
-    except ImportError:  # Windows has none
-        return serial.SerialException, OSError
-    return serial.SerialException, OSError, termios.error
+        if (since_s := self._away_since_s) is not None:
+            self.away += (Away(since_s - self._opened_s, time.monotonic() - since_s),)
+            self._away_since_s = None
 
 
 class SerialSink(Outlet):
@@ -292,12 +268,8 @@ class SerialSink(Outlet):
     def _set_line(self, *, high: bool) -> None:
         line = self._port.line
         if line and self._port.has_line:
-
-            def set_line(port: Any) -> bool:
-                setattr(port, line, high)
-                return True
-
-            self._pulses += bool(self._port.use(set_line)) and high
+            is_set = self._port.use(lambda port: setattr(port, line, high) or True)
+            self._pulses += bool(is_set) and high
 
 
 _GPS_BAUD = 9600  # what the sensor takes (63-9243 Rev D, section 7.4)
@@ -310,29 +282,26 @@ class Ways:
     """The ways that sentences, pulses and inertial samples take beside the packets of the sensors."""
 
     def __init__(self, asked: Outlets) -> None:
-        self.gps_out, self.gps_pps, self.imu_out = asked.gps_out, asked.gps_pps, asked.imu_out
-
-    @property
-    def kinds(self) -> tuple[PacketKind, ...]:
+        self._asked = asked
+        gps = (PacketKind.NMEA, PacketKind.PPS)[: 1 if asked.gps_pps == "off" else 2]
+        self.kinds = (*(gps if asked.gps_out else ()), *((PacketKind.IMU,) if asked.imu_out else ()))
         """Kinds of packets to make."""
-        gps = (PacketKind.NMEA, PacketKind.PPS)[: 1 if self.gps_pps == "off" else 2]
-        return (*(gps if self.gps_out else ()), *((PacketKind.IMU,) if self.imu_out else ()))
 
     def look_ahead(self, imu: Imu | None) -> int:
         """Packets that a stream computes further ahead, because of samples between those of the sensors."""
-        return 2 * imu.rate_hz if self.imu_out and imu else 0
+        return 2 * imu.rate_hz if self._asked.imu_out and imu else 0
 
     @contextmanager
     def opened(self, imu: Imu | None) -> Iterator[dict[PacketKind, Outlet]]:
         """Open what there is, and give the way of each kind; `OutputError` if a port or the receiver of samples is none."""
-        ways = dict[PacketKind, Outlet]()
+        ways, asked = dict[PacketKind, Outlet](), self._asked
         with ExitStack() as stack:
-            if self.gps_out:
-                line = None if self.gps_pps == "off" else self.gps_pps
-                port = SerialPort(self.gps_out, _GPS_BAUD, "--gps-out", line)
+            if asked.gps_out:
+                line = None if asked.gps_pps == "off" else asked.gps_pps
+                port = SerialPort(asked.gps_out, _GPS_BAUD, "--gps-out", line)
                 ways[PacketKind.NMEA] = ways[PacketKind.PPS] = stack.enter_context(SerialSink(port))
-            if self.imu_out and imu:
-                ways[PacketKind.IMU] = stack.enter_context(imu_outlet(self.imu_out, imu.rate_hz))
+            if asked.imu_out and imu:
+                ways[PacketKind.IMU] = stack.enter_context(imu_outlet(asked.imu_out, imu.rate_hz))
             yield ways
 
 
