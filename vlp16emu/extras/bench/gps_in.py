@@ -1,6 +1,5 @@
 """A real GPS receiver on a serial port: its pulses and sentences set the clock and the state of packets."""
 
-import errno
 import re
 import threading
 import time
@@ -9,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from vlp16emu.errors import OutputError, PacketError
-from vlp16emu.extras.bench.outlets import SerialPort
+from vlp16emu.extras.bench.outlets import SerialPort, has_line
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
 from vlp16emu.packets.nmea import rmc_time
@@ -164,7 +163,7 @@ class GpsReader:
     def __init__(self, gps_in: GpsIn, gps: Gps, powered_for_s: float) -> None:
         self._pulse = None if gps_in.pulse == "sentence" else gps_in.pulse
         self._port = SerialPort(gps_in.port, _BAUD, "--gps-in")
-        if self._pulse and self._port.use(self._has_line) is False:
+        if self._pulse and self._port.use(lambda port: has_line(lambda: getattr(port, gps_in.pulse))) is False:
             self._port.close()
             raise OutputError(f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence")
         self.line = GpsLine(
@@ -193,15 +192,6 @@ class GpsReader:
         """Result so far."""
         state = self.line.state_at(time.monotonic_ns())
         return GpsInResult(self._port.name, self.line.heard, state, self._port.away)
-
-    def _has_line(self, port: Any) -> bool:  # a class of pyserial, which has no types
-        try:
-            getattr(port, str(self._pulse))
-        except OSError as error:
-            if error.errno in (errno.ENOTTY, errno.EINVAL):
-                return False
-            raise
-        return True
 
     def _run(self) -> None:
         was_high = True

@@ -117,6 +117,17 @@ _WAITING = 4096  # messages that wait at most: more than an inertial unit takes 
 _LINELESS = ("socket://",)  # ports that take the setting of a line without an error, and have none
 
 
+def has_line(act: Callable[[], object]) -> bool:
+    """Return whether a port has the line that `act` sets or reads; a pseudo-terminal has none."""
+    try:
+        act()
+    except OSError as error:
+        if error.errno in (errno.ENOTTY, errno.EINVAL):
+            return False
+        raise
+    return True
+
+
 class SerialPort:
     """A port at 8N1 without flow control that is opened again, once a second, when its device has vanished.
 
@@ -149,7 +160,8 @@ class SerialPort:
             raise OutputError(f"{where} {name}", found, expected) from None
         except ValueError as error:
             raise OutputError(f"{where} {name}", str(error), "a device, or a URL of pyserial") from None
-        self.has_line = line is not None and self._has(line)  # whether the port has it; a pseudo-terminal has none
+        is_there = line is not None and not name.startswith(_LINELESS)
+        self.has_line = is_there and has_line(lambda: setattr(self._port, str(line), False))
 
     def use(self, act: Callable[[Any], T]) -> T | None:
         """Let `act` read or write: the port is pyserial's. None where the device is away, or takes no more."""
@@ -180,17 +192,6 @@ class SerialPort:
             setattr(port, self.line, False)
         port.open()
         return port
-
-    def _has(self, line: str) -> bool:
-        if self.name.startswith(_LINELESS):
-            return False
-        try:
-            setattr(self._port, line, False)
-        except OSError as error:
-            if error.errno in (errno.ENOTTY, errno.EINVAL):
-                return False
-            raise
-        return True
 
     def _is_back(self) -> bool:
         if time.monotonic() < self._tried_s + _RETRY_S:
