@@ -66,7 +66,7 @@ EXTRAS_TAKE = {
     "sheets": {"camera", "palette", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench"},
-    "viewer": {"camera", "clouds", "options", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "images", "options", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 

@@ -9,7 +9,8 @@ import pytest
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.extras.clouds.deskew import Trajectory, write_deskewed, write_points
+from vlp16emu.extras.clouds.deskew import Trajectory, write_deskewed
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.packets import DISTANCE_LSB_M

@@ -76,10 +76,11 @@ class Beside:
         return range(*(-(-utc_ns // S_NS) + -(-(utc_ns - PULSE_NS) // S_NS) for utc_ns in span_ns))
 
     def _sentences(self, seconds: range) -> Iterator[_Beat]:
-        for second in seconds:
-            due_ns = second * S_NS + self._delay_ns  # as long after its second as the sensor gets it
-            fix = partial(self._receiver.fix, second * S_NS)
-            yield due_ns, lambda due_ns=due_ns, fix=fix: Packet(PacketKind.NMEA, due_ns, rmc(fix()))
+        def sentence(second_ns: int) -> Packet:
+            return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
+
+        for second in seconds:  # each as long after its second as the sensor gets it
+            yield second * S_NS + self._delay_ns, partial(sentence, second * S_NS)
 
     def _pulses(self, numbers: range) -> Iterator[_Beat]:
         for number in numbers:
@@ -267,10 +268,12 @@ class SerialSink(Outlet):
         return True
 
     def _set_line(self, *, high: bool) -> None:
-        line = self._port.line
-        if line and self._port.has_line:
-            is_set = self._port.use(lambda port: setattr(port, line, high) or True)
-            self._pulses += bool(is_set) and high
+        def act(port: Any) -> bool:
+            setattr(port, str(self._port.line), high)
+            return True
+
+        if self._port.has_line:
+            self._pulses += bool(self._port.use(act)) and high
 
 
 _GPS_BAUD = 9600  # what the sensor takes (63-9243 Rev D, section 7.4)

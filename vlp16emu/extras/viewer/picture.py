@@ -8,18 +8,22 @@ from importlib.util import find_spec
 from itertools import chain, islice
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.images.images import species_of
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
-from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
+from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
+from vlp16emu.packets.layout import LASERS
+from vlp16emu.run.options import Span
 from vlp16emu.scan import decode
 from vlp16emu.types import F8, U1
 
@@ -127,54 +131,61 @@ def check_suffix(path: Path) -> None:
             raise MissingExtraError(name, "picture", f"a picture in {suffix}")
 
 
-def sweeps_of_capture(path: Path, trajectory: Path | None, start_s: float, duration_s: float | None) -> Iterator[Sweep]:
-    """Yield the revolutions of a capture, by a trajectory or as they are in the sensor; those beyond its poses are left out."""
-    way = None if trajectory is None else Trajectory(trajectory, 1, TrajectoryErrors())
-    first_ns = None
-    for scan in decode(path):
-        first_ns = scan.start_ns if first_ns is None else first_ns
-        since_s = (scan.start_ns - first_ns) / 1e9
-        if duration_s is not None and since_s >= start_s + duration_s:
-            return
-        if since_s >= start_s and (way is None or way.has(scan.t_ns).all()):
-            yield by_trajectory(scan, way)
+class Source(NamedTuple):
+    """Sweeps of a picture, and what surrounds them."""
+
+    sweeps: Iterator[Sweep]  # one after another; memory does not grow with them
+    way_m: F8 | None  # (k, 3) path of the sensor; None to look around the origin
+    rings: int  # number of lasers of the sensor
+    species: Mapping[int, str]  # names by number
+    inputs: Collection[Path]  # files that are read, which the picture may not replace
 
 
-def way_of(trajectory: Path | None) -> F8 | None:
-    """Return places (k, 3) along a whole trajectory."""
-    if trajectory is None:
-        return None
-    way = Trajectory(trajectory, 1, TrajectoryErrors())
-    begin_s, end_s = way.span_s
-    t_ns = (1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64)
-    return way.poses_at(t_ns)[1]
+def source_of_capture(capture: Path, trajectory: Path | None, span: Span, *, whole: bool) -> Source:
+    """Return the revolutions of a capture, or unless `whole` the first one; those beyond the poses of a trajectory are left out.
+
+    Without a trajectory points are as in the sensor.
+    """
+    way, way_m, inputs = None, None, [capture]
+    if trajectory is not None:
+        way, inputs = Trajectory(trajectory, 1, TrajectoryErrors()), [capture, trajectory]
+        begin_s, end_s = way.span_s
+        way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
+
+    def sweeps() -> Iterator[Sweep]:
+        first_ns, stop_s = None, math.inf if span.duration_s is None else span.start_s + span.duration_s
+        for scan in decode(capture):
+            first_ns = scan.start_ns if first_ns is None else first_ns
+            since_s = (scan.start_ns - first_ns) / 1e9
+            if since_s >= stop_s:
+                return
+            if since_s >= span.start_s and (way is None or way.has(scan.t_ns).all()):
+                yield by_trajectory(scan, way)
+
+    return Source(islice(sweeps(), None if whole else 1), way_m, LASERS, {}, inputs)
 
 
-def draw_picture(
-    sweeps: Iterator[Sweep],
-    path: Path,
-    look: PictureLook,
-    *,
-    way_m: F8 | None,
-    rings: int,
-    species: Mapping[int, str],
-    stop: Event,
-    inputs: Collection[Path] = (),
-) -> PictureRun:
+def source_of_scene(emulator: Emulator, span: Span) -> Source:
+    """Return the revolutions of a scene's first sensor, with labels."""
+    scenario, parts = emulator.scenario, emulator.parts
+    ends_s = scenario.span_s(span.start_s, span.duration_s, where="--start")
+    t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
+    way_m, rings = parts.motion.poses_at(t_ns).world_p_body_m, len(parts.units[0].head.beams.elevation_deg)
+    sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
+    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.run.files)
+
+
+def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
     InputError if there is no revolution, or none with such a layer; OutputError, MissingExtraError as `check_suffix`.
 
     Parameters
     ----------
-    sweeps : one after another; memory does not grow with them
     path : .png, .gif or .mp4
-    way_m : (k, 3) path of the sensor; None to look around the origin
-    rings : number of lasers of the sensor
-    species : names by number
     stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
-    inputs : files that are read, which the picture may not replace
     """
+    sweeps, way_m, rings, species, inputs = source
     spare(inputs, path)
     check_suffix(path)
     suffix = path.suffix.lower()
