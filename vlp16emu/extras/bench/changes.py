@@ -267,24 +267,16 @@ def clock_spans(
         kind = event.kind if event else None
         if event and kind == "oscillator":
             ppm = own_ppm + event.drift_ppm
-        if _among(locked_ns, t_ns):
+        if _at(locked_ns, t_ns):
             spans += [] if spans and spans[-1].reading_ns is None else [clock_at(t_ns, section, locked=True)]
             continue
-        reading_ns = 0 if not spans or kind == "power_cycle" else _shown(spans[-1], t_ns)
+        reading_ns = 0 if not spans or kind == "power_cycle" else int(spans[-1].reading(np.array([t_ns]))[0])
         if event and kind == "oscillator":
             reading_ns += round(event.offset_us * 1000)
-        if pulsed := _among(pulsed_ns, t_ns):
+        if pulsed := _at(pulsed_ns, t_ns):
             reading_ns = t_ns % S_NS + round((reading_ns - t_ns % S_NS) / S_NS) * S_NS
         spans.append(ClockSpan(t_ns, reading_ns, 0.0 if pulsed else ppm))
     return tuple(spans)
-
-
-def _among(spans_ns: Sequence[tuple[int, int]], t_ns: int) -> bool:
-    return any(begin <= t_ns < end for begin, end in spans_ns)
-
-
-def _shown(span: ClockSpan, t_ns: int) -> int:
-    return int(span.reading(np.array([t_ns]))[0])
 
 
 @dataclass(frozen=True, slots=True)

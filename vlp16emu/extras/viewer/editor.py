@@ -20,13 +20,9 @@ from vlp16emu.motion.route import Route
 from vlp16emu.motion.settings import Walk
 from vlp16emu.motion.way_points import way_points
 from vlp16emu.output import OutputFile
-from vlp16emu.packets import BLOCKS_PER_PACKET, SEQUENCES_PER_BLOCK
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import F8
-from vlp16emu.units import S_NS
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
@@ -72,8 +68,6 @@ class Outlook:
 
     run_time_s: float = 0.0
     length_m: float = 0.0
-    revolutions: float = 0.0
-    packets: int = 0  # data packets of the first sensor
     path_m: F8 | None = None  # (n, 3) on the ground; None if nobody can walk it
     in_the_way_m: F8 | None = None  # (m, 3) feet of stems nearer than `path_clearance_m`
     fault: str = ""  # why nobody can walk it
@@ -163,16 +157,9 @@ class Draft:
         route = Route(path, walk, points.pause_s)
         if isinstance(ground, DemHeights):
             ground.check(path.xy_m, scenario.sensor.max_range_m)
-        run_time_s, sensor = min(route.run_time_s, scenario.duration_s), scenario.sensor
-        per_s = 0.0
-        if isinstance(sensor, Sensor):
-            blocks = 2 if sensor.return_mode == "dual" else 1
-            per_s = blocks * S_NS / (BLOCKS_PER_PACKET * SEQUENCES_PER_BLOCK * SEQUENCE_NS)
         return Outlook(
             run_time_s=route.run_time_s,
             length_m=route.length_m,
-            revolutions=run_time_s * sensor.rpm / 60.0,
-            packets=int(run_time_s * per_s),
             path_m=np.column_stack([path.xy_m, ground.height_m(*path.xy_m.T)]),
             in_the_way_m=self._in_the_way_m(scenario, path.xy_m),
         )
@@ -333,7 +320,6 @@ class Editor:
 
     def _figures(self, outlook: Outlook) -> list[str]:
         lines = [f"path: {outlook.length_m:.1f} m", f"run time: {outlook.run_time_s:.1f} s"]
-        lines += [f"revolutions: {outlook.revolutions:.0f}", f"data packets: {outlook.packets}"]
         if outlook.run_time_s > self._duration_s:
             lines.append(f"recorded: the first {self._duration_s:g} s, which is the scene's duration")
         return lines

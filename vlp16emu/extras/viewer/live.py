@@ -23,11 +23,10 @@ from vlp16emu.extras.viewer.page import SweepView, draw_stand
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
 from vlp16emu.motion.live_settings import Live, takes_poses
-from vlp16emu.motion.settings import Walk
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.scan import Scan
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
-from vlp16emu.types import F8, I8, HeightField, Packet, PacketKind
+from vlp16emu.types import F8, I8, Packet, PacketKind
 from vlp16emu.units import S_NS
 
 _HOST, _PORT = "127.0.0.1", 8016  # port of `vlp16emu view`; any other if it is in use
@@ -39,7 +38,6 @@ _MOST = 100  # most packets of a glimpse: with their poses they fit into a messa
 _DRAW_S = 0.1  # time between pictures
 _BEHIND_M, _OVER_M = 9.0, 5.0  # place of the camera at first
 _NEAR_M = 0.05  # the camera follows a sensor that is farther from the point that it looks at
-_PERSON_RADIUS_M, _PERSON_RGB = 0.2, (40, 70, 160)
 
 
 _MESSAGE_BYTES = 150_000  # limit of a message; a socket holds 212 992 unless net.core.wmem_default is less
@@ -69,8 +67,6 @@ class Backdrop(NamedTuple):
     path_m: F8  # (n, 3) of the sensor, in a live scene the expected one; one if the sensor stands still
     hall: bool
     turn_s: float  # time of a revolution
-    walks: bool  # whether a person carries the sensor
-    height_m: HeightField  # ground
 
 
 class Glimpse(NamedTuple):
@@ -133,8 +129,7 @@ def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
     radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
     walked = scenario.model_copy(update={"duration_s": duration_s})
     seen = survey(walked, min(radius_m, scenario.sensor.max_range_m), emulator.parts, expected_m)
-    hall, turn_s, walks = seen.hall is not None, 60.0 / scenario.sensor.rpm, isinstance(motion, Walk)
-    return Backdrop(list(pieces_of(seen)), seen.path_m, hall, turn_s, walks, seen.bare.height_m)
+    return Backdrop(list(pieces_of(seen)), seen.path_m, seen.hall is not None, 60.0 / scenario.sensor.rpm)
 
 
 @contextmanager
@@ -230,17 +225,8 @@ class LivePage:
         place_m = glimpse.world_T_sensor[-1][:3, 3]
         with self._server.atomic():
             self._view.draw(self._parts)
-            if self._backdrop.walks:
-                self._draw_person(place_m)
         self._look_at(place_m)
         self._text.content = "  \n".join(_lines(glimpse, sum(len(part.world_m) for part in self._parts)))
-
-    def _draw_person(self, place_m: F8) -> None:
-        ground_m = float(self._backdrop.height_m(place_m[:1], place_m[1:2])[0])
-        tall_m = max(float(place_m[2]) - ground_m - 2 * _PERSON_RADIUS_M, 0.1)
-        middle_m = place_m[0], place_m[1], (ground_m + place_m[2]) / 2 - _PERSON_RADIUS_M
-        look: dict[str, Any] = {"cast_shadow": False, "position": middle_m}
-        self._server.scene.add_cylinder("/person", _PERSON_RADIUS_M, tall_m, _PERSON_RGB, **look)
 
     def _look_at(self, place_m: F8) -> None:
         """Move cameras with the sensor, with their direction and distance kept."""
