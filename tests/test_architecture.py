@@ -16,9 +16,9 @@ NAMES = [str(path.relative_to(PACKAGE)) for path in FILES]
 
 FLOORS = (
     {"__main__"},
-    {"cli"},
+    {"cli", "pytest"},
     {"extras"},
-    {"emulator", "pytest"},
+    {"emulator"},
     {"run"},
     {"engine"},
     {"scan", "scenario"},
@@ -47,7 +47,7 @@ FLOORS = (
 )
 """From the top. Imports run down past any number of floors, or to a room beside; never in a circle."""
 
-NO_CORE = {"__main__", "cli", "extras", "forest", "foliage"}
+NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
 FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
@@ -60,7 +60,9 @@ EXTRAS_TAKE = {
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "doctor": {"readiness"},
-    "plan": {"readiness"},
+    "handle": {"truth"},
+    "plan": {"keep_up", "readiness"},
+    "replay": {"bench"},
     "canvas": {"camera"},
     "images": {"camera", "options", "palette", "truth"},
     "live": {"recorded"},

@@ -15,6 +15,7 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
+from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.options import Option
 from vlp16emu.run.options import ReplayOptions, StreamOptions
@@ -22,8 +23,8 @@ from vlp16emu.run.options import ReplayOptions, StreamOptions
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.engine import Unit
+    from vlp16emu.extras.replay import Replay, Replayed
     from vlp16emu.extras.viewer.live import Watch
-    from vlp16emu.run.replay import Replay, Replayed
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
@@ -118,7 +119,7 @@ def replay(
     Each packet leaves as long after the first one as its frame was captured after the first frame, to the ports
     of the capture. Nothing leaves this machine unless --to names another one. Ctrl-C ends it.
     """
-    from vlp16emu.run.replay import replay as send_again
+    from vlp16emu.extras.replay import replay as send_again
 
     host, _ = options.receiver
     with stop_on_ctrl_c() as stop, Progress(0.0, "sending") as progress:
@@ -134,10 +135,8 @@ def replay(
 
 def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: float) -> str:
     """Return the line that is printed when the stream falls behind."""
-    from vlp16emu.run.report import options_for
-
     line = f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {behind.cause}; {_POLICY[late]}"
-    options = options_for([behind], scenario, speed)
+    options = door("keeps_up_with")([behind], scenario, speed) if has_door("keeps_up_with") else []
     return f"{line}; to keep up: {', or '.join(options)}" if options else line
 
 

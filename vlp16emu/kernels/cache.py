@@ -22,7 +22,6 @@ SOURCES = (
     "foliage",
     "forest",
     "motion",
-    "packets",
     "random.py",
     "raycast",
     "returns",

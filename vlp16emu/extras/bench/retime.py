@@ -1,13 +1,16 @@
-"""Time stamps and sentences of packets, moved by whole seconds, so that everything between two seconds stays as it is."""
+"""Packets of another time: stamps and sentences moved by whole seconds, so that everything between two seconds stays as it is."""
 
 import re
 import struct
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from threading import Event
 
 import numpy as np
 
-from vlp16emu.packets.imu import moved_imu
+from vlp16emu.extras.bench.imu_frame import moved_imu
 from vlp16emu.packets.layout import (
     DATA_PAYLOAD,
     POSITION_BYTES,
@@ -18,10 +21,13 @@ from vlp16emu.packets.layout import (
 )
 from vlp16emu.packets.position import STAMP_LEAD_NS
 from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.sinks import PacketSink
 from vlp16emu.types import Packet, PacketKind, PpsState, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _STAMP = struct.Struct("<I")
+_ASLEEP_NS = 20_000_000
+"""Last part of the wait for an instant, in which only the clock is looked at and no longer the stop event."""
 _RMC = re.compile(
     rb"\$(?P<kind>G[A-Z]RMC),(?P<time>\d{6})(?P<decimals>(?:\.\d*)?)"
     rb",(?P<place>(?:[^,*]*,){7})(?P<date>\d{6})(?P<rest>,[^*]*)\*[0-9A-Fa-f]{2}"
@@ -132,3 +138,68 @@ def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
     for byte in body:
         checksum ^= byte
     return b"$%b*%02X%b" % (body, checksum, field[found.end() :])
+
+
+class NowSink(PacketSink):
+    """Passes packets on, moved by a whole number of seconds into the present of the system's clock.
+
+    Because seconds stay whole, the pulses of the receiver, its sentences and the stamps stay as far apart as they were. For that
+    the stream begins at the instant that has the first packet's fraction of a second: it waits for less than one.
+
+    Parameters
+    ----------
+    sink : where they go
+    clock_ns : UTC
+    sleep : suspends the thread for some seconds
+    """
+
+    def __init__(
+        self,
+        sink: PacketSink,
+        *,
+        clock_ns: Callable[[], int] = time.time_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._sink, self._clock_ns, self._sleep = sink, clock_ns, sleep
+        self._ahead_ns = 0
+        self.moved_s = 0
+        """Whole seconds from the time of the packets to the present; known when the first one leaves, as `began_ns`."""
+        self.began_ns = 0
+        """UTC at which that is by the sensor's clock."""
+
+    def begin(self, first: Packet, stop: Event) -> int:
+        """Wait for the instant at which the first packet leaves, or until the stream is to stop.
+
+        Returns
+        -------
+        Time since the instant, in ns; negative before it
+        """
+        sent_ns, now_ns = self._sent_ns(first), self._clock_ns()
+        at_ns = now_ns + (sent_ns - now_ns) % S_NS
+        if (left_ns := at_ns - self._clock_ns()) > _ASLEEP_NS:
+            stop.wait((left_ns - _ASLEEP_NS) / S_NS)
+        while not stop.is_set() and (left_ns := at_ns - self._clock_ns()) > 0:
+            self._sleep(left_ns / S_NS)
+        self._start(first, sent_ns, at_ns)
+        return self._clock_ns() - at_ns
+
+    def join(self, first: Packet, left_ns: int) -> None:
+        """Begin where a clock runs already, by which the first packet leaves in some time, or left some time ago."""
+        sent_ns, due_ns = self._sent_ns(first), self._clock_ns() + left_ns
+        self._start(first, sent_ns, sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS)
+
+    def _sent_ns(self, first: Packet) -> int:
+        """Return the UTC at which a packet leaves by its own stamp, or is due without one."""
+        if not has_stamp(first):
+            return first.due_ns
+        moved(first, 0, first.due_ns)  # Python loads what parses dates in the first one's time, 3 ms
+        made_ns = stamp_ns(first)
+        hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
+        return hour_ns + made_ns + age_ns(first)
+
+    def _start(self, first: Packet, sent_ns: int, at_ns: int) -> None:
+        self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet; errors are the sink's."""
+        self._sink.send(moved(packet, self.moved_s, packet.due_ns + self._ahead_ns))

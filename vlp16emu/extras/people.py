@@ -51,6 +51,10 @@ class People:
         self.surfaces["reflectance"], self.surfaces["semantic"] = _REFLECTANCE, Semantic.OTHER
         self.surfaces["instance"] = _FIRST_INSTANCE + np.arange(2)
 
+    def among(self, geometry: Geometry) -> "Peopled":
+        """Return a window of the world with the people in it."""
+        return Peopled(geometry, self)
+
     def in_front(self, firings: Firings, hits: Hits, first_surface: int) -> Hits:
         """Return hits, in which a pulse that meets a person before anything else ends there, with all its sub-rays.
 

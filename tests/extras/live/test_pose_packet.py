@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.errors import PacketError
-from vlp16emu.packets.pose import POSE_BYTES, PosePacket, pack_pose, unpack_pose
+from vlp16emu.extras.live.pose_packet import POSE_BYTES, PosePacket, pack_pose, unpack_pose
 
-PROTOCOL = Path(__file__).resolve().parents[2] / "protocol"
+PROTOCOL = Path(__file__).resolve().parents[3] / "protocol"
 NAMES = ["pose", "pose_untimed"]
 CODES = {"S4": "<4s", "u1": "<B", "u2": "<H", "i8": "<q", "f8": "<d"}
 

@@ -1,6 +1,7 @@
 """UDP datagrams in frames of any link type that carries IP, behind tags, labels and tunnels."""
 
 import struct
+from collections import Counter
 from typing import NamedTuple
 
 _ETHERNET = 1
@@ -8,7 +9,6 @@ _ETHERTYPE_AT = {_ETHERNET: 12, 113: 14, 276: 0, 104: 2, 138: 16}
 """Offset of the EtherType by link type: Ethernet, Linux cooked (SLL, SLL2), Cisco HDLC, IP over FireWire.
 Source of all link types: www.tcpdump.org/linktypes.html."""
 _BODY_AT = {_ETHERNET: 14, 113: 16, 276: 20, 104: 4, 138: 18}
-_MAC_AT = {_ETHERNET: 6, 113: 6, 276: 12}
 _BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
 """Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
 _PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
@@ -17,8 +17,7 @@ _WIFI, _NFLOG, _NFLOG_PAYLOAD = 105, 239, 9
 _WRAPPED = {127: ("<H", 2, None), 163: (">I", 4, None), 192: ("<H", 2, 4), 149: ("<I", 0, 8), 258: ("<I", 0, 8)}
 """Link types with a header of their own in front: format and offset of its length, and offset of the link type behind it, IEEE 802.11
 where there is none. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
-LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
-"""Link types that are read."""
+_LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
 
 _IPV4, _IPV6, _TAGS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
 _MPLS, _PPPOE, _BRIDGED, _LLC = (0x8847, 0x8848), 0x8864, 0x6558, (0x0001, 0x0004)
@@ -32,9 +31,10 @@ _VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)
 """UDP ports of RFC 7348 and RFC 8926."""
 _ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB
 """EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)."""
-PLAIN_AT, PLAIN_BODY, _UNFRAGMENTED = 14, 34, (b"\x40\0", b"\0\0")
-"""Offsets of IP and UDP header of a plain frame, and its flags: don't fragment, or none."""
 _MOST_LAYERS = 8
+_INCOMPLETE = 64
+"""Datagrams whose fragments are waited for at a time."""
+_NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
 
 
 class Ip(NamedTuple):
@@ -55,24 +55,52 @@ class Ip(NamedTuple):
     """Addresses, identification and protocol, the same for all fragments of a datagram."""
 
 
-def is_plain(link_type: int, frame: bytes) -> bool:
-    """Return whether a frame is whole UDP over IPv4 without options, on Ethernet without tags, in no tunnel: nearly all are."""
-    return (
-        link_type == _ETHERNET
-        and frame[12:15] == b"\x08\x00\x45"
-        and frame[23:24] == b"\x11"
-        and frame[20:22] in _UNFRAGMENTED
-        and frame[36:38] not in (_VXLAN, _GENEVE)
-    )
+class Unwrapper:
+    """Finds UDP in the frames of one capture, and puts IP fragments together (RFC 791, section 3.2)."""
+
+    def __init__(self) -> None:
+        self._held = dict[bytes, dict[int, tuple[bytes, Ip]]]()
+        self._dropped, self._unread = 0, Counter[str]()
+
+    @property
+    def missed(self) -> Counter[str]:
+        """Frames and datagrams that could not be read so far, by cause."""
+        return self._unread + Counter({_NO_FRAGMENTS: self._dropped + len(self._held)})
+
+    def udp_in(self, link_type: int, frame: bytes) -> tuple[bytes, int, int] | None:
+        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers; None if none is complete with it."""
+        if link_type not in _LINK_TYPES:
+            self._unread[f"frames of link type {link_type}, which is not read"] += 1
+            return None
+        ip = _ip_in(link_type, frame)
+        if ip is None or ip.protocol != _UDP:
+            return None
+        if ip.fragment or ip.more:
+            return self._joined(frame, ip)
+        return frame, ip.at, ip.body
+
+    def _joined(self, frame: bytes, ip: Ip) -> tuple[bytes, int, int] | None:
+        """Return the frame of the first fragment with the bytes of all, once the last one is there."""
+        held = self._held.setdefault(ip.key, {})
+        held[ip.fragment] = frame, ip
+        parts, at = list[bytes](), 0
+        while at in held:
+            part, one = held[at]
+            parts.append(part[one.body : one.end])
+            if not one.more:
+                del self._held[ip.key]
+                first, begin = held[0]
+                return first[: begin.body] + b"".join(parts), begin.at, begin.body
+            if not parts[-1]:
+                break
+            at += len(parts[-1])
+        if len(self._held) > _INCOMPLETE:
+            del self._held[next(iter(self._held))]
+            self._dropped += 1
+        return None
 
 
-def mac_of(link_type: int, frame: bytes) -> bytes:
-    """Return the sender's address on the link; empty if the link type has none."""
-    at = _MAC_AT.get(link_type)
-    return b"" if at is None else frame[at : at + 6]
-
-
-def ip_in(link_type: int, frame: bytes) -> Ip | None:
+def _ip_in(link_type: int, frame: bytes) -> Ip | None:
     """Find the innermost IP packet; None if there is none that is whole to its body."""
     begin = 0
     if link_type in _WRAPPED:

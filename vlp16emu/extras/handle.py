@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from threading import Condition, Event, Thread
 from typing import Any, Self
@@ -14,12 +15,13 @@ from vlp16emu.doors import door
 from vlp16emu.engine import Unit
 from vlp16emu.engine.scans import world_T_sensor
 from vlp16emu.errors import InputError, RunError
+from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
-from vlp16emu.packets.layout import DATA_PAYLOAD, SLOT
+from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.options import Http, StreamOptions
 from vlp16emu.run.report import Streamed
 from vlp16emu.run.run import Run, Scene
-from vlp16emu.run.stream import StreamHooks, stream_run
+from vlp16emu.run.stream import stream_run
 from vlp16emu.scan import Chunk, Scan, chunk_of, cut_scans
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
 from vlp16emu.types import Packet, PacketKind
@@ -80,15 +82,16 @@ class _Lane:
 
 
 class _Tap(PacketSink):
-    """Sends packets, and gives notice of each, before and after."""
+    """Sends packets, and keeps each of them before it leaves, as a receiver may have it sooner, and after."""
 
-    def __init__(self, sink: PacketSink, leaves: Callable[[Packet], None], left: Callable[[Packet], None]) -> None:
-        self._sink, self._leaves, self._left = sink, leaves, left
+    def __init__(self, live: "Live", sink: PacketSink, pacer: Pacer) -> None:
+        self._live, self._sink, self._pacer = live, sink, pacer
 
     def send(self, packet: Packet) -> None:
-        self._leaves(packet)
+        """Send one packet; errors are the sink's."""
+        self._live._lanes[packet.unit, packet.kind].leaving = packet  # noqa: SLF001  # its own
         self._sink.send(packet)
-        self._left(packet)
+        self._live._left(packet, self._pacer)  # noqa: SLF001  # as above
 
 
 class Live:
@@ -125,8 +128,7 @@ class Live:
         http = http and replace(http, controlled=self._controls, serving=self._serves)
         ports = {"position_port": 0} | ({} if ":" in (options.get("to") or "") else {"data_port": 0})
         self._asked = StreamOptions(**ports | options, http=http)
-        hooks = StreamHooks(watched=self._watches, opened=self._opens, look_ahead=look_ahead, stop=self._stop)
-        self._thread = Thread(target=self._work, args=(hooks,), name="vlp16emu stream", daemon=True)
+        self._thread = Thread(target=self._work, args=(look_ahead,), name="vlp16emu stream", daemon=True)
         self._thread.start()
         try:
             with self._changed:
@@ -253,13 +255,6 @@ class Live:
         while (left_ns := control.due_in_ns(at_ns)) > 0 and not self._over:
             self._stop.wait(max(left_ns / S_NS / self._asked.speed, 0.001))
 
-    def _watches(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
-        return _Tap(sink, self._leaves, lambda packet: self._left(packet, pacer))
-
-    def _leaves(self, packet: Packet) -> None:
-        """Keep a packet that is about to leave."""
-        self._lanes[packet.unit, packet.kind].leaving = packet
-
     def _left(self, packet: Packet, pacer: Pacer) -> None:
         """Keep a packet that has left, and wake who waits for it."""
         with self._changed:
@@ -281,10 +276,13 @@ class Live:
     def _serves(self, places: list[tuple[str, int]]) -> None:
         self.http = "http://{}:{}/".format(*places[0])
 
-    def _work(self, hooks: StreamHooks) -> None:
+    def _work(self, look_ahead: int) -> None:
         """Body of the thread."""
         try:
-            self._result = stream_run(self.run, self._asked, hooks)
+            watched = partial(_Tap, self)
+            self._result = stream_run(
+                self.run, self._asked, watched=watched, opened=self._opens, look_ahead=look_ahead, stop=self._stop
+            )
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that waits, which raises it
             self._error = error
         with self._changed:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import PacketError
-from vlp16emu.packets import IMU_FRAME, decode_imu, imu_frames
-from vlp16emu.packets.retime import age_ns, moved, stamp_ns
+from vlp16emu.extras.bench.imu_frame import IMU_FRAME, decode_imu, imu_frames
+from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
 from vlp16emu.types import Packet, PacketKind
 
-GOLDEN = Path(__file__).resolve().parents[2] / "protocol" / "golden"
+GOLDEN = Path(__file__).resolve().parents[3] / "protocol" / "golden"
 MEANING = tomllib.loads((GOLDEN / "imu.toml").read_text())
 FRAME = bytes.fromhex((GOLDEN / "imu.hex").read_text())
 

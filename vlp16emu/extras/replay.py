@@ -9,12 +9,12 @@ from threading import Event
 from typing import Any
 
 from vlp16emu.errors import CaptureError, InputError
-from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, CapturedUnit, units_in
-from vlp16emu.packets.frames import FACTORY_LINK, POSITION_PORT, Link
-from vlp16emu.packets.retime import moved
+from vlp16emu.extras.bench.retime import moved
+from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, CapturedUnit, Link, units_in
+from vlp16emu.packets.frames import POSITION_PORT
 from vlp16emu.run.options import ReplayOptions
 from vlp16emu.run.report import OfUnits, UnitSent
-from vlp16emu.sinks import FellBehind, Late, Pacer, RigSink, StreamReport, free_ports, stream
+from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, free_ports, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -76,17 +76,16 @@ class Replay:
     def _packets(self) -> Iterator[Packet]:
         """Read all packets once."""
         numbers = dict[tuple[bytes, int, bytes], int]()
-        with Capture(self.path) as capture:
-            for datagram in capture:
-                key = datagram.source, datagram.destination_port, datagram.mac
-                if key not in numbers:
-                    owners = (number for number, unit in enumerate(self.units) if unit.owns(datagram))
-                    numbers[key] = next(owners, -1)
-                kind = _KINDS.get(len(datagram.payload))
-                if kind is None or numbers[key] < 0:
-                    self.left_out += self.passes == 1
-                else:
-                    yield Packet(kind, datagram.stamp_ns, datagram.payload, numbers[key])
+        for datagram in Capture(self.path):
+            key = datagram.source, datagram.destination_port, datagram.mac
+            if key not in numbers:
+                owners = (number for number, unit in enumerate(self.units) if unit.owns(datagram))
+                numbers[key] = next(owners, -1)
+            kind = _KINDS.get(len(datagram.payload))
+            if kind is None or numbers[key] < 0:
+                self.left_out += self.passes == 1
+            else:
+                yield Packet(kind, datagram.stamp_ns, datagram.payload, numbers[key])
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,15 +157,16 @@ def replay(
             replace(link, data_port=data_port or link.data_port, position_port=position_port or link.position_port)
             for link in packets.links
         ]
-        rig = RigSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
-        stack.enter_context(rig)
+        udp = UdpSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
+        stack.enter_context(udp)
         opened(packets)
         report = stream(
-            packets, rig, Pacer(asked.speed), late=Late(asked.late), notify=notify, now=asked.now, stop=stop
+            packets, udp, Pacer(asked.speed), late=Late(asked.late), notify=notify, now=asked.now, stop=stop
         )
+    counts = ((of[PacketKind.DATA], of[PacketKind.POSITION]) for of in udp.sent)
     units = tuple(
-        UnitSent(number, str(unit), link.source, link.data_port, link.position_port, n.data_packets, n.position_packets)
-        for number, (unit, link, n) in enumerate(zip(packets.units, links, rig.results, strict=True), start=1)
+        UnitSent(number, str(unit), link.source, link.data_port, link.position_port, *of)
+        for number, (unit, link, of) in enumerate(zip(packets.units, links, counts, strict=True), start=1)
     )
     return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), report)
 
