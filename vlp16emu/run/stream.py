@@ -81,11 +81,9 @@ def stream_run(
         else:
             writer = stack.enter_context(run.truth(truth, span_s, of=feed))
             packets = writer.beside(feed) if writer else feed
-        way, clock = watched(way, pacer), None
-        if options.gps_in:
-            powered_for_s = units[0].section.powered_for_s or 0.0
-            clock = stack.enter_context(door("gps_in")(options.gps_in, scenario.gps, powered_for_s))
-            way = clock.sink(way)
+        way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
+        gps_in = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, powered_for_s)
+        way = stack.enter_context(gps_in).sink(way) if gps_in else way
         way = flight.begun(way, pacer, now=options.now) if flight else way
         go_on_from = flight.going_on(feed.go_on_from, pacer) if flight else feed.go_on_from
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
@@ -105,7 +103,7 @@ def stream_run(
     report = replace(report, skipped=report.skipped + feed.skipped)
     sent = outlets.results(report.skipped) if outlets else (None, None)
     asked = replace(options, to=host, late=policy, truth=truth)
-    return _streamed(run, asked, report, udp, live, clock and clock.result, *sent)
+    return _streamed(run, asked, report, udp, live, gps_in and gps_in.result, *sent)
 
 
 def _check(options: StreamOptions, truth: TruthTo | None) -> None:
