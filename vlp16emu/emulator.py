@@ -13,7 +13,7 @@ from vlp16emu.doors import door
 from vlp16emu.engine import Engine, Parts
 from vlp16emu.engine.scans import scans_of, world_T_sensor
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.run.options import RecordOptions, StreamOptions
+from vlp16emu.run.options import RecordOptions, stream_options
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
 from vlp16emu.run.run import Run, Scene
@@ -146,7 +146,6 @@ class Emulator:
         self,
         path: str | Path,
         *,
-        as_due: bool = False,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
         **options: Any,
@@ -157,7 +156,6 @@ class Emulator:
         ----------
         path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output;
             a bag with .mcap, .bag, or as a new folder with a slash at its end
-        as_due : stamp packets when they are due, whatever `[capture]` says
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
@@ -175,14 +173,14 @@ class Emulator:
         RunError
             If the disk is full; the packets before are kept
         """
-        return record(self.run, path, RecordOptions(**options), as_due=as_due, progress=progress, stop=stop)
+        return record(self.run, path, RecordOptions(**options), progress=progress, stop=stop)
 
     def stream(self, **options: Any) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
 
         Parameters
         ----------
-        options : fields of `StreamOptions`, and functions that are called while it runs, as `stream_run` takes them
+        options : fields of `StreamOptions` and of `extras.bench.options.BenchOptions`, and functions that are called while it runs, as `stream_run` takes them
 
         Raises
         ------
@@ -198,7 +196,7 @@ class Emulator:
             If the system cannot send any more
         """
         hooks = {name: options.pop(name) for name in options.keys() & signature(stream_run).parameters.keys()}
-        return stream_run(self.run, StreamOptions(**options), **hooks)
+        return stream_run(self.run, stream_options()(**options), **hooks)
 
     def keep_up(self, speed: float = 1.0) -> Any:
         """Measure this machine for some seconds, and set the beam and the reach so that a stream leaves a fifth of its time free.

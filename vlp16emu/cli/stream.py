@@ -18,16 +18,19 @@ from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.options import Option
-from vlp16emu.run.options import ReplayOptions, StreamOptions
+from vlp16emu.run.options import ReplayOptions, stream_options
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.engine import Unit
+    from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
     from vlp16emu.extras.replay import Replay, Replayed
     from vlp16emu.extras.viewer.live import Watch
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
+else:
+    StreamOptions = stream_options()
 
 _POLICY = {
     "pace": "the delay stays, at the sensor's own spacing (--late pace)",

@@ -3,10 +3,9 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from threading import Condition, Event, Thread
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +14,10 @@ from vlp16emu.doors import door
 from vlp16emu.engine import Unit
 from vlp16emu.engine.scans import world_T_sensor
 from vlp16emu.errors import InputError, RunError
+from vlp16emu.extras.bench.options import BenchOptions, Http
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
-from vlp16emu.run.options import Http, StreamOptions
 from vlp16emu.run.report import Streamed
 from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
@@ -81,20 +80,7 @@ class _Lane:
         return list(islice(self.held, max(number - self.count + len(self.held), 0), None))
 
 
-class _Tap(PacketSink):
-    """Sends packets, and keeps each of them before it leaves, as a receiver may have it sooner, and after."""
-
-    def __init__(self, live: "Live", sink: PacketSink, pacer: Pacer) -> None:
-        self._live, self._sink, self._pacer = live, sink, pacer
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet; errors are the sink's."""
-        self._live._lanes[packet.unit, packet.kind].leaving = packet  # noqa: SLF001  # its own
-        self._sink.send(packet)
-        self._live._left(packet, self._pacer)  # noqa: SLF001  # as above
-
-
-class Live:
+class Live(PacketSink):
     """A stream that is under way, on a thread of its own; a context manager that stops it.
 
     What goes wrong there is raised by the method that waits for packets, at the end of the block if there is none, and by
@@ -121,13 +107,15 @@ class Live:
         self._has_raised = False
         self._control: Any = None
         self._lanes = {(unit.number, kind): _Lane() for unit in engine.parts.units for kind in PacketKind}
+        self._sink: PacketSink
+        self._pacer: Pacer
         self._shift_ns: int | None = None
         """By how much later packets are due than in the scene, as they are moved into the present."""
         self._not_before_ns = 0
         http = options.pop("http", Http(f"{LOOPBACK}:0"))
         http = http and replace(http, controlled=self._controls, serving=self._serves)
         ports = {"position_port": 0} | ({} if ":" in (options.get("to") or "") else {"data_port": 0})
-        self._asked = StreamOptions(**ports | options, http=http)
+        self._asked = BenchOptions(**ports | options, http=http)
         self._thread = Thread(target=self._work, args=(look_ahead,), name="vlp16emu stream", daemon=True)
         self._thread.start()
         try:
@@ -138,12 +126,9 @@ class Live:
             self._end()
             raise
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._end()
-        if kind is None and not self._has_raised:
+        if not any(raised) and not self._has_raised:
             self._raise()
 
     @property
@@ -255,12 +240,18 @@ class Live:
         while (left_ns := control.due_in_ns(at_ns)) > 0 and not self._over:
             self._stop.wait(max(left_ns / S_NS / self._asked.speed, 0.001))
 
-    def _left(self, packet: Packet, pacer: Pacer) -> None:
-        """Keep a packet that has left, and wake who waits for it."""
+    def _watches(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
+        self._sink, self._pacer = sink, pacer
+        return self
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet, keep it, and wake who waits for it; called by the stream."""
+        lane = self._lanes[packet.unit, packet.kind]
+        lane.leaving = packet  # a receiver may have it before it counts as left
+        self._sink.send(packet)
         with self._changed:
             if self._shift_ns is None:
-                self._shift_ns = packet.due_ns - (pacer.first_due_ns or packet.due_ns)
-            lane = self._lanes[packet.unit, packet.kind]
+                self._shift_ns = packet.due_ns - (self._pacer.first_due_ns or packet.due_ns)
             lane.held.append(packet)
             lane.count += 1
             if lane.count >= lane.wake_at:
@@ -279,10 +270,8 @@ class Live:
     def _work(self, look_ahead: int) -> None:
         """Body of the thread."""
         try:
-            watched = partial(_Tap, self)
-            self._result = stream_run(
-                self.run, self._asked, watched=watched, opened=self._opens, look_ahead=look_ahead, stop=self._stop
-            )
+            hooks: dict[str, Any] = {"watched": self._watches, "opened": self._opens, "stop": self._stop}
+            self._result = stream_run(self.run, self._asked, look_ahead=look_ahead, **hooks)
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that waits, which raises it
             self._error = error
         with self._changed:

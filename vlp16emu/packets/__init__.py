@@ -28,7 +28,7 @@ from vlp16emu.packets.layout import (
     SEQUENCES_PER_BLOCK,
     SEQUENCES_PER_PACKET,
 )
-from vlp16emu.packets.nmea import parse_rmc, rmc
+from vlp16emu.packets.nmea import rmc
 from vlp16emu.packets.position import (
     STAMP_LEAD_NS,
     first_position_packet,

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
-from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -16,7 +15,7 @@ from vlp16emu.doors import door
 from vlp16emu.elementary import exp, log
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.output import STDOUT, spare
-from vlp16emu.packets import Capture, Link, returns_in
+from vlp16emu.packets import Link, returns_in
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.run.options import RecordOptions, TruthTo
 from vlp16emu.run.report import About, Recording, UnitSent
@@ -38,7 +37,6 @@ def record(
     path: str | Path,
     options: RecordOptions,
     *,
-    as_due: bool = False,
     progress: Callable[[float], None] = lambda _: None,
     stop: Event | None = None,
 ) -> Recording:
@@ -50,8 +48,7 @@ def record(
     files = _files(run, path, paths, truth, options)
     run, scenario, stop = run.with_truth_in(truth), run.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
-    clock = CaptureClock(preset="ideal") if as_due else scenario.capture
-    host = HostClock(clock, scenario.seed, scenario.start_ns)
+    host = HostClock(scenario.capture, scenario.seed, scenario.start_ns)
     packets = run.engine.packets(*span_s)  # checks the span before a file is touched
     began_s, simulated_s = time.perf_counter(), 0.0
     sent, returns = [Counter[PacketKind]() for _ in units], [0] * len(units)
@@ -163,44 +160,3 @@ class HostClock:
         if is_late < section.late_share:
             delay_us += -section.late_us * log(1.0 - how)
         return min(delay_us, _LONGEST_US)
-
-
-def prepared(links: Sequence[Link], path: Path, record: Callable[[Path], object]) -> Iterator[Packet]:
-    """Record a whole run, and yield its packets as `packets_of` does.
-
-    Parameters
-    ----------
-    record : writes the capture
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be read again, or has the ending of another format
-    """
-    if path == STDOUT or (path.exists() and not path.is_file()):
-        raise OutputError(str(path), "no file that can be read again", "the name of a file")
-    check_ending(path)
-    record(path)
-    return packets_of(links, path)
-
-
-def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
-    """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
-
-    Parameters
-    ----------
-    links : of the units that the packets are from
-
-    Raises
-    ------
-    CaptureError
-        If the file is damaged
-    """
-    ways = {
-        (IPv4Address(link.source).packed, port): (kind, number)
-        for number, link in enumerate(links)
-        for kind, port in ((PacketKind.DATA, link.data_port), (PacketKind.POSITION, link.position_port))
-    }
-    for datagram in Capture(path, repeats=True):
-        kind, number = ways[datagram.source, datagram.destination_port]
-        yield Packet(kind, datagram.stamp_ns, datagram.payload, number)

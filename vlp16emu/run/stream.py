@@ -5,7 +5,6 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, replace
-from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
@@ -15,8 +14,7 @@ from vlp16emu.engine.position import number_at
 from vlp16emu.errors import InputError
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.output import write_json
-from vlp16emu.run.options import RecordOptions, StreamOptions, TruthTo
-from vlp16emu.run.record import prepared, record
+from vlp16emu.run.options import StreamOptions, TruthTo
 from vlp16emu.run.report import About, Streamed, UnitSent
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import (
@@ -60,6 +58,7 @@ def stream_run(
     stop : ends the stream from another thread
     """
     (host, _), truth = options.receiver, TruthTo.of(options.truth)
+    http, poses, outlets, gps_in = options.beside
     _check(options, truth)
     pacer, policy, stop = Pacer(options.speed), Late(options.late), stop or Event()
     with ExitStack() as stack:
@@ -67,34 +66,33 @@ def stream_run(
         scenario, units = run.scenario, run.engine.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
         stack.enter_context(run.engine.windows.stopped_by(stop))
-        is_live = takes_poses(scenario.motion) or options.poses is not None
-        flight = stack.enter_context(door("live")(run, options.poses)) if is_live else None
+        is_live = takes_poses(scenario.motion) or poses is not None
+        flight = stack.enter_context(door("live")(run, poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else policy
-        outlets = stack.enter_context(door("outlets")(options.outlets)) if options.outlets else None
-        engine = replace(run.engine, prompt=options.http is not None)
+        outlets = stack.enter_context(door("outlets")(outlets)) if outlets else None
+        engine = replace(run.engine, prompt=http is not None)
         feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
         udp = stack.enter_context(_udp(run, options, host, progress))
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
         if options.prepare:
-            packets: Iterable[Packet] = _prepared(run, options, progress=preparing, stop=stop)
+            packets: Iterable[Packet] = door("prepared")(run, options, progress=preparing, stop=stop)
         else:
             writer = stack.enter_context(run.truth(truth, span_s, of=feed))
             packets = writer.beside(feed) if writer else feed
         way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
-        gps_in = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, powered_for_s)
+        gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
         way = stack.enter_context(gps_in).sink(way) if gps_in else way
         way = flight.begun(way, pacer, now=options.now) if flight else way
-        go_on_from = flight.going_on(feed.go_on_from, pacer) if flight else feed.go_on_from
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
         report = stream(
             packets,
             way,
             pacer,
-            begun=lambda now: _serve(options, feed, udp, now, stack),
+            begun=lambda now: _serve(http, feed, udp, now, stack),
             late=policy,
             notify=notify,
-            go_on_from=None if options.prepare else go_on_from,
+            go_on_from=None if options.prepare else flight.going_on(feed.go_on_from) if flight else feed.go_on_from,
             now=options.now,
             stop=stop,
             look_ahead_packets=ahead + (outlets.look_ahead(scenario.imu) if outlets else 0),
@@ -108,11 +106,12 @@ def stream_run(
 
 def _check(options: StreamOptions, truth: TruthTo | None) -> None:
     """Refuse options that exclude each other."""
-    beside = options.outlets and (options.outlets.gps_out or options.outlets.imu_out)
-    _exclude(options.prepare, "--prepare", {"--http": options.http, "--gps-out or --imu-out": beside})
-    _exclude(options.now, "--now", {"--gps-in": options.gps_in})
+    http, _, outlets, gps_in = options.beside
+    beside = outlets and (outlets.gps_out or outlets.imu_out)
+    _exclude(options.prepare, "--prepare", {"--http": http, "--gps-out or --imu-out": beside})
+    _exclude(options.now, "--now", {"--gps-in": gps_in})
     fine = truth and (truth.per_packet or truth.per_return)
-    _exclude(options.http, "--http", {"--truth-packets or --truth-returns": fine})
+    _exclude(http, "--http", {"--truth-packets or --truth-returns": fine})
 
 
 def _exclude(given: object, option: str, others: Mapping[str, object]) -> None:
@@ -148,18 +147,10 @@ def _udp(run: Run, options: StreamOptions, host: str, progress: Callable[[float]
     )
 
 
-def _prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
-    """Record the run into the file of the options, and yield its packets."""
-    assert options.prepare is not None
-    asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
-    links = [unit.link for unit in run.engine.parts.units]
-    return prepared(links, Path(options.prepare), lambda path: record(run, path, asked, as_due=True, **hooks))
-
-
-def _serve(options: StreamOptions, feed: "PacketFeed", udp: UdpSink, now: UnderWay, until: ExitStack) -> None:
+def _serve(http: Any, feed: "PacketFeed", udp: UdpSink, now: UnderWay, until: ExitStack) -> None:
     """Serve the web interfaces of the sensors until the stream ends, if they are wanted."""
-    if options.http is not None:
-        until.enter_context(door("web")(feed, udp, now, options.http))
+    if http is not None:
+        until.enter_context(door("web")(feed, udp, now, http))
 
 
 def _streamed(run: Run, options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any) -> Streamed:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from pynmea2 import NMEASentence
 
+from vlp16emu.extras.bench.gps_line import parse_rmc
 from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
-from vlp16emu.packets import data_fields, decode_position, parse_rmc
+from vlp16emu.packets import data_fields, decode_position
 from vlp16emu.types import Packet, PacketKind
 
 SENTENCE = b"$GPRMC,235958.00,A,4026.1234567,N,08655.7654321,W,0.900,12.3,311225,0.0,E,A*"

@@ -19,11 +19,12 @@ from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError, PacketError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
+from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
-from vlp16emu.run.options import Http
+from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire

@@ -8,9 +8,9 @@ from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME
+from vlp16emu.extras.bench.options import Outlets
 from vlp16emu.extras.bench.serial_port import Outlet, OutletResult, SerialPort, SerialSink
 from vlp16emu.motion import Imu
-from vlp16emu.run.options import Outlets
 from vlp16emu.sinks import PacketSink
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
