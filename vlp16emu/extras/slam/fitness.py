@@ -1,7 +1,7 @@
 """Whether a bag is fit for a SLAM program, and which parameter to set where it is not."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vlp16emu.extras.slam.configure import pose_names
-from vlp16emu.extras.slam.facts import Facts, read_facts
+from vlp16emu.extras.slam.facts import Facts, read_facts, rest_s
 from vlp16emu.extras.slam.programs import Program, chosen
 
 _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
@@ -57,7 +57,7 @@ class _Row(NamedTuple):
 
     rule: str
     broken: Callable[[Any, Program], Any]
-    """Of the values of `_values`."""
+    """Of the values of `_of_clouds`, `_of_samples` and `_of_frames`."""
     found: str
     """Format of the words, with names of values."""
 
@@ -120,58 +120,45 @@ def fitness(path: Path, name: str) -> Fitness:
     """
     programs = chosen(name)
     facts = read_facts(path)
-    values = _values(facts)
+    values = _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
     keys = ("topic", "clouds", "points", "sweep_s", "imu", "samples", "hz_imu", "norm", "rest_s", "root")
-    summary = {key: values[key] for key in keys}
-    return Fitness(summary, tuple(one.name for one in programs), tuple(_findings(programs, values)))
-
-
-def _findings(programs: Sequence[Program], values: dict[str, Any]) -> Iterator[Unfit]:
-    for program in programs:
-        for row in ROWS:
-            if row.rule in program.needs and row.broken(values, program):
-                text = program.needs[row.rule]
-                named = {**values, "topic": values["imu"]} if row.rule == "imu-topic" else values
-                named = {**named, "period_s": 1 / values["hz_imu"]} if row.rule == "imu-rate" else named
-                yield Unfit(program.name, row.rule, row.found.format_map(values), text.format_map(named))
-
-
-def _values(facts: Facts) -> dict[str, Any]:
-    """Return all that rules and texts name."""
-    return _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
+    findings = tuple(
+        Unfit(program.name, row.rule, row.found.format_map(values), program.needs[row.rule].format_map(values))
+        for program in programs
+        for row in ROWS
+        if row.rule in program.needs and row.broken(values, program)
+    )
+    return Fitness({key: values[key] for key in keys}, tuple(one.name for one in programs), findings)
 
 
 def _of_clouds(facts: Facts) -> dict[str, Any]:
-    clouds = facts.clouds
-    stamp_s, _, earliest, latest, last, points, sparse = np.array(clouds.rows).T
+    stamp_s, earliest, latest, last, points, sparse = np.array(facts.clouds).T
     steps_s = np.diff(stamp_s)
     sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
     span = float(np.median(latest - earliest))
     unit, scale, code = min(_UNITS, key=lambda one: abs(math.log(max(span, 1e-12) * one[1] / max(sweep_s, 1e-6))))
-    early_s = float(np.median(earliest)) * scale
-    kinds = {name: kind.name for name, kind in clouds.fields.items()}
-    sines = [(ring, total / n) for ring, (total, n) in sorted(clouds.rings.items()) if n]
-    wrong = [f"{a[0]} is above ring {b[0]}" for a, b in pairwise(sines) if a[1] >= b[1]]
+    kinds = {name: kind.name for name, kind in facts.fields.items()}
+    sines = [(ring, total / n) for ring, (total, n) in sorted(facts.rings.items()) if n]
+    wrong = (f"{a[0]} is above ring {b[0]}" for a, b in pairwise(sines) if a[1] >= b[1])
     gaps_s = steps_s[steps_s > 1.5 * sweep_s]
     return {
-        "topic": clouds.topic,
+        "topic": facts.topic,
         "clouds": len(stamp_s),
         "points": float(np.median(points)),
         "fields": ", ".join(kinds),
-        "name": clouds.time_name or "",
-        "time_type": kinds.get(clouds.time_name or "", ""),
+        "name": facts.time_name,
+        "time_type": kinds.get(facts.time_name, ""),
         "ring_type": kinds.get("ring", "missing"),
         "unit": unit,
         "scale": scale,
         "code": code,
         "span": span,
-        "early_s": early_s,
+        "early_s": float(np.median(earliest)) * scale,
         "late_scans": int(((latest - last) * scale > _EARLY_S).sum()),
-        "rings": max(clouds.rings) + 1 if clouds.rings else 0,
-        "misordered": wrong[0] if wrong else "",
+        "rings": max(facts.rings, default=-1) + 1,
+        "misordered": next(wrong, ""),
         "sparse": int(sparse.sum()),
         "sweep_s": sweep_s,
-        "period_s": sweep_s,
         "hz": 1.0 / max(sweep_s, 1e-6),
         "columns": 1800 * sweep_s / _SWEEP_S,
         "gaps": len(gaps_s),
@@ -181,11 +168,12 @@ def _of_clouds(facts: Facts) -> dict[str, Any]:
 
 
 def _of_samples(facts: Facts) -> dict[str, Any]:
-    imu, stamp_s = facts.imu, np.array([row[0] for row in facts.clouds.rows])
-    rest_s, n = facts.rest_s(), len(facts.imu)
+    imu, stamp_s = np.array(facts.samples).reshape(-1, 11), np.array([row[0] for row in facts.clouds])
+    n = len(imu)
     steps_s = np.diff(imu[:, 0]) if n > 1 else np.full(1, 1.0 / _IMU_HZ)
     usual_s = max(float(np.median(steps_s)), 1e-6)
-    quiet = imu[: max(round(rest_s / usual_s), 1)] if rest_s >= 1.0 else imu
+    quiet_s = rest_s(imu, 1.0 / usual_s) if n else 0.0
+    quiet = imu[: max(round(quiet_s / usual_s), 1)] if quiet_s >= 1.0 else imu
     force = quiet[:, 4:7].mean(axis=0) if n else np.array([0.0, 0.0, _GRAVITY_M_S2])
     turn = facts.pose(facts.imu_frame, "base_link")
     up = (force if turn is None else turn[:3, :3] @ force) / max(float(np.linalg.norm(force)), 1e-9)
@@ -194,9 +182,10 @@ def _of_samples(facts: Facts) -> dict[str, Any]:
         "imu": facts.imu_topic,
         "samples": n,
         "hz_imu": 1.0 / usual_s,
+        "imu_s": usual_s,
         "norm": float(np.median(np.linalg.norm(imu[:, 4:7], axis=1))) if n else _GRAVITY_M_S2,
         "rate_95": float(np.quantile(np.abs(imu[:, 1:4]), 0.95)) if n else 0.0,
-        "lean_deg": math.degrees(math.acos(max(-1.0, min(1.0, float(up[2]))))),
+        "lean_deg": math.degrees(math.acos(float(up[2].clip(-1.0, 1.0)))),
         "imu_gaps": int((steps_s > 3 * usual_s).sum()),
         "imu_gap_s": float(steps_s.max()),
         "imu_back": int((steps_s <= 0).sum()),
@@ -204,36 +193,33 @@ def _of_samples(facts: Facts) -> dict[str, Any]:
         "unknown": bool((imu[:, 9:11] == -1).any()),
         "inside": float(inside),
         "offset_s": float(imu[0, 0] - stamp_s[0]) if n else 0.0,
-        "rest_s": rest_s,
+        "rest_s": quiet_s,
     }
 
 
 def _of_frames(facts: Facts) -> dict[str, Any]:
-    lidar, unit = facts.clouds.frame, facts.imu_frame
+    lidar, unit = facts.frame, facts.imu_frame
     roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame]
-    twice = {child: parents for child, parents in facts.parents.items() if len(parents) > 1}
-    T = facts.pose(unit, lidar) if unit else None
+    twice = [(child, parents) for child, parents in facts.parents.items() if len(parents) > 1]
     if twice:
-        child, parents = next(iter(twice.items()))
-        tree = f"{child} has the parents {' and '.join(sorted(parents))}"
+        tree = f"{twice[0][0]} has the parents {' and '.join(sorted(twice[0][1]))}"
     elif len(set(roots)) > 1:
         tree = f"{lidar} and {unit} are not connected"
     else:
         tree = "" if lidar in facts.fixed or lidar == "base_link" else f"nothing says where {lidar} is"
-    taken = ("base_link", *[name for name in (lidar, unit) if name])
-    edges = [
+    edges = (
         f"{min(facts.parents[child])} -> {child}"
-        for child in taken
+        for child in ("base_link", lidar, unit)
         if child in facts.parents and child not in facts.fixed
-    ]
+    )
+    T = facts.pose(unit, lidar) if unit else None
     apart = np.eye(4) if T is None else T
-    turned = math.degrees(math.acos(max(-1.0, min(1.0, (float(np.trace(apart[:3, :3])) - 1) / 2))))
-    names = pose_names("lidar", "imu", apart) | pose_names("imu", "lidar", np.linalg.inv(apart))
     return {
         "tree": tree,
         "root": roots[0],
-        "edge": edges[0] if edges else "",
+        "edge": next(edges, ""),
         "apart_m": float(np.linalg.norm(apart[:3, 3])),
-        "turned_deg": turned,
-        **names,
+        "turned_deg": math.degrees(math.acos(((np.trace(apart[:3, :3]) - 1) / 2).clip(-1.0, 1.0))),
+        **pose_names("lidar", "imu", apart),
+        **pose_names("imu", "lidar", np.linalg.inv(apart)),
     }
