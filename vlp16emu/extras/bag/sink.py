@@ -67,10 +67,10 @@ class BagSink(PacketSink):
         self._sent = Counter[PacketKind]()
         self._seen_ns = self._next_ns = -(2**62)
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, *raised: object) -> None:
         with self.bag:
-            if error is not None:
-                raise error
+            if isinstance(raised[1], BaseException):
+                raise raised[1]
             for unit in self._units.values():
                 unit.check()
             self._write_truth(self._truth.after_ns if self._truth else 0)

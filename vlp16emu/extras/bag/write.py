@@ -92,7 +92,7 @@ def _frames(units: int) -> list[str]:
     return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
 
 
-def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> list[Callable[[int], None]]:
+def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Callable[[int], None]]:
     parts, start_ns = engine.parts, engine.scenario.start_ns
     poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
     feeds = [Samples(partial(_odometry, to), poses, start_ns, rate_hz, begin_ns).up_to]
