@@ -63,46 +63,46 @@ class _Row(NamedTuple):
 
 
 ROWS = (
-    _Row("cloud-topic", lambda v, _: v["topic"] != "/velodyne_points", "clouds are on {topic}"),
-    _Row("imu-topic", lambda v, _: v["imu"] not in ("", "/imu/data"), "the inertial unit is on {imu}"),
-    _Row("no-imu", lambda v, _: not v["samples"], "there is no inertial unit"),
-    _Row("no-time", lambda v, _: not v["name"], "points have no times, but {fields}"),
-    _Row("time-name", lambda v, _: v["name"] not in ("", "time"), "times of points are in `{name}`"),
-    _Row("time-type", lambda v, _: v["name"] and v["time_type"] != "float32", "times of points are {time_type}"),
-    _Row("time-unit", lambda v, _: v["name"] and v["unit"] != "s", "times of points are in {unit}: {span:g} a sweep"),
+    _Row("cloud-topic", lambda v, _: v["topic"] != "/velodyne_points", "point clouds are on {topic}"),
+    _Row("imu-topic", lambda v, _: v["imu"] not in ("", "/imu/data"), "IMU messages are on {imu}"),
+    _Row("no-imu", lambda v, _: not v["samples"], "there are no IMU messages"),
+    _Row("no-time", lambda v, _: not v["name"], "points have no time field, only {fields}"),
+    _Row("time-name", lambda v, _: v["name"] not in ("", "time"), "point times are in the field `{name}`"),
+    _Row("time-type", lambda v, _: v["name"] and v["time_type"] != "float32", "point times are {time_type}"),
+    _Row("time-unit", lambda v, _: v["name"] and v["unit"] != "s", "point times are in {unit}: a sweep spans {span:g}"),
     _Row(
         "time-zero",
         lambda v, _: v["name"] and abs(v["early_s"]) > _EARLY_S,
-        "times begin {early_s:+.4g} s after the stamp instead of 0",
+        "point times begin {early_s:+.4g} s from the stamp instead of at 0",
     ),
     _Row("time-last", lambda v, _: v["name"] and v["late_scans"], "in {late_scans} scans the last point is not the latest"),
     _Row("ring", lambda v, _: v["ring_type"] != "uint16", "`ring` is {ring_type} instead of uint16"),
     _Row("ring-order", lambda v, _: v["misordered"], "ring {misordered}"),
     _Row("beams", lambda v, _: v["rings"] not in (0, _BEAMS), "there are {rings} rings"),
-    _Row("density", lambda v, _: v["sparse"], "{sparse} clouds have NaN, or are not dense"),
-    _Row("sweep", lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05, "a sweep takes {sweep_s:.4g} s"),
+    _Row("density", lambda v, _: v["sparse"], "{sparse} clouds hold NaN, or are not marked as dense"),
+    _Row("sweep", lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05, "a sweep takes {sweep_s:.4g} s instead of 0.1"),
     _Row("cloud-gaps", lambda v, _: v["gaps"], "{gaps} gaps between scans, up to {gap_s:.3g} s"),
-    _Row("gravity-unit", lambda v, _: v["samples"] and not 8 < v["norm"] < 12, "gravity reads {norm:.3g}"),
-    _Row("gyro-unit", lambda v, _: v["rate_95"] > 12, "angular rates reach {rate_95:.3g}, as degrees per second do"),
+    _Row("gravity-unit", lambda v, _: v["samples"] and not 8 < v["norm"] < 12, "accelerations have the median {norm:.3g} instead of 9.8"),
+    _Row("gyro-unit", lambda v, _: v["rate_95"] > 12, "angular rates reach {rate_95:.3g}, as in degrees per second"),
     _Row("gravity-axis", lambda v, _: v["lean_deg"] > _TILT_DEG, "gravity is {lean_deg:.0f} deg off the body's vertical"),
-    _Row("imu-rate", lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02, "{hz_imu:.1f} samples a second"),
-    _Row("imu-slow", lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98, "{hz_imu:.1f} samples a second"),
+    _Row("imu-rate", lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02, "the IMU has {hz_imu:.1f} samples a second"),
+    _Row("imu-slow", lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98, "the IMU has {hz_imu:.1f} samples a second"),
     _Row(
         "imu-gaps",
         lambda v, _: v["imu_gaps"] or v["imu_back"],
-        "{imu_gaps} gaps between samples, up to {imu_gap_s:.3g} s, and {imu_back} steps back",
+        "{imu_gaps} gaps between IMU samples, up to {imu_gap_s:.3g} s, and {imu_back} steps back in time",
     ),
-    _Row("attitude", lambda v, _: v["samples"] and v["levelled"] < 1, "samples have no attitude"),
+    _Row("attitude", lambda v, _: v["samples"] and v["levelled"] < 1, "IMU messages have no orientation"),
     _Row("covariance", lambda v, _: v["unknown"], "covariances of rate or acceleration begin with -1"),
     _Row(
         "clock",
         lambda v, _: v["samples"] and (v["inside"] < 0.5 or v["back"]),
-        "{inside:.0%} of the scans are within the samples, which begin {offset_s:+.3f} s after the scans; {back} stamps go back",
+        "{inside:.0%} of the scans lie within the time of the IMU, which begins {offset_s:+.3f} s after them; {back} stamps go back",
     ),
-    _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and unit are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
+    _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and IMU are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
     _Row("frames", lambda v, _: v["tree"], "{tree}"),
-    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the fixed frames hang on {root}"),
-    _Row("tf-map", lambda v, _: v["edge"], "/tf moves {edge}"),
+    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the root of /tf_static is {root} instead of base_link"),
+    _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
     _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
 )  # fmt: skip
 """Rules in the order of findings; a program that does not mind has no text for the rule in `programs.toml`."""
@@ -206,7 +206,7 @@ def _of_frames(facts: Facts) -> dict[str, Any]:
     elif len(set(roots)) > 1:
         tree = f"{lidar} and {unit} are not connected"
     else:
-        tree = "" if lidar in facts.fixed or lidar == "base_link" else f"nothing says where {lidar} is"
+        tree = "" if lidar in facts.fixed or lidar == "base_link" else f"no transform leads to {lidar}"
     edges = (
         f"{min(facts.parents[child])} -> {child}"
         for child in ("base_link", lidar, unit)
