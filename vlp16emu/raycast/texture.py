@@ -30,7 +30,7 @@ _FLATTEST = 0.15
 """Cosine of incidence at which the contrast no longer grows, as unevenness turns a slanted surface by more of its cosine."""
 _STANDING_OUT = math.sqrt(11.0)
 """Half-width for the fifth power of an even distribution: most of a wall is flat, and little of it stands out far."""
-_RELIEF = 0.5559
+_RELIEF = 0.5537
 """Least relief of a surface over that of the settings, and what its contrast adds: surfaces are not equally even, and the mean square is one."""
 _TEXTURE = ZERO + Purpose.TEXTURE
 _Known = tuple[I8, F8]
