@@ -28,7 +28,6 @@ FLOORS = (
     {"packets"},
     {"motion", "sensor", "world"},
     {
-        "checked",
         "doors",
         "elementary",
         "errors",

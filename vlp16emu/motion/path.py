@@ -59,7 +59,7 @@ class Path:
 
     def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
         name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
-        laid = recalled(name, lambda: _curve_through(way_points_m, height_m), lambda kept: kept, lambda kept: kept)
+        laid = recalled(name, lambda: _curve_through(way_points_m, height_m))
         self._knots_m, self._coefficients = laid["knots_m"], laid["coefficients"]
         self._heading_rad = laid["heading_rad"]
         self.length_m = float(self._knots_m[-1])
