@@ -25,7 +25,7 @@ DOORS: dict[str, dict[str, str]] = {
         "plot": "vlp16emu.forest.stand.settings:Plot",
     },
     "motions": {
-        "live": "vlp16emu.motion.live_settings:Live",
+        "live": "vlp16emu.motion.settings:Live",
         "recorded": "vlp16emu.extras.recorded.settings:Recorded",
         "static": "vlp16emu.motion.settings:Static",
         "walk": "vlp16emu.motion.settings:Walk",

@@ -5,10 +5,9 @@ import pytest
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Gps, LawnMower, Stop, Walk
-from vlp16emu.motion.detour import around
 from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.path import Path
-from vlp16emu.motion.way_points import WayPoints, lawn_mower, read_way_points, way_points
+from vlp16emu.motion.way_points import WayPoints, around, lawn_mower, read_way_points, way_points
 from vlp16emu.world.polyline import distance_m
 
 ORIGIN = Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=100.0)

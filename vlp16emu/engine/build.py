@@ -16,9 +16,9 @@ from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
-from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint

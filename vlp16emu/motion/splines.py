@@ -25,9 +25,13 @@ class Spline:
     powers: Array
     """(degree + 1, n - 1, m) coefficients, lowest power first."""
 
+    def piece(self, x: Array) -> IntArray:
+        """Return the pieces in which parameters (k,) lie; the outer ones go on beyond the ends."""
+        return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
+
     def __call__(self, x: Array, derivative: int = 0) -> Array:
-        """Values (k, m) of the curve or a derivative at (k,) parameters; the outer pieces go on beyond the ends."""
-        piece = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
+        """Values (k, m) of the curve or a derivative at (k,) parameters."""
+        piece = self.piece(x)
         since, out = (x - self.breaks[piece])[:, None], np.zeros((len(x), self.powers.shape[2]))
         for power in range(len(self.powers) - 1, derivative - 1, -1):
             out = out * since + self.powers[power, piece] * math.perm(power, derivative)

@@ -1,4 +1,4 @@
-"""Waypoints of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot."""
+"""Waypoints of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot; and those that lead around what is in the way."""
 
 import math
 from collections import Counter
@@ -11,6 +11,7 @@ import numpy as np
 from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.motion.geodesy import to_local
+from vlp16emu.motion.path import Path as Curve
 from vlp16emu.motion.settings import Gps, LawnMower, Walk
 from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import Array
@@ -200,3 +201,41 @@ def _straight(start_m: Array, end_m: Array, spacing_m: float) -> Array:
     """Points (n, 2) from a start until before an end; none where both are one."""
     count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)
+
+
+_TRIES = 300  # waypoints that are put beside something, or moved farther away from it
+_SPARE_M, _WIDER_M = 0.05, 0.05
+"""Beyond what is asked for, at first and more with each try at the same thing: the curve between waypoints cuts corners."""
+
+
+def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
+    """Put waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), the nearest first; the user's stay.
+
+    Raises TrajectoryError if no way around is found.
+    """
+    beside = dict[int, tuple[int, Array]]()  # tries and waypoint by place
+    for _ in range(_TRIES):
+        path = Curve(points.xy_m, lambda x, _y: np.zeros_like(x))
+        apart_m = np.array([norm(path.xy_m - place_m) for place_m in places_m])
+        short_m = gaps_m - apart_m.min(axis=1)
+        worst = int(short_m.argmax())
+        if short_m[worst] <= 0:
+            return points
+        tries, before = beside.get(worst, (0, None))
+        nearest = int(apart_m[worst].argmin())
+        aside = path.xy_m[nearest] - places_m[worst] if before is None else before - places_m[worst]
+        if norm(aside) < _SPARE_M:  # through its middle: to the left
+            ahead = path.xy_m[min(nearest + 1, len(path.xy_m) - 1)] - path.xy_m[max(nearest - 1, 0)]
+            aside = np.array([-ahead[1], ahead[0]])
+        to_m = places_m[worst] + aside / norm(aside) * (gaps_m[worst] + _SPARE_M + tries * _WIDER_M)
+        beside[worst] = tries + 1, to_m
+        if before is None:
+            along_m = norm(np.diff(path.xy_m[: nearest + 1], axis=0)).sum()
+            place = int(np.clip(np.searchsorted(path.way_points_at_m, along_m), 1, len(points.xy_m) - 1))
+            points = WayPoints(np.insert(points.xy_m, place, to_m, axis=0), np.insert(points.pause_s, place, 0.0))
+        else:
+            xy_m = np.where((points.xy_m == before).all(axis=1)[:, None], to_m, points.xy_m)
+            points = WayPoints(xy_m, points.pause_s)
+    x_m, y_m = places_m[worst]
+    found = f"no way found around what is at ({x_m:g}, {y_m:g}) m"
+    raise TrajectoryError("world.on_conflict", found, 'another path, a smaller path_clearance_m, or "drop"')

@@ -10,7 +10,7 @@ from typing import Any
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError
-from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import Http, RecordOptions, StreamOptions, TruthTo
 from vlp16emu.run.record import prepared, record

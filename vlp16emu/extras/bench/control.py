@@ -21,7 +21,7 @@ from vlp16emu.explain import explain
 from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
-from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import Http
