@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-DOORS: dict[str, dict[str, str]] = {
+DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its object as module:name
     "worlds": {
         "forest": "vlp16emu.forest.stand.settings:Forest",
         "hall": "vlp16emu.world.settings:Hall",
@@ -82,7 +82,6 @@ DOORS: dict[str, dict[str, str]] = {
         "web": "vlp16emu.extras.bench.control:web_interfaces",
     },
 }
-"""Groups of names, each name with its object as module:name."""
 
 
 def door(name: str, group: str = "parts") -> Any:

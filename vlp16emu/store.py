@@ -23,7 +23,7 @@ from platformdirs import user_cache_path
 
 T = TypeVar("T")
 PACKAGE = Path(__file__).parent
-MAKERS = (
+MAKERS = (  # files and folders of the package that decide what worlds consist of
     "elementary.py",
     "engine",
     "foliage",
@@ -37,7 +37,6 @@ MAKERS = (
     "types.py",
     "world",
 )
-"""Files and folders of the package that decide what worlds consist of."""
 _OURS = b"vlp16emu store "
 _MAGIC = (_OURS + b"2").ljust(32)
 _BEGIN = len(_MAGIC) + 32

@@ -15,7 +15,7 @@ from typing import Any
 
 from vlp16emu.store import PACKAGE, Store, digest_of, read_checked
 
-SOURCES = (
+SOURCES = (  # files and folders of kernels, and of what kernels take
     "elementary.py",
     "extras/live",
     "extras/recorded",
@@ -33,11 +33,9 @@ SOURCES = (
     "units.py",
     "world",
 )
-"""Files and folders of kernels, and of what kernels take."""
 _SUFFIX = ".kernel"
 _MOST_BYTES = 100_000_000
-_PACKAGED = PACKAGE / "_kernels"
-"""Kernels that a wheel carries."""
+_PACKAGED = PACKAGE / "_kernels"  # kernels that a wheel carries
 
 
 class KernelCache:

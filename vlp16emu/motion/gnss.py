@@ -35,20 +35,13 @@ _READINGS_KEPT = 64  # more than `_HELD_S`, so that no second's sky is looked at
 class GnssReading:
     """Measurement of a receiver in one second, beside the ground truth."""
 
-    t_ns: int
-    """UTC, a whole second."""
-    antenna_m: Array
-    """(3,) where it truly is, world."""
-    velocity_m_s: Array
-    """(3,) how it truly moves, world."""
-    measured_m: Array
-    """(3,) where it believes to be, world."""
-    measured_m_s: Array
-    """(2,) how it believes to move, east and north."""
-    cover: float
-    """Share of the sky that is hidden."""
-    valid: bool
-    """True if it has a fix."""
+    t_ns: int  # UTC, a whole second
+    antenna_m: Array  # (3,) where it truly is, world
+    velocity_m_s: Array  # (3,) how it truly moves, world
+    measured_m: Array  # (3,) where it believes to be, world
+    measured_m_s: Array  # (2,) how it believes to move, east and north
+    cover: float  # share of the sky that is hidden
+    valid: bool  # true if it has a fix
 
 
 class Receiver:

@@ -20,10 +20,8 @@ from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.settings import Harness
 from vlp16emu.types import Array
 
-KNOTS_PER_S = 200
-"""Heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre."""
-NODES_PER_KNOT = 5
-"""Instants per knot at which the pack's motion is handed out: one per millisecond."""
+KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
+NODES_PER_KNOT = 5  # instants per knot at which the pack's motion is handed out: one per millisecond
 _REACH = 4  # samples needed before the first knot and after the last one of a second
 _FORGOTTEN = 39.14394658089878
 """Logarithm of 1e17. A swing that has decayed by this is under the last bit of what it was."""

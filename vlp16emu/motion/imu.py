@@ -13,8 +13,7 @@ from vlp16emu.random import Purpose, normal, normal_pair, uniform
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
 
-GRAVITY_M_S2 = 9.80665
-"""Standard gravity, downwards (3rd CGPM, 1901)."""
+GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
 _CHUNK = 4096  # samples of a random walk that are drawn together
 _HORIZON = 1 << 32  # chunks that the walk is long: centuries
 _WARM_UP_S = 200.0  # in which 63 % of the change by warming up is done (assumption)
@@ -25,22 +24,17 @@ _HEADING = 6  # lane of the heading's random walk, behind those of the six axes
 class Inertial:
     """Readings at n instants, in the unit's own axes."""
 
-    t_ns: IntArray
-    """(n,) UTC."""
-    angular_rate_rad_s: Array
-    """(n, 3)."""
-    specific_force_m_s2: Array
-    """(n, 3) acceleration less gravity: at rest it points up."""
-    true_angular_rate_rad_s: Array
-    """(n, 3) without errors, as the next."""
+    t_ns: IntArray  # (n,) UTC
+    angular_rate_rad_s: Array  # (n, 3)
+    specific_force_m_s2: Array  # (n, 3) acceleration less gravity: at rest it points up
+    true_angular_rate_rad_s: Array  # (n, 3) without errors, as the next
     true_specific_force_m_s2: Array
     gyro_bias_rad_s: Array
     """(n, 3) at switch-on, with what it has wandered since, as the next; what is left of an error is white noise."""
     accel_bias_m_s2: Array
     world_R_imu: Array | None = None
     """(n, 3, 3) the attitude that the unit reports, with its drift; None without `attitude`."""
-    stamp_ns: IntArray | None = None
-    """(n,) UTC by the unit's time stamps; None if that is `t_ns`."""
+    stamp_ns: IntArray | None = None  # (n,) UTC by the unit's time stamps; None if that is `t_ns`
 
 
 class ImuSampler:

@@ -22,8 +22,7 @@ _STEEPEST_DEG, _STEEPEST = 60.0, 1.7320508075688772
 """Slope of the ground along the path, and its tangent; steeper is climbed by hand (assumption)."""
 _KNOT_M = 0.25  # greatest distance between knots: resolves the ground under a walker, smoothed over a pace
 _KNOT_RAD = 0.125  # greatest turn between knots: keeps the parameter an arc length within 1e-4
-_KNOT_GROWTH = 0.2
-"""Growth of the distance between knots per metre: neighbours stay within a factor of about 1.2."""
+_KNOT_GROWTH = 0.2  # growth of the distance between knots per metre: neighbours stay within a factor of about 1.2
 _SAMPLE_M = 0.05
 _FEWEST_SAMPLES = 16  # between two waypoints: fine enough that no turn below the smallest radius hides between samples
 _PACE_M = 0.7  # length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
@@ -34,8 +33,7 @@ _GAUSS = (
     (0.0, 0.5688888888888889),
     (0.5384693101056831, 0.47862867049936647),
     (0.906179845938664, 0.23692688505618908),
-)
-"""Places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)."""
+)  # places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)
 
 
 class _Laid(NamedTuple):

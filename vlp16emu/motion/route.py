@@ -43,8 +43,7 @@ class Route:
             found = f"found {walk.laps} on an open path"
             raise TrajectoryError("laps", found, "1, back_and_forth = true, or a last waypoint on the first")
         self._path = path
-        self.length_m = walk.laps * path.length_m
-        """Length of all laps."""
+        self.length_m = walk.laps * path.length_m  # length of all laps
         stops = list(zip(path.way_points_at_m.tolist(), pause_s.tolist(), strict=True))
         stops = [stop for stop in stops if stop[1] > 0.0]
         stops += [(stop.at_m, stop.pause_s) for stop in walk.stops if stop.at_m is not None]
@@ -54,10 +53,8 @@ class Route:
         ]
         self._profile = Profile(self.length_m, lambda s_m: path.derivatives_at(s_m)[1][:, 1], walk, laps)
         self._stand_s = walk.stand_s
-        self.run_time_s = walk.stand_s + self._profile.run_time_s
-        """Time from the start to the last motion."""
-        self.speed_m_s = self._profile.speed_m_s
-        """Cruise speed."""
+        self.run_time_s = walk.stand_s + self._profile.run_time_s  # time from the start to the last motion
+        self.speed_m_s = self._profile.speed_m_s  # cruise speed
 
     def at(self, elapsed_s: Array) -> tuple[Array, Array]:
         """Foot point at times (n,) since the start, before any gait; before the first step and after the run time at rest.
@@ -100,8 +97,7 @@ class Profile:
         bounds_m, pauses_s = _rests(stops, length_m)
         legs = [_Leg(start_m, end_m, turn_rad_m, walk) for start_m, end_m in pairwise(bounds_m.tolist())]
         self._step_s, run_time_s = _KNOT_S, walk.run_time_s
-        self.speed_m_s = walk.speed_m_s
-        """Cruise speed."""
+        self.speed_m_s = walk.speed_m_s  # cruise speed
         if run_time_s is not None:
             self.speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), length_m)
         at_s, control_m = _sampled(legs, pauses_s, self.speed_m_s)

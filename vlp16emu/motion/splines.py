@@ -20,10 +20,8 @@ _WRAPPED = 64
 class Spline:
     """A curve in pieces, each a polynomial of the distance into it."""
 
-    breaks: Array
-    """(n,) where pieces begin, and where the last one ends."""
-    powers: Array
-    """(degree + 1, n - 1, m) coefficients, lowest power first."""
+    breaks: Array  # (n,) where pieces begin, and where the last one ends
+    powers: Array  # (degree + 1, n - 1, m) coefficients, lowest power first
 
     def piece(self, x: Array) -> IntArray:
         """Return the pieces in which parameters (k,) lie; the outer ones go on beyond the ends."""

@@ -28,10 +28,8 @@ _LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from 
 class WayPoints:
     """Places to pass, in order."""
 
-    xy_m: Array
-    """(n, 2) world."""
-    pause_s: Array
-    """(n,) how long the person stops there, 0 where the walk goes on."""
+    xy_m: Array  # (n, 2) world
+    pause_s: Array  # (n,) how long the person stops there, 0 where the walk goes on
 
 
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:

@@ -162,8 +162,7 @@ def _check_twice(table: Table, trees: Trees) -> None:
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
-_CROWN_RATIOS = 0.4, 0.6
-"""Between the variants of a class: no crown is stretched much along its stem."""
+_CROWN_RATIOS = 0.4, 0.6  # between the variants of a class: no crown is stretched much along its stem
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 _HA_PER_TILE = TILE_M * TILE_M / 10_000

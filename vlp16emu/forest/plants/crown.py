@@ -27,8 +27,7 @@ from vlp16emu.random import generator
 from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
 
-VARIANTS = 3
-"""Different crowns of the same species and diameter class, of short to long ones."""
+VARIANTS = 3  # different crowns of the same species and diameter class, of short to long ones
 CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
 _SIDES = (6, 4, 3)  # of branches, by order

@@ -2,5 +2,4 @@
 
 from typing import Literal
 
-Season = Literal["leaf_on", "leaf_off"]
-"""With leaves, or as in winter: broadleaves bare, needles on."""
+Season = Literal["leaf_on", "leaf_off"]  # with leaves, or as in winter: broadleaves bare, needles on

@@ -20,8 +20,7 @@ from vlp16emu.world.vectors import closed
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
-SLENDERNESS = 80.0
-"""Height of a sapling over the diameter of its stem at the ground; the stem is a cone; assumptions."""
+SLENDERNESS = 80.0  # height of a sapling over the diameter of its stem at the ground; the stem is a cone; assumptions
 CROWN_BASE_SHARE, CROWN_WIDTH_SHARE = 0.1, 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""
 _LEAF_AREA_INDEX = 2.0  # of a sapling in the shade on the ground under it; assumption

@@ -28,7 +28,7 @@ from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.vectors import places_m
 
-INVENTORY = np.dtype(
+INVENTORY = np.dtype(  # one tree of the inventory. Tops, volumes and areas are those of its meshes.
     [
         ("id", "<u4"),  # instance number in labels
         ("species", "<u2"),  # number in the species table
@@ -58,7 +58,6 @@ INVENTORY = np.dtype(
         ("list_line", "<u4"),  # of the stem list that names the tree, 0 where it has grown
     ]
 )
-"""One tree of the inventory. Tops, volumes and areas are those of its meshes."""
 COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
 """Fields that rows copy from `TREE`."""
 _DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a litre

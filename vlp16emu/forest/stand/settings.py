@@ -21,8 +21,7 @@ LeMay 1998, "Relationships between tree slenderness coefficients and tree or sta
 
 _SHARE_ERROR = 0.015  # by which shares may fail to sum to 1: three of 0.33 do
 
-MOST_STEMS_PER_HA = 5000
-"""Greatest density of a storey, whichever key gives it."""
+MOST_STEMS_PER_HA = 5000  # greatest density of a storey, whichever key gives it
 
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
@@ -256,13 +255,12 @@ class Ivy(Section):
 
 
 _Near = Annotated[float, Field(ge=5)]
-Near = Annotated[
+Near = Annotated[  # A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"
     _Near,
     Field(allow_inf_nan=True),
     BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
     PlainSerializer(lambda m: "inf" if math.isinf(m) else m, when_used="json"),
 ]
-"""A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
 
 
 class Woods(WorldSection):

@@ -22,7 +22,7 @@ from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
-TREE = np.dtype(
+TREE = np.dtype(  # one tree
     [
         ("id", "<u4"),  # unique in the forest
         ("species", "<u2"),  # number in the species table
@@ -50,9 +50,7 @@ TREE = np.dtype(
         ("form", "<u8"),  # seed of the stem's form; 0 is straight and round
     ]
 )
-"""One tree."""
-REGENERATION = 255
-"""Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
+REGENERATION = 255  # storey of saplings: stems under 5 cm, those under breast height with a DBH of 0
 _CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
 _OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
 RIVALS_M = 10.0

@@ -31,8 +31,7 @@ from vlp16emu.types import Array, IntArray, Sway, Window
 from vlp16emu.world.settings import Wind
 
 Stand = NDArray[np.void]
-ALONG, ACROSS = 0, 1
-"""Components of the gusts' speed: with the mean wind, and level to the left of it."""
+ALONG, ACROSS = 0, 1  # components of the gusts' speed: with the mean wind, and level to the left of it
 _LINES = 256
 _SLOWEST = 0.003  # frequency times gust length over wind speed under which one line stands for all: 1.2 % of the energy
 _FASTEST_HZ = 5.0  # frequency over which one line stands for all: no tree follows it
