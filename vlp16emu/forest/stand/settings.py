@@ -255,7 +255,7 @@ class Ivy(Section):
 
 
 _Near = Annotated[float, Field(ge=5)]
-Near = Annotated[  # A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"
+Near = Annotated[  # a distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"
     _Near,
     Field(allow_inf_nan=True),
     BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
