@@ -49,7 +49,7 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {

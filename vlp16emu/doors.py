@@ -20,9 +20,9 @@ _log = logging.getLogger(__name__)
 
 DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its object as module:name
     "worlds": {
-        "forest": "vlp16emu.forest.stand.settings:Forest",
+        "forest": "vlp16emu.forest.settings:Forest",
         "hall": "vlp16emu.world.settings:Hall",
-        "plot": "vlp16emu.forest.stand.settings:Plot",
+        "plot": "vlp16emu.forest.settings:Plot",
     },
     "motions": {
         "live": "vlp16emu.motion.settings:Live",

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.flora import species_table
-from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.settings import (
+from vlp16emu.forest.settings import (
     Clusters,
     DwarfShrubs,
     Ferns,
@@ -23,7 +21,9 @@ from vlp16emu.forest.stand.settings import (
     SpeciesShare,
     Stones,
     Stumps,
+    Terrain,
 )
+from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.world.polyline import Corridor
 

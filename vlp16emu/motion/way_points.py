@@ -19,7 +19,11 @@ from vlp16emu.types import Array
 _FARTHEST_M = 100_000.0  # farther from the scene's origin the plane of the map is no picture of the earth
 _POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
 _GEODETIC = {"lat": Column({"lat": 1.0}, -90.0, 90.0), "lon": Column({"lon": 1.0}, -180.0, 180.0)}
-_STOP = Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False)
+_CSV = {
+    "x_m": Column({"x_m": 1.0, "x": 1.0}),
+    "y_m": Column({"y_m": 1.0, "y": 1.0}),
+    "stop_s": Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False),
+}
 _LOOP_RADIUS_M = 0.5  # of the turn behind each end of a way back and forth: a step to the side, and round (assumption)
 _LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from end to end is no way to go back on
 
@@ -93,20 +97,11 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
     """
     kind = path.suffix.lower()
     if kind == ".csv":
-        return _read_csv(path, origin_m)
-    if kind == ".gpx":
-        return _read_gpx(path, gps)
-    raise TrajectoryError(str(path), f"found the ending {kind!r}", ".csv or .gpx")
-
-
-def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
-    columns = {"x_m": Column({"x_m": 1.0, "x": 1.0}), "y_m": Column({"y_m": 1.0, "y": 1.0}), "stop_s": _STOP}
-    table = read_table(path, columns, "a CSV with the columns x_m, y_m and, if wanted, stop_s", TrajectoryError)
-    return WayPoints(table.numbers("x_m", "y_m") - np.array(origin_m), np.nan_to_num(table.numbers("stop_s")))
-
-
-def _read_gpx(path: Path, gps: Gps) -> WayPoints:
-    """Read a track or route onto the plane at the scene's origin."""
+        expected = "a CSV with the columns x_m, y_m and, if wanted, stop_s"
+        table = read_table(path, _CSV, expected, TrajectoryError)
+        return WayPoints(table.numbers("x_m", "y_m") - np.array(origin_m), np.nan_to_num(table.numbers("stop_s")))
+    if kind != ".gpx":
+        raise TrajectoryError(str(path), f"found the ending {kind!r}", ".csv or .gpx")
     with readable(path, "a GPX file", TrajectoryError):
         points, count = _gpx_points(path)
     tracks, routes = count["trk"], count["rte"]

@@ -6,8 +6,8 @@ import pytest
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.given.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.plants.flora import flora, species_table
+from vlp16emu.forest.settings import Plot
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
-from vlp16emu.forest.stand.settings import Plot
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.world.polyline import Corridor
 

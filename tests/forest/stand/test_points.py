@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Clusters, Plantation
 from vlp16emu.forest.stand.points import ClusterPattern, HardCorePattern, PatchyPattern, RowPattern, ScatteredPattern
-from vlp16emu.forest.stand.settings import Clusters, Plantation
 from vlp16emu.forest.tiles import TILE_M
 
 ACROSS = 24

@@ -12,10 +12,7 @@ from trimesh.intersections import mesh_plane
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.plants.flora import shrub_table, species_table
 from vlp16emu.forest.plants.undergrowth import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
-from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
-from vlp16emu.forest.stand.placed import Site
-from vlp16emu.forest.stand.scatter import layer_of
-from vlp16emu.forest.stand.settings import (
+from vlp16emu.forest.settings import (
     DwarfShrubs,
     Ferns,
     Grass,
@@ -29,6 +26,9 @@ from vlp16emu.forest.stand.settings import (
     Stones,
     Stumps,
 )
+from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
+from vlp16emu.forest.stand.placed import Site
+from vlp16emu.forest.stand.scatter import layer_of
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor, distance_m

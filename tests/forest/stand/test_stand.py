@@ -6,14 +6,13 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Clusters, Forest, HardCore, Plantation, Scattered, SpeciesShare, Storey, Terrain
 from vlp16emu.forest.stand.points import ScatteredPattern
-from vlp16emu.forest.stand.settings import Clusters, Forest, HardCore, Plantation, Scattered, SpeciesShare, Storey
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 from vlp16emu.world.polyline import Corridor, distance_m
 

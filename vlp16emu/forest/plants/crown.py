@@ -19,10 +19,10 @@ from vlp16emu.forest.plants.branches import (
 from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import merged
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Season
 from vlp16emu.random import generator
 from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m

@@ -15,7 +15,7 @@ from vlp16emu.forest.plants.allometry import (
     taper_radius_m,
     truncated_weibull_cm,
 )
-from vlp16emu.forest.plants.settings import Season
+from vlp16emu.forest.settings import Season
 from vlp16emu.settings import Fraction, Section
 from vlp16emu.types import Array
 

@@ -11,9 +11,9 @@ from vlp16emu.forest.plants.branches import first_order, ground_stems, side_bran
 from vlp16emu.forest.plants.flora import Table, shrub_table, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import NO_LEAVES
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Habit, Shrub
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Season
 from vlp16emu.random import generator
 from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import closed

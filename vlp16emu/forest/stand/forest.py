@@ -10,17 +10,16 @@ import numpy as np
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
 from vlp16emu.forest.ground.terrain import Trails
-from vlp16emu.forest.plants.circles import far_stems
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.forest.plants.flora import Flora, Trees, flora, material_names
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
+from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
-from vlp16emu.forest.stand.inventory import ModelKey, Models
+from vlp16emu.forest.stand.inventory import ModelKey, Models, far_stems
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, Site, Tile, distinct, packed, plant_surfaces
 from vlp16emu.forest.stand.scatter import layers_of
-from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recalled

@@ -14,7 +14,7 @@ from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.terrain import Trails, sum_of_waves, waves
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
+from vlp16emu.forest.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
 from vlp16emu.types import Array, IntArray

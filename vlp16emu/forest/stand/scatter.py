@@ -19,7 +19,6 @@ from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.forest.plants.crown import VARIANTS
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora, known
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Shrub, Species
 from vlp16emu.forest.plants.undergrowth import (
     CROWN_BASE_SHARE,
@@ -31,6 +30,22 @@ from vlp16emu.forest.plants.undergrowth import (
     ShrubKey,
 )
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import (
+    Cover,
+    DwarfShrubs,
+    Ferns,
+    Grass,
+    Herbs,
+    Litter,
+    Logs,
+    Moss,
+    Regeneration,
+    Season,
+    Shrubs,
+    Stones,
+    Stumps,
+    Woods,
+)
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
 from vlp16emu.forest.stand.placed import (
     NO_TREES,
@@ -45,21 +60,6 @@ from vlp16emu.forest.stand.placed import (
     turned,
 )
 from vlp16emu.forest.stand.points import PatchyPattern, PointPattern, ScatteredPattern, pattern_of
-from vlp16emu.forest.stand.settings import (
-    Cover,
-    DwarfShrubs,
-    Ferns,
-    Grass,
-    Herbs,
-    Litter,
-    Logs,
-    Moss,
-    Regeneration,
-    Shrubs,
-    Stones,
-    Stumps,
-    Woods,
-)
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.random import generator
 from vlp16emu.settings import Section
