@@ -31,7 +31,7 @@ from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
 from vlp16emu.types import Firings, HeightField, Hits, ReturnMode, Returns, World
 from vlp16emu.units import S_NS, seconds_to_ns
-from vlp16emu.world.site import Sway
+from vlp16emu.world.settings import Sway
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine

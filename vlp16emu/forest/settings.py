@@ -22,8 +22,7 @@ from vlp16emu.settings import (
     Table,
     merged,
 )
-from vlp16emu.world.mesh_settings import TreeModelFile
-from vlp16emu.world.settings import Texture, WorldSection
+from vlp16emu.world.settings import Texture, TreeModelFile, WorldSection
 
 Season = Literal["leaf_on", "leaf_off"]  # with leaves, or as in winter: broadleaves bare, needles on
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})

@@ -12,8 +12,8 @@ import numpy as np
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, Array, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window, World
-from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
 from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.settings import MeshFile, MeshPlace
 from vlp16emu.world.user_mesh import UserMesh, load_mesh
 
 _log = logging.getLogger(__name__)

@@ -17,7 +17,7 @@ import numpy as np
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Array, IntArray, Mesh
-from vlp16emu.world.mesh_settings import LengthUnit, UpAxis
+from vlp16emu.world.settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
 Faces = IntArray

@@ -16,8 +16,8 @@ from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.mesh_settings import ModelPart, TreeModelFile
 from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.settings import ModelPart, TreeModelFile
 
 BIRCH = species_table()["silver_birch"]
 PARTS = [ModelPart(name="crown", part="leaf"), ModelPart(name="bough", part="branch_first_order")]

@@ -21,7 +21,7 @@ from vlp16emu.forest.settings import Season
 from vlp16emu.forest.stand.inventory import Models, hull_m, profiles, volume_m3
 from vlp16emu.forest.stand.placed import turned
 from vlp16emu.types import Array, IntArray, Mesh, PlantPart
-from vlp16emu.world.mesh_settings import TreeModelFile
+from vlp16emu.world.settings import TreeModelFile
 from vlp16emu.world.user_mesh import load_mesh
 from vlp16emu.world.vectors import places_m
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.terrain import Trails
-from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
 from vlp16emu.forest.purpose import Growth
@@ -76,18 +76,17 @@ class _Cohort:
     def __init__(self, share: SpeciesShare, plants: Flora) -> None:
         self.share, self.species = share, known([share.species], plants.trees, "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
-        raw_cm = self.species.dbh_quantile_cm(midpoints, share.dbh_cm)
+        raw_cm = truncated_weibull_cm(self.species.diameters, midpoints, share.dbh_cm)
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
-        dbh_cm = raw_cm * self._scale
-        self.sample_cm = dbh_cm
+        self.sample_cm = raw_cm * self._scale
 
     def dbh_cm(self, probability: Array) -> Array:
         """Quantiles of diameter, scaled to the stand's quadratic mean."""
-        return self.species.dbh_quantile_cm(probability, self.share.dbh_cm) * self._scale
+        return truncated_weibull_cm(self.species.diameters, probability, self.share.dbh_cm) * self._scale
 
     def height_m(self, dbh_cm: Array) -> Array:
         """Mean height of trees of these diameters."""
-        return self.species.height_m(dbh_cm, self.share.dbh_cm, self.share.height_m)
+        return self.species.height_curve(dbh_cm, self.share.dbh_cm, self.share.height_m)
 
     def sized(self, trees: Trees, uniform: Array, residual: Array) -> Trees:
         """Set species, size and brightness of trees (n,), all but the crown base, from (n, 3) uniform numbers and `residuals`."""

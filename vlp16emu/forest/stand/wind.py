@@ -12,7 +12,7 @@ load at its tip about 3/2 (1.3 m / height)^2. Saplings and all that grows or lie
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numba
@@ -144,16 +144,8 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
                 now[k] += a * cosine[line, k] - b * sine[line, k]
 
 
-@dataclass(frozen=True, slots=True)
-class Mechanics:
-    """Response of n trees to the wind."""
-
-    frequency_hz: Array  # (n,) undamped, of the first swing
-    lean_per_stress: Array  # (n,) lean, as a tangent, for each Pa of the wind's shear stress on the canopy
-
-
-def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
-    """Derive frequency and stiffness of trees from their size.
+def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[Array, Array]:
+    """Return undamped frequencies (n,) in Hz, and leans (n,), as tangents, per Pa of the wind's shear stress on the canopy.
 
     Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
     conifers), lower in leaf. Drag: the canopy takes up the wind's shear stress, each tree on the ground under its
@@ -176,7 +168,7 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
     inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + crown_kg * np.square(middle_m)
     drag_m2 = np.pi / 4 * np.square(trees["crown_width_m"]) * np.where(bare, _BARE, 1.0)
     drag_m2 *= np.where(trees["storey"] > 0, _SHELTERED, 1.0)
-    return Mechanics(frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz)))
+    return frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz))
 
 
 class TreeSway:
@@ -197,13 +189,13 @@ class TreeSway:
 
         Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
         """
-        own = mechanics(trees, self._forest.plants, self._forest.section.season)
+        frequency_hz, lean_per_stress = mechanics(trees, self._forest.plants, self._forest.section.season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
-        swinging = Trees(2.0 * math.pi * own.frequency_hz, self._section.damping_ratio, along_m, across_m)
+        swinging = Trees(2.0 * math.pi * frequency_hz, self._section.damping_ratio, along_m, across_m)
         mean = self._section.speed_m_s
         t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
         along, across = (swings(lines, mean, swinging, t_s) for lines in self._lines)
-        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * own.lean_per_stress
+        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * lean_per_stress
         downwind = per_speed2 * mean * (mean + 2.0 * along)
         aside = per_speed2 * mean * across
         east, north = (downwind * a + aside * b for a, b in self._axes.T)
