@@ -9,7 +9,7 @@ import numpy as np
 
 from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.splines import Spline, interpolant
+from vlp16emu.motion.splines import Spline, interpolant, polynomial
 from vlp16emu.store import recalled
 from vlp16emu.types import Array, HeightField, IntArray
 
@@ -83,19 +83,29 @@ class Path:
 
         The middle axis of the points is the order of the derivative. Headings are continuous, in radians.
         """
-        lap = np.floor(s_m / self.length_m) if self.closed else np.zeros(len(s_m))
-        s_m = np.clip(s_m - lap * self.length_m, 0.0, self.length_m)
-        point_m = np.stack([self._curve(s_m, order) for order in range(3)], axis=1)
-        (x1, y1), (x2, y2), (x3, y3) = (of.T[:2] for of in (point_m[:, 1], point_m[:, 2], self._curve(s_m, 3)))
+        lap, s_m = self._on_lap(s_m)
+        powers, since_m = self._curve.within(s_m)
+        *point_m, third = (polynomial(powers, since_m, order) for order in range(4))
+        (x0, y0, _), (x1, y1, _), (x2, y2, _), (x3, y3, _) = powers[1], *point_m[1:], third
         piece, heading_rad = self._curve.piece(s_m), np.empty((len(s_m), 3))
-        x0, y0, _ = self._curve.powers[1, piece].T
         # From the knot's own heading, so that it stays continuous where atan2 does not.
         turn = atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
         heading_rad[:, 0] = self._heading_rad[piece] + turn + lap * (self._heading_rad[-1] - self._heading_rad[0])
         run2 = x1 * x1 + y1 * y1
         heading_rad[:, 1] = rate = (x1 * y2 - y1 * x2) / run2
         heading_rad[:, 2] = (x1 * y3 - y1 * x3 - 2.0 * (x1 * x2 + y1 * y2) * rate) / run2
-        return point_m, heading_rad
+        return np.ascontiguousarray(np.stack(point_m).transpose(2, 0, 1)), heading_rad
+
+    def turn_rad_m(self, s_m: Array) -> Array:
+        """Return the turn of the heading per metre (n,), the first derivative of `derivatives_at` alone."""
+        _, s_m = self._on_lap(s_m)
+        powers, since_m = self._curve.within(s_m)
+        (x1, y1), (x2, y2) = (polynomial(powers[:, :2], since_m, order) for order in (1, 2))
+        return np.asarray((x1 * y2 - y1 * x2) / (x1 * x1 + y1 * y1))
+
+    def _on_lap(self, s_m: Array) -> tuple[Array, Array]:
+        lap = np.floor(s_m / self.length_m) if self.closed else np.zeros(len(s_m))
+        return lap, np.clip(s_m - lap * self.length_m, 0.0, self.length_m)
 
 
 @numba.njit(cache=True, nogil=True)

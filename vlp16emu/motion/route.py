@@ -21,6 +21,7 @@ _DEGREE = 5
 _REACH = 3  # knots to either side over which a quintic B-spline takes its mean
 _CELL_M = 0.02
 _LOOKS = 4  # length over which acceleration is constant before smoothing, and how often turns are looked up in it
+_BLOCK = 16_384
 _LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together
 _HALVINGS = 24  # of the range of cruise speeds, when the run time is given
 
@@ -51,7 +52,7 @@ class Route:
         laps = [
             ((lap + at_m / path.length_m) * path.length_m, stop_s) for lap in range(walk.laps) for at_m, stop_s in stops
         ]
-        self._profile = Profile(self.length_m, lambda s_m: path.derivatives_at(s_m)[1][:, 1], walk, laps)
+        self._profile = Profile(self.length_m, path.turn_rad_m, walk, laps)
         self._stand_s = walk.stand_s
         self.run_time_s = walk.stand_s + self._profile.run_time_s  # time from the start to the last motion
         self.speed_m_s = self._profile.speed_m_s  # cruise speed
@@ -128,7 +129,8 @@ class _Leg:
     def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
-        turn = -_least_within(-np.abs(turn_rad_m(looked_m)), _LOOKS // 2)[::_LOOKS]
+        blocks = np.array_split(looked_m, 1 + len(looked_m) // _BLOCK)  # a path of 100 km has 20 million places
+        turn = -_least_within(-np.abs(np.concatenate([*map(turn_rad_m, blocks)])), _LOOKS // 2)[::_LOOKS]
         yaw_rate_rad_s = math.radians(walk.yaw_rate_deg_s)
         self._turn_limit_m_s = yaw_rate_rad_s / np.maximum(turn, yaw_rate_rad_s / _MAX_SPEED_M_S)
         self._cell_m = (end_m - start_m) / cells

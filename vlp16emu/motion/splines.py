@@ -27,13 +27,22 @@ class Spline:
         """Return the pieces in which parameters (k,) lie; the outer ones go on beyond the ends."""
         return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
 
+    def within(self, x: Array) -> tuple[Array, Array]:
+        """Return the coefficients (degree + 1, m, k) at parameters (k,), and the distances (k,) into their pieces."""
+        piece = self.piece(x)
+        return np.take(np.moveaxis(self.powers, 1, -1), piece, axis=-1), x - self.breaks[piece]
+
     def __call__(self, x: Array, derivative: int = 0) -> Array:
         """Values (k, m) of the curve or a derivative at (k,) parameters."""
-        piece = self.piece(x)
-        since, out = (x - self.breaks[piece])[:, None], np.zeros((len(x), self.powers.shape[2]))
-        for power in range(len(self.powers) - 1, derivative - 1, -1):
-            out = out * since + self.powers[power, piece] * math.perm(power, derivative)
-        return out
+        return polynomial(*self.within(x), derivative).T
+
+
+def polynomial(powers: Array, x: Array, derivative: int = 0) -> Array:
+    """Values of polynomials with coefficients (degree + 1, m, k), lowest power first, at x (k,), or of a derivative."""
+    value = np.zeros(powers.shape[1:])
+    for power in range(len(powers) - 1, derivative - 1, -1):
+        value = value * x + powers[power] * math.perm(power, derivative)
+    return value
 
 
 def interpolant(
