@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -198,7 +198,7 @@ def sending_share(packets: Sequence[Packet]) -> float:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind((LOOPBACK, 0))
         port = receiver.getsockname()[1]
-        with UdpSink(data_port=port, position_port=port) as sink:
+        with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
             before_s = time.thread_time()
             report = stream(packets, sink, Pacer(1.0))
             took_s = time.thread_time() - before_s

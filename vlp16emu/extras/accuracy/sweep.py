@@ -23,7 +23,7 @@ from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.audit import Detections, Errors, answer_beam, apart_m, compare, detections_of, errors_of
 from vlp16emu.extras.plots import CYCLE, INK, SOFT, plotted
-from vlp16emu.forest.stand.settings import Woods
+from vlp16emu.forest.settings import Woods
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import Footprint

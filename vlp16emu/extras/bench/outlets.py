@@ -9,21 +9,24 @@ import socket
 import termios
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from io import UnsupportedOperation
 from operator import itemgetter
-from typing import Any, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 from urllib.parse import urlsplit
 
 from vlp16emu.engine import Engine
 from vlp16emu.errors import OutputError, RunError, ScenarioError
+from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
+from vlp16emu.extras.bench.options import Outlets
 from vlp16emu.motion import Imu
 from vlp16emu.motion.imu import ImuSampler
-from vlp16emu.packets import IMU_FRAME, imu_frames, rmc
-from vlp16emu.run.options import Outlets
-from vlp16emu.sinks.sink import Away, Outlet, OutletResult
+from vlp16emu.packets import rmc
+from vlp16emu.sinks import PacketSink
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
@@ -116,6 +119,41 @@ _PATIENCE_S = 0.25
 """How long a message may wait for the line, and for how long one is written at most: a quarter of a receiver's second."""
 _WAITING = 4096  # messages that wait at most: more than an inertial unit takes in that time
 _LINELESS = ("socket://",)  # ports that take the setting of a line without an error, and have none
+
+
+@dataclass(frozen=True, slots=True)
+class Away:
+    """One time that a device was not there."""
+
+    at_s: float
+    """Time since the port was opened."""
+    away_s: float
+    """Until it was there again, or the stream ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutletResult:
+    """Messages that left by an outlet."""
+
+    to: str
+    messages: int
+    """Sentences, or samples."""
+    bytes: int
+    dropped: int
+    """Messages that were too late: the device was away, or took no more."""
+    away: tuple[Away, ...] = ()
+    line: str | None = None
+    """Line of the pulses, rts or dtr."""
+    pulses: int | None = None
+    """Pulses on that line; None if the port has no such line."""
+
+
+class Outlet(PacketSink, Protocol):
+    """A sink that reports what it sent."""
+
+    @property
+    def result(self) -> OutletResult:
+        """Messages that left so far."""
 
 
 def has_line(act: Callable[[], object]) -> bool:
@@ -282,31 +320,50 @@ _BITS = 10  # of a byte on the line: start, eight, stop
 _WHERE = "--imu-out"
 
 
-class Ways:
-    """The ways that sentences, pulses and inertial samples take beside the packets of the sensors."""
+class Ways(PacketSink):
+    """The ways that sentences, pulses and inertial samples take beside the packets of the sensors; a sink of all of them."""
 
     def __init__(self, asked: Outlets) -> None:
-        self._asked = asked
-        gps = (PacketKind.NMEA, PacketKind.PPS)[: 1 if asked.gps_pps == "off" else 2]
-        self.kinds = (*(gps if asked.gps_out else ()), *((PacketKind.IMU,) if asked.imu_out else ()))
+        self._asked, self._ways = asked, dict[PacketKind, Outlet]()
+        self._sensors: PacketSink
+
+    def __exit__(self, *_: object) -> None:
+        for way in dict.fromkeys(self._ways.values()):
+            way.__exit__()
+
+    @property
+    def kinds(self) -> tuple[PacketKind, ...]:
         """Kinds of packets to make."""
+        gps = (PacketKind.NMEA, PacketKind.PPS)[: 1 if self._asked.gps_pps == "off" else 2]
+        return (*(gps if self._asked.gps_out else ()), *((PacketKind.IMU,) if self._asked.imu_out else ()))
 
     def look_ahead(self, imu: Imu | None) -> int:
         """Packets that a stream computes further ahead, because of samples between those of the sensors."""
         return 2 * imu.rate_hz if self._asked.imu_out and imu else 0
 
-    @contextmanager
-    def opened(self, imu: Imu | None) -> Iterator[dict[PacketKind, Outlet]]:
-        """Open what there is, and give the way of each kind; `OutputError` if a port or the receiver of samples is none."""
-        ways, asked = dict[PacketKind, Outlet](), self._asked
-        with ExitStack() as stack:
-            if asked.gps_out:
-                line = None if asked.gps_pps == "off" else asked.gps_pps
-                port = SerialPort(asked.gps_out, _GPS_BAUD, "--gps-out", line)
-                ways[PacketKind.NMEA] = ways[PacketKind.PPS] = stack.enter_context(SerialSink(port))
-            if asked.imu_out and imu:
-                ways[PacketKind.IMU] = stack.enter_context(imu_outlet(asked.imu_out, imu.rate_hz))
-            yield ways
+    def open(self, sensors: PacketSink, imu: Imu | None) -> Self:
+        """Open what there is beside `sensors`, the sink of data and position packets; `OutputError` if a port or receiver is none."""
+        self._sensors = sensors
+        if self._asked.gps_out:
+            line = None if self._asked.gps_pps == "off" else self._asked.gps_pps
+            port = SerialSink(SerialPort(self._asked.gps_out, _GPS_BAUD, "--gps-out", line))
+            self._ways[PacketKind.NMEA] = self._ways[PacketKind.PPS] = port
+        if self._asked.imu_out and imu:
+            self._ways[PacketKind.IMU] = imu_outlet(self._asked.imu_out, imu.rate_hz)
+        return self
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet by the way of its kind; errors are the sink's."""
+        self._ways.get(packet.kind, self._sensors).send(packet)
+
+    def results(self, skipped: Counter[PacketKind]) -> tuple[OutletResult | None, OutletResult | None]:
+        """Return what left of the receiver and of the inertial unit, if it does, with what the stream skipped among the dropped."""
+
+        def result(kind: PacketKind) -> OutletResult | None:
+            sent = self._ways[kind].result if kind in self._ways else None
+            return sent and replace(sent, dropped=sent.dropped + skipped[kind])
+
+        return result(PacketKind.NMEA), result(PacketKind.IMU)
 
 
 def imu_outlet(to: str, rate_hz: int) -> Outlet:

@@ -12,12 +12,11 @@ from scipy.spatial import KDTree
 from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.forest.plants.circles import branch_circles
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.flora import Flora, Table, Trees, flora
 from vlp16emu.forest.plants.stem_rings import StemForms, axis_m, stem_circles, stem_forms
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.inventory import INVENTORY, Models, inventory
+from vlp16emu.forest.stand.inventory import INVENTORY, Models, branch_circles, inventory
 from vlp16emu.forest.stand.nearby import Thing, things_near
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.motion.pose import Motion

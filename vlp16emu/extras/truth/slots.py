@@ -12,7 +12,7 @@ from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.data import distance_lsb, odd_column
-from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_PER_PACKET, SLOT
+from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
 from vlp16emu.types import SURFACE, Packet, ReturnMode, Returns
 
 _ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}
@@ -65,6 +65,24 @@ def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np
     return rows
 
 
+SLOT = np.dtype(
+    [
+        ("t_ns", "<i8"),  # UTC of the pulse
+        ("echo", "u1"),  # which return it is, place on the last axis of `Returns`; `NO_ECHO` without any
+        ("range_m", "<f4"),  # before errors of range and the 2 mm of the wire
+        ("sensor_m", "<f4", 3),  # at that range, in the sensor at the instant of the pulse
+        ("world_m", "<f8", 3),
+        ("semantic", "u1"),
+        ("part", "u1"),
+        ("instance", "<u4"),
+        ("species", "<u2"),
+        ("share", "<f4"),  # of the footprint that met the surface of the return
+        ("repeat", "?"),  # in dual return: of the same return as the record of the block before
+    ]
+)
+"""Truth behind one record of a data packet."""
+
+NO_ECHO = 255  # echo of a record without distance
 LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)  # leaf (2) or wood (1) by `PlantPart`; 0 neither
 
 _GROUP = 256  # packets of a row group, 98 304 rows: what is held in memory, some 20 MB

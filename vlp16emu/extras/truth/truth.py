@@ -1,5 +1,6 @@
 """Ground truth beside what was sent: trajectory, inertial unit, GNSS, events, rig and scenario of a run."""
 
+import heapq
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
-from vlp16emu.engine.position import number_at, timetable
+from vlp16emu.engine.position import number_at, positions_due
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
@@ -28,10 +29,11 @@ from vlp16emu.motion.imu import ImuSampler, Inertial
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.options import TruthPlace, TruthTo
-from vlp16emu.run.run import HasEngine
+from vlp16emu.run.run import Run
+from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import Sensor, on_the_wire
 from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -108,6 +110,29 @@ def _single(
                 yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)
 
 
+def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so that no light is cast.
+
+    Of a sensor without packets, as many firing sequences at a time.
+    """
+
+    def data(unit: Unit) -> Iterator[Packet]:
+        sequence_ns = unit.head.beams.sequence_ns
+        for rows in unit.timeline.sequences(start_ns, stop_ns):
+            for first, last in zip(rows[:, 0].tolist(), rows[:, -1].tolist(), strict=True):
+                due_ns, fired_ns = (scenario.start_ns + number * sequence_ns for number in (last + 1, first))
+                yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
+
+    def position(unit: Unit) -> Iterator[Packet]:
+        for number, due_ns in (
+            positions_due(scenario, unit, start_ns, stop_ns) if isinstance(unit.section, Sensor) else ()
+        ):
+            yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
+
+    streams = (stream(unit) for unit in units for stream in (data, position))
+    return heapq.merge(*streams, key=lambda packet: packet.due_ns)
+
+
 _TUM_HEADER = (
     "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
 )
@@ -141,7 +166,7 @@ class Truth:
     packets are wanted of a sensor that has none; RunError if it cannot be written: here, or later.
     """
 
-    def __init__(self, to: TruthTo, of: HasEngine, span_s: tuple[float, float]) -> None:
+    def __init__(self, to: TruthTo, of: Run | PacketFeed, span_s: tuple[float, float]) -> None:
         engine = of.engine
         scenario, parts = engine.scenario, engine.parts
         self._of = of

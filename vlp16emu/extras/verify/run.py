@@ -18,9 +18,8 @@ from vlp16emu.extras.verify.frames import (
     check_frames,
     kind_of,
 )
-from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram, chosen_unit
 from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
-from vlp16emu.packets.units import CapturedUnit, chosen_unit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
