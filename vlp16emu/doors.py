@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-DOORS: dict[str, dict[str, str]] = {
+DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its object as module:name
     "worlds": {
-        "forest": "vlp16emu.forest.stand.settings:Forest",
+        "forest": "vlp16emu.forest.settings:Forest",
         "hall": "vlp16emu.world.settings:Hall",
-        "plot": "vlp16emu.forest.stand.settings:Plot",
+        "plot": "vlp16emu.forest.settings:Plot",
     },
     "motions": {
-        "live": "vlp16emu.motion.live_settings:Live",
+        "live": "vlp16emu.motion.settings:Live",
         "recorded": "vlp16emu.extras.recorded.settings:Recorded",
         "static": "vlp16emu.motion.settings:Static",
         "walk": "vlp16emu.motion.settings:Walk",
@@ -71,18 +71,25 @@ DOORS: dict[str, dict[str, str]] = {
         "events_schema": "vlp16emu.extras.bench.events:tables",
         "far": "vlp16emu.foliage.far_caster:FarCaster",
         "faults": "vlp16emu.extras.bench.faults:arriving",
+        "frames": "vlp16emu.extras.captures.containers:frames",
         "gps_in": "vlp16emu.extras.bench.gps_in:GpsReader",
         "forest_site": "vlp16emu.forest.make:ForestSite",
         "hall_site": "vlp16emu.world.hall:HallSite",
+        "keep_up": "vlp16emu.extras.keep_up:keep_up",
+        "keeps_up_with": "vlp16emu.extras.keep_up:keeps_up_with",
         "live": "vlp16emu.extras.live.flight:Flight",
         "live_motion": "vlp16emu.extras.live.motion:live_motion",
         "outlets": "vlp16emu.extras.bench.outlets:Ways",
+        "people": "vlp16emu.extras.people:People",
+        "prepared": "vlp16emu.extras.prepare:prepared",
+        "present": "vlp16emu.extras.bench.retime:NowSink",
+        "stream_options": "vlp16emu.extras.bench.options:BenchOptions",
         "truth": "vlp16emu.extras.truth.truth:Truth",
         "truth_of_records": "vlp16emu.extras.truth.behind:slots_of",
+        "unwrapper": "vlp16emu.extras.captures.links:Unwrapper",
         "web": "vlp16emu.extras.bench.control:web_interfaces",
     },
 }
-"""Groups of names, each name with its object as module:name."""
 
 
 def door(name: str, group: str = "parts") -> Any:

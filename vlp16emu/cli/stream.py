@@ -15,18 +15,22 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
+from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.options import Option
-from vlp16emu.run.options import ReplayOptions, StreamOptions
+from vlp16emu.run.options import ReplayOptions, stream_options
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.engine import Unit
+    from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
+    from vlp16emu.extras.replay import Replay, Replayed
     from vlp16emu.extras.viewer.live import Watch
-    from vlp16emu.run.replay import Replay, Replayed
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
+else:
+    StreamOptions = stream_options()
 
 _POLICY = {
     "pace": "the delay stays, at the sensor's own spacing (--late pace)",
@@ -118,7 +122,7 @@ def replay(
     Each packet leaves as long after the first one as its frame was captured after the first frame, to the ports
     of the capture. Nothing leaves this machine unless --to names another one. Ctrl-C ends it.
     """
-    from vlp16emu.run.replay import replay as send_again
+    from vlp16emu.extras.replay import replay as send_again
 
     host, _ = options.receiver
     with stop_on_ctrl_c() as stop, Progress(0.0, "sending") as progress:
@@ -134,16 +138,14 @@ def replay(
 
 def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: float) -> str:
     """Return the line that is printed when the stream falls behind."""
-    from vlp16emu.run.report import options_for
-
     line = f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {behind.cause}; {_POLICY[late]}"
-    options = options_for([behind], scenario, speed)
+    options = door("keeps_up_with")([behind], scenario, speed) if has_door("keeps_up_with") else []
     return f"{line}; to keep up: {', or '.join(options)}" if options else line
 
 
 def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
     """Return the options of a live scene, whose late packets are dropped; InputError if nothing says where its poses come in."""
-    from vlp16emu.motion.live_settings import takes_poses
+    from vlp16emu.motion.settings import takes_poses
 
     if not takes_poses(scenario.motion):
         return options
@@ -154,7 +156,7 @@ def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
 
 def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | None, is_prepared: bool) -> None:
     """Set the beam and the reach that this machine keeps up with, if that is wanted, and print them."""
-    from vlp16emu.motion.live_settings import takes_poses
+    from vlp16emu.motion.settings import takes_poses
 
     cannot = "--prepare" if is_prepared else ("--pose-in" if takes_poses(emulator.scenario.motion) else None)
     if wanted and cannot:

@@ -1,5 +1,6 @@
 """What a scene needs and leaves out, what is in reach of the sensor, and whether a stream keeps up."""
 
+import math
 import os
 import sys
 from collections import Counter
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.windows import window_of
+from vlp16emu.extras.keep_up import choose, settings_that_keep_up, speed_beside_sender
 from vlp16emu.extras.readiness import sending_share
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.foliage import IvyKey
@@ -17,7 +19,6 @@ from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
-from vlp16emu.run.ladder import rung_for, settings_that_keep_up, speed_beside_sender
 from vlp16emu.types import Window
 from vlp16emu.world.furnished import MeshKey
 
@@ -158,5 +159,5 @@ def stream_outlook(engine: Engine, engine_speed: float, threads: int) -> StreamO
     speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)
     keeps_up = speed >= 1.0
     options = [] if keeps_up else settings_that_keep_up(engine.scenario, speed, 1.0)
-    rung = rung_for(engine.scenario, engine_speed, 1.0)
+    rung, _, _ = choose(engine.scenario, 1.0, lambda rung: math.inf if rung else engine_speed)
     return StreamOutlook(keeps_up, speed, share, tuple(options), rung.name if rung else "the scene as it is")

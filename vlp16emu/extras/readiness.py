@@ -3,7 +3,7 @@
 import socket
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -146,7 +146,7 @@ def sending_share(packets: Sequence[Packet]) -> float:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind((LOOPBACK, 0))
         port = receiver.getsockname()[1]
-        with UdpSink(data_port=port, position_port=port) as sink:
+        with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
             before_s = time.thread_time()
             report = stream(packets, sink, Pacer(1.0))
             took_s = time.thread_time() - before_s

@@ -11,9 +11,9 @@ from referencing import Registry, Resource
 
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.documents import document
+from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.state import DeviceInfo, DeviceSettings
 from vlp16emu.extras.bench.web import HttpFault, WebServer
-from vlp16emu.run.options import Http
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 FOLDER = Path(__file__).parents[3] / "protocol" / "web"

@@ -7,8 +7,9 @@ from operator import itemgetter
 
 from vlp16emu.engine import Engine
 from vlp16emu.errors import ScenarioError
+from vlp16emu.extras.bench.imu_frame import imu_frames
 from vlp16emu.motion.imu import ImuSampler
-from vlp16emu.packets import imu_frames, rmc
+from vlp16emu.packets import rmc
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 

@@ -19,15 +19,16 @@ from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError, PacketError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
+from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
-from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
-from vlp16emu.run.feed import PacketFeed
-from vlp16emu.run.options import Http
+from vlp16emu.motion.settings import takes_poses
+from vlp16emu.packets import POSITION_BYTES, decode_position
+from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import RigSink, UnderWay
+from vlp16emu.sinks import UdpSink, UnderWay
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -46,7 +47,7 @@ _STEP_S = 0.001
 
 
 @contextmanager
-def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: Http) -> Iterator[None]:
+def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: Http) -> Iterator[None]:
     """Serve the web interface of each sensor; errors as of `WebServer` and `Device`."""
     control = Control(feed, sink, under_way, http.saved)
     with ExitStack() as stack:
@@ -92,7 +93,7 @@ class Control:
     saved : file that keeps the saved settings of the first sensor; others have its name with their number
     """
 
-    def __init__(self, feed: PacketFeed, sink: RigSink, under_way: UnderWay, saved: Path | None) -> None:
+    def __init__(self, feed: PacketFeed, sink: UdpSink, under_way: UnderWay, saved: Path | None) -> None:
         self._feed, self._sink, self._under_way = feed, sink, under_way
         self._factory = [_settings_of(unit, sink.address) for unit in feed.engine.parts.units]
         self._made = list(self._factory)
@@ -183,7 +184,7 @@ class Control:
         powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s or 0.0)
         settings, rpm = self.devices[unit].settings, of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
-        payload = self._sink.latest_position(unit)
+        payload = self._sink.latest_position[unit]
         sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # none is cut by an event
         return DeviceStatus(
             t_ns=now_ns,

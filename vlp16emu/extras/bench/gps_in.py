@@ -9,13 +9,12 @@ from typing import Any, Self
 
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.bench.gps_line import GpsLine, Heard
-from vlp16emu.extras.bench.serial_port import SerialPort
+from vlp16emu.extras.bench.options import GpsIn
+from vlp16emu.extras.bench.retime import age_ns, restamped
+from vlp16emu.extras.bench.serial_port import Away, SerialPort
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
-from vlp16emu.packets.retime import age_ns, restamped
-from vlp16emu.run.options import GpsIn
-from vlp16emu.sinks.pacing import TOLERANCE_NS
-from vlp16emu.sinks.sink import Away, PacketSink
+from vlp16emu.sinks import TOLERANCE_NS, PacketSink
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import seconds_to_ns
 

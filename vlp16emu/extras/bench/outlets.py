@@ -1,16 +1,17 @@
 """What leaves beside the packets of the sensors, and by which way."""
 
 import socket
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections import Counter
+from dataclasses import replace
+from typing import Self
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.extras.bench.serial_port import SerialPort, SerialSink
+from vlp16emu.extras.bench.imu_frame import IMU_FRAME
+from vlp16emu.extras.bench.options import Outlets
+from vlp16emu.extras.bench.serial_port import Outlet, OutletResult, SerialPort, SerialSink
 from vlp16emu.motion import Imu
-from vlp16emu.packets import IMU_FRAME
-from vlp16emu.run.options import Outlets
-from vlp16emu.sinks.sink import Outlet, OutletResult
+from vlp16emu.sinks import PacketSink
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
 
@@ -22,34 +23,50 @@ _BITS = 10
 _WHERE = "--imu-out"
 
 
-class Ways:
-    """The ways that sentences, pulses and inertial samples take beside the packets of the sensors."""
+class Ways(PacketSink):
+    """The ways that sentences, pulses and inertial samples take beside the packets of the sensors; a sink of all of them."""
 
     def __init__(self, asked: Outlets) -> None:
-        self.gps_out, self.gps_pps, self.imu_out = asked.gps_out, asked.gps_pps, asked.imu_out
+        self._asked, self._ways = asked, dict[PacketKind, Outlet]()
+        self._sensors: PacketSink
+
+    def __exit__(self, *_: object) -> None:
+        for way in dict.fromkeys(self._ways.values()):
+            way.__exit__()
 
     @property
     def kinds(self) -> tuple[PacketKind, ...]:
         """Kinds of packets to make."""
-        gps = (PacketKind.NMEA, PacketKind.PPS)[: 1 if self.gps_pps == "off" else 2]
-        return (*(gps if self.gps_out else ()), *((PacketKind.IMU,) if self.imu_out else ()))
+        gps = (PacketKind.NMEA, PacketKind.PPS)[: 1 if self._asked.gps_pps == "off" else 2]
+        return (*(gps if self._asked.gps_out else ()), *((PacketKind.IMU,) if self._asked.imu_out else ()))
 
     def look_ahead(self, imu: Imu | None) -> int:
         """Packets that a stream computes further ahead, because of samples between those of the sensors."""
-        return 2 * imu.rate_hz if self.imu_out and imu else 0
+        return 2 * imu.rate_hz if self._asked.imu_out and imu else 0
 
-    @contextmanager
-    def opened(self, imu: Imu | None) -> Iterator[dict[PacketKind, Outlet]]:
-        """Open what there is, and give the way of each kind; `OutputError` if a port or the receiver of samples is none."""
-        ways = dict[PacketKind, Outlet]()
-        with ExitStack() as stack:
-            if self.gps_out:
-                line = None if self.gps_pps == "off" else self.gps_pps
-                port = SerialPort(self.gps_out, _GPS_BAUD, "--gps-out", line)
-                ways[PacketKind.NMEA] = ways[PacketKind.PPS] = stack.enter_context(SerialSink(port))
-            if self.imu_out and imu:
-                ways[PacketKind.IMU] = stack.enter_context(imu_outlet(self.imu_out, imu.rate_hz))
-            yield ways
+    def open(self, sensors: PacketSink, imu: Imu | None) -> Self:
+        """Open what there is beside `sensors`, the sink of data and position packets; `OutputError` if a port or receiver is none."""
+        self._sensors = sensors
+        if self._asked.gps_out:
+            line = None if self._asked.gps_pps == "off" else self._asked.gps_pps
+            port = SerialSink(SerialPort(self._asked.gps_out, _GPS_BAUD, "--gps-out", line))
+            self._ways[PacketKind.NMEA] = self._ways[PacketKind.PPS] = port
+        if self._asked.imu_out and imu:
+            self._ways[PacketKind.IMU] = imu_outlet(self._asked.imu_out, imu.rate_hz)
+        return self
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet by the way of its kind; errors are the sink's."""
+        self._ways.get(packet.kind, self._sensors).send(packet)
+
+    def results(self, skipped: Counter[PacketKind]) -> tuple[OutletResult | None, OutletResult | None]:
+        """Return what left of the receiver and of the inertial unit, if it does, with what the stream skipped among the dropped."""
+
+        def result(kind: PacketKind) -> OutletResult | None:
+            sent = self._ways[kind].result if kind in self._ways else None
+            return sent and replace(sent, dropped=sent.dropped + skipped[kind])
+
+        return result(PacketKind.NMEA), result(PacketKind.IMU)
 
 
 def imu_outlet(to: str, rate_hz: int) -> Outlet:

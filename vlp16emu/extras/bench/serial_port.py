@@ -8,11 +8,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from io import UnsupportedOperation
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from vlp16emu.errors import OutputError
-from vlp16emu.sinks.sink import Away, Outlet, OutletResult
+from vlp16emu.sinks import PacketSink
 from vlp16emu.types import Packet, PacketKind
 
 T = TypeVar("T")
@@ -25,6 +26,41 @@ _WAITING = 4096
 """Messages that wait at most: more than an inertial unit takes in that time."""
 _LINELESS = ("socket://",)
 """Ports that take the setting of a line without an error, and have none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Away:
+    """One time that a device was not there."""
+
+    at_s: float
+    """Time since the port was opened."""
+    away_s: float
+    """Until it was there again, or the stream ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutletResult:
+    """Messages that left by an outlet."""
+
+    to: str
+    messages: int
+    """Sentences, or samples."""
+    bytes: int
+    dropped: int
+    """Messages that were too late: the device was away, or took no more."""
+    away: tuple[Away, ...] = ()
+    line: str | None = None
+    """Line of the pulses, rts or dtr."""
+    pulses: int | None = None
+    """Pulses on that line; None if the port has no such line."""
+
+
+class Outlet(PacketSink, Protocol):
+    """A sink that reports what it sent."""
+
+    @property
+    def result(self) -> OutletResult:
+        """Messages that left so far."""
 
 
 class SerialPort:

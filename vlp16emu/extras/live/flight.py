@@ -13,13 +13,13 @@ import numpy as np
 
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError
+from vlp16emu.extras.bench.options import PosesIn
 from vlp16emu.extras.live.cells import LiveWindows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.poses import PoseReceiver
 from vlp16emu.output import OutputFile, spare
-from vlp16emu.run.options import PosesIn
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
@@ -92,6 +92,7 @@ class Flight(PacketSink):
         self._engine, self._motion, self._windows, self._news = engine, motion, windows, poses.news
         self._clock_ns, self._latency = clock_ns, LatenessHistogram()
         self._sink: PacketSink
+        self._pacer: Pacer
         self._lost_ns: int | None = None
         self._written, self._write_at_ns = 0, 0
         self._flown = poses.flown
@@ -140,12 +141,12 @@ class Flight(PacketSink):
                 in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
             self._motion.begin(self._clock_ns() + in_ns)
             pacer.begin(start_ns, -in_ns)
-        self._sink = sink
+        self._sink, self._pacer = sink, pacer
         return self
 
-    def going_on(self, go_on_from: Callable[[int], None], pacer: Pacer) -> Callable[[int], None]:
+    def going_on(self, go_on_from: Callable[[int], None]) -> Callable[[int], None]:
         """Return what lets an engine that is too slow go on in a moment, and not further ahead: nothing is computed ahead here."""
-        return lambda _due_ns: go_on_from(pacer.due_in_ns(_START_NS))
+        return lambda _due_ns: go_on_from(self._pacer.due_in_ns(_START_NS))
 
     def send(self, packet: Packet) -> None:
         """Send one packet, and take note of it; errors as of the sink."""

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Self
 
 from vlp16emu.errors import InputError, OutputError
-from vlp16emu.packets.pose import POSE_BYTES, is_pose, unpack_pose
+from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 
 _POLL_S = 0.1
 """How often the thread looks whether it shall end."""

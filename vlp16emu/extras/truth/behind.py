@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.engine import Unit
+from vlp16emu.extras.truth.slots import NO_ECHO, SLOT
 from vlp16emu.packets.data import distance_lsb, odd_column
-from vlp16emu.packets.layout import NO_ECHO, RECORDS_PER_PACKET, SLOT
+from vlp16emu.packets.layout import RECORDS_PER_PACKET
 from vlp16emu.types import SURFACE, ReturnMode, Returns
 
 _ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}

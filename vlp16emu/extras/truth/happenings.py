@@ -1,15 +1,17 @@
 """Which packets the events of a run concern."""
 
+import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
 from vlp16emu.engine import Unit
-from vlp16emu.engine.position import number_at, timetable
+from vlp16emu.engine.position import number_at, positions_due
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.extras.bench.faults import PacketFault, faults_of, kinds_of
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import PacketKind
+from vlp16emu.sensor.settings import Sensor
+from vlp16emu.types import Packet, PacketKind
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -89,3 +91,26 @@ def _single(
                 times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
                 first = number - number_at(scenario, fault.unit, packet.kind, 0)
                 yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)
+
+
+def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so that no light is cast.
+
+    Of a sensor without packets, as many firing sequences at a time.
+    """
+
+    def data(unit: Unit) -> Iterator[Packet]:
+        sequence_ns = unit.head.beams.sequence_ns
+        for rows in unit.timeline.sequences(start_ns, stop_ns):
+            for first, last in zip(rows[:, 0].tolist(), rows[:, -1].tolist(), strict=True):
+                due_ns, fired_ns = (scenario.start_ns + number * sequence_ns for number in (last + 1, first))
+                yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
+
+    def position(unit: Unit) -> Iterator[Packet]:
+        for number, due_ns in (
+            positions_due(scenario, unit, start_ns, stop_ns) if isinstance(unit.section, Sensor) else ()
+        ):
+            yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
+
+    streams = (stream(unit) for unit in units for stream in (data, position))
+    return heapq.merge(*streams, key=lambda packet: packet.due_ns)

@@ -9,9 +9,28 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
-from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_PER_PACKET
+from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
 from vlp16emu.types import Packet
 
+SLOT = np.dtype(
+    [
+        ("t_ns", "<i8"),  # UTC of the pulse
+        ("echo", "u1"),  # which return it is, place on the last axis of `Returns`; `NO_ECHO` without any
+        ("range_m", "<f4"),  # before errors of range and the 2 mm of the wire
+        ("sensor_m", "<f4", 3),  # at that range, in the sensor at the instant of the pulse
+        ("world_m", "<f8", 3),
+        ("semantic", "u1"),
+        ("part", "u1"),
+        ("instance", "<u4"),
+        ("species", "<u2"),
+        ("share", "<f4"),  # of the footprint that met the surface of the return
+        ("repeat", "?"),  # in dual return: of the same return as the record of the block before
+    ]
+)
+"""Truth behind one record of a data packet."""
+
+NO_ECHO = 255
+"""Echo of a record without distance."""
 LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
 """Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
 

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
-from vlp16emu.engine.position import timetable
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.faults import arriving, earliest_ns, faults_of
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
-from vlp16emu.extras.truth.happenings import Happening, happenings
+from vlp16emu.extras.truth.happenings import Happening, happenings, timetable
 from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.geodesy import to_geodetic
@@ -26,7 +25,8 @@ from vlp16emu.motion.imu import ImuSampler, Inertial
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.options import TruthPlace, TruthTo
-from vlp16emu.run.run import HasEngine
+from vlp16emu.run.run import Run
+from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
@@ -74,7 +74,7 @@ class Truth:
         If it cannot be written: here, or later
     """
 
-    def __init__(self, to: TruthTo, of: HasEngine, span_s: tuple[float, float]) -> None:
+    def __init__(self, to: TruthTo, of: Run | PacketFeed, span_s: tuple[float, float]) -> None:
         engine = of.engine
         scenario, parts = engine.scenario, engine.parts
         self._of = of

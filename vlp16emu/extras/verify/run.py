@@ -10,9 +10,8 @@ from vlp16emu.extras.verify.data import DataChunk, DataRules
 from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, InOrder, check_frames, kind_of
 from vlp16emu.extras.verify.position import PositionRules
 from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
-from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram, chosen_unit
 from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
-from vlp16emu.packets.units import CapturedUnit, chosen_unit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
