@@ -3,12 +3,12 @@
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from listening import opened, port_of
 
 import vlp16emu
 from vlp16emu import Emulator
@@ -52,16 +52,9 @@ def test_it_records_streams_and_decodes_the_same_bytes(core, packets, tmp_path):
     """`record` gives the file, and `stream` over UDP the payloads, of the whole package; `decode` reads as many points as were returned."""
     whole, alone = tmp_path / "whole.pcap", tmp_path / "alone.pcap"
     returns = Emulator("static_bench").record(whole, duration_s=SPAN_S).returns
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as position,
-    ):
-        for receiver in (data, position):
-            receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-            receiver.bind(("127.0.0.1", 0))
-            receiver.setblocking(False)
+    with opened(0) as data, opened(0) as position:
         kinds = ("data", data), ("position", position)
-        ports = [f"--set=sensor.{kind}_port={one.getsockname()[1]}" for kind, one in kinds]
+        ports = [f"--set=sensor.{kind}_port={port_of(one)}" for kind, one in kinds]
         span = "--duration", SPAN_S
         record, stream = ("record", "static_bench", alone, *span), ("stream", "static_bench", *span, *ports)
         done = core(record, stream, ("decode", alone))

@@ -154,12 +154,11 @@ def test_a_free_sensor_has_scans_of_its_own_table():
     assert len(scan.ring) == 4 * 180
 
 
-@pytest.mark.parametrize("size", [1, 3, 1_000])
-def test_chunks_leave_no_trace(hall, tmp_path, monkeypatch, size):
+def test_chunks_leave_no_trace(hall, tmp_path, monkeypatch):
     """Read packet by packet the scans are those of the file read at once."""
     hall(rpm=1200).record(tmp_path / "x.pcap", duration_s=0.16)
     whole = list(decode(tmp_path / "x.pcap"))
-    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", size)
+    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 3)
     for one, other in zip(whole, decode(tmp_path / "x.pcap"), strict=True):
         np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
         np.testing.assert_array_equal(one.t_ns, other.t_ns)

@@ -8,7 +8,6 @@ import trimesh
 from woods import LINES, WORDS
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 
@@ -29,27 +28,6 @@ def points(cli, tmp_path):
             return dict(arrays), outcome.tree
 
     return call
-
-
-def test_points_are_those_of_the_packets(cli, tmp_path, bench, points):
-    """Without encoder errors the points are those that a recording decodes to, but for the steps of the wire."""
-    decoded = tmp_path / "decoded.npz"
-    assert cli("decode", bench, "--out", decoded).code == 0
-    own, _ = points(duration=0.5)
-    with np.load(decoded) as wire:
-        n = len(wire["ring"])  # the last packet is not full at the end of the span
-        assert 0 <= len(own["ring"]) - n < 384
-        for name in ("ring", "laser", "reflectivity"):
-            np.testing.assert_array_equal(own[name][:n], wire[name])
-        # The wire has steps of 1 us and 0.01 deg, both cut off; decoding takes a packet's mean speed.
-        late_ns = own["since_start_ns"][:n] - wire["clock_ns"]
-        assert 0 <= late_ns.min() <= late_ns.max() < 1_000
-        turned_deg = (own["azimuth_deg"][:n] - wire["azimuth_deg"] + 180) % 360 - 180
-        assert -0.002 < turned_deg.min() <= turned_deg.max() < 0.012
-        off_m = own["distance_m"][:n] - wire["distance_m"]
-        assert np.abs(off_m).max() <= DISTANCE_LSB_M / 2 + 1e-5
-        reach_m = DISTANCE_LSB_M / 2 + np.radians(0.012) * own["distance_m"][:n] + 1e-5
-        assert (np.linalg.norm(own["sensor_m"][:n] - wire["xyz_m"], axis=1) < reach_m).all()
 
 
 def test_both_frames_are_reported(points):
