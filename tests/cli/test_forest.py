@@ -217,15 +217,6 @@ def test_files_are_checked_before_anything_heavy(cli, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.usefixtures("nothing_heavy")
-def test_a_missing_matplotlib_is_reported_before_anything_heavy(cli, monkeypatch, tmp_path):
-    """Without matplotlib the extra is named, with exit code 2, before the forest grows."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    outcome = cli("forest", "birch_walk", "--picture", tmp_path / "sheet.png")
-    assert outcome.code == 2
-    assert "pip install 'vlp16emu[picture]'" in outcome.err
-
-
 def test_a_run_that_fails_leaves_no_file(cli, tmp_path, monkeypatch):
     """Where the picture fails, an inventory that was complete is kept, an earlier picture stays, and nothing is beside them."""
     monkeypatch.setattr("vlp16emu.extras.sheets.sheet.draw_sheet", lambda *_, **__: 1 / 0)
