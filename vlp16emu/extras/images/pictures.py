@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError, RunError
+from vlp16emu.extras.outputs import OutputFolder
 from vlp16emu.extras.truth.folder import tum_rows
-from vlp16emu.output import OutputFolder, write_json
+from vlp16emu.output import write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.types import F4, U1, Poses
 
