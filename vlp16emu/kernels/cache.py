@@ -22,7 +22,6 @@ SOURCES = (  # files and folders of kernels, and of what kernels take
     "foliage",
     "forest",
     "motion",
-    "packets",
     "random.py",
     "raycast",
     "returns",
