@@ -27,7 +27,8 @@ class OutputFile:
 
     It is written as NAME.xxxxxxxx.part, a new file beside its name, and takes the name when it is kept. Until then the
     earlier file stays, whatever ends the run. It gets the rights of the file that it replaces, and a link stays a
-    link. A pipe or a device is written straight.
+    link. A pipe or a device is written straight. Raises OutputError if it cannot be opened, is one of the inputs, or another
+    run writes it.
 
     Parameters
     ----------
@@ -35,11 +36,6 @@ class OutputFile:
     where : its name in error lines; `path` if left out
     buffering : as for `open`
     inputs : files that the run reads, and that may not be replaced
-
-    Raises
-    ------
-    OutputError
-        If it cannot be opened, is one of the inputs, or another run writes it.
     """
 
     def __init__(
@@ -70,13 +66,7 @@ class OutputFile:
 
     @contextmanager
     def writing(self) -> Iterator[BinaryIO]:
-        """Write the whole file, which is then kept.
-
-        Raises
-        ------
-        RunError
-            If it cannot be written to its end.
-        """
+        """Write the whole file, which is then kept; raises RunError if it cannot be written to its end."""
         try:
             yield self.file
             self.keep()
@@ -133,13 +123,7 @@ def final_name(path: Path) -> Path:
 
 
 def spare(inputs: Iterable[Path], output: Path) -> None:
-    """Refuse to write over a file that is read.
-
-    Raises
-    ------
-    OutputError
-        If `output` is one of `inputs` by device and inode, whatever its name.
-    """
+    """Raise OutputError if `output` is one of the files that are read, by device and inode, whatever its name."""
     for file in inputs:
         with suppress(OSError):  # one of them does not exist
             if file.samefile(output):
@@ -147,17 +131,9 @@ def spare(inputs: Iterable[Path], output: Path) -> None:
 
 
 def lock(opened: int, where: str) -> None:
-    """Keep other runs off a file or folder until it is closed; warn if its file system has no locks.
+    """Keep other runs off a file or folder, by its descriptor, until it is closed; warn if its file system has no locks.
 
-    Parameters
-    ----------
-    opened : its descriptor
-    where : its name in error lines
-
-    Raises
-    ------
-    OutputError
-        If another run has locked it.
+    Raises OutputError, in the name of `where`, if another run has locked it.
     """
     try:
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -55,16 +55,9 @@ def read_stem_list(
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
     species' own equations, neighbours and residual spread, drawn by the seed as the taper is; a stem without lean is upright.
 
-    Raises GeometryError naming file, line and column of what is missing, no number, out of its limits, no species, or
-    listed twice.
-
-    Parameters
-    ----------
-    origin_m : easting, northing and height that become (0, 0, 0) in the scene
-
-    Returns
-    -------
-    (n,) `TREE` in the order of the list; what is by chance or by the ground (id, z, crown azimuth, prototype, reflectance) is still 0
+    Returns trees (n,) `TREE` in the order of the list, whose id, z, crown azimuth, prototype and reflectance, by chance or by the
+    ground, are still 0; easting, northing and height of the origin become (0, 0, 0) in the scene. Raises GeometryError naming
+    file, line and column of what is missing, no number, out of its limits, no species, or listed twice.
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():

@@ -47,12 +47,9 @@ class Grid:
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
     """Read a grid, of the format that the suffix names; a cell that is not finite, or is the file's number for none, has no height.
 
-    Raises GeometryError if the file is no such grid. Raises MissingExtraError for a GeoTIFF without rasterio.
-
-    Parameters
-    ----------
-    cell_m, corner_m : edge of a cell, and easting and northing of the outer corner of the south-western
-        cell; needed for .npy, which does not hold them, and None for the others
+    The edge of a cell, and easting and northing of the outer corner of the south-western cell, are needed for .npy, which does not
+    hold them, and None for the others. Raises GeometryError if the file is no such grid, and MissingExtraError for a GeoTIFF
+    without rasterio.
     """
     kind = path.suffix.lower()
     if kind not in {".asc", ".npy", ".tif", ".tiff"}:
@@ -220,11 +217,8 @@ _SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to tw
 class DemHeights:
     """Ground height from a file, in the scene's own coordinates.
 
-    Outside the grid and where the file has no height, the nearest height goes on. Errors are those of `read_grid`.
-
-    Parameters
-    ----------
-    origin_m : easting, northing and height that become (0, 0, 0) in the scene
+    Outside the grid and where the file has no height, the nearest height goes on. Errors are those of `read_grid`. Easting,
+    northing and height of the origin become (0, 0, 0) in the scene.
     """
 
     def __init__(self, section: Dem, *, origin_m: tuple[float, float, float]) -> None:
