@@ -168,6 +168,7 @@ class GivenStand:
         self._source = Path(section.stem_list)
         trees = read_stem_list(self._source, plants.trees, section.origin_m, seed)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
+        self.species = [one.name for one in self._species]
         self._season, self._dead_branches = section.season, section.dead_branches
         trees = _completed(seed, trees, self._species)
         if section.crooked_stems:
@@ -181,11 +182,6 @@ class GivenStand:
         self.per_ha = float(count.max()) / _HA_PER_TILE  # where they are densest
         self._prototypes = _prototypes(trees)
         self._all = trees
-
-    @property
-    def species(self) -> list[str]:
-        """Names of the species of its trees."""
-        return [one.name for one in self._species]
 
     def check(self, path: Polyline, reach_m: float) -> None:
         """Raise GeometryError, naming the tree that is nearest, where no crown is within reach of a path."""
