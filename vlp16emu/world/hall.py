@@ -33,10 +33,6 @@ class HallWorld:
     """A closed room with things in it; a `World` that is in reach as a whole.
 
     Raises GeometryError for a thing that is not wholly inside.
-
-    Parameters
-    ----------
-    section : what the user wrote
     """
 
     materials = ("room", "box", "pole", "sphere")  # names by `SURFACE` material number
