@@ -96,7 +96,9 @@ def _texture(
                     drawn, strength = _of_patch(seed, 1.0 / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known)
                     even = 2.0 * drawn - 1.0
                     square = even * even
-                    out_m[ray] += relief_m[row] * _STANDING_OUT * (square * square * even) * (_RELIEF + _RELIEF * strength)
+                    out_m[ray] += (
+                        relief_m[row] * _STANDING_OUT * (square * square * even) * (_RELIEF + _RELIEF * strength)
+                    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
