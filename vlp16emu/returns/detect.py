@@ -178,7 +178,8 @@ def _detect(
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
             if rates.any > 0.0:
-                share = two_surfaces(*rays[1:], errors.smooth, start, stop) if lit > 1 else 0.0
+                is_mixed = lit > 1 and distance_m[i, j, 0] > 0.0
+                share = two_surfaces(*rays[1:], errors.smooth, start, stop) if is_mixed else 0.0
                 key, dual = (constants.seed, n, j), not constants.strongest_only
                 lose(rates, key, share, before, errors.no_return[j], dual, distance_m[i, j], reflectivity[i, j])
 
