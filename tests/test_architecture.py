@@ -16,9 +16,9 @@ NAMES = [str(path.relative_to(PACKAGE)) for path in FILES]
 
 FLOORS = (
     {"__main__"},
-    {"cli"},
+    {"cli", "pytest"},
     {"extras"},
-    {"emulator", "pytest"},
+    {"emulator"},
     {"run"},
     {"engine"},
     {"scan", "scenario"},
@@ -28,7 +28,6 @@ FLOORS = (
     {"packets"},
     {"motion", "sensor", "world"},
     {
-        "checked",
         "doors",
         "elementary",
         "errors",
@@ -47,10 +46,10 @@ FLOORS = (
 )
 """From the top. Imports run down past any number of floors, or to a room beside; never in a circle."""
 
-NO_CORE = {"__main__", "cli", "extras", "forest", "foliage"}
+NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {
@@ -59,16 +58,16 @@ EXTRAS_TAKE = {
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
-    "doctor": {"readiness"},
-    "plan": {"readiness"},
-    "canvas": {"camera"},
+    "handle": {"bench", "truth"},
+    "plan": {"doctor", "keep_up"},
+    "replay": {"bench"},
     "images": {"camera", "options", "palette", "truth"},
-    "live": {"recorded"},
+    "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench"},
-    "viewer": {"camera", "canvas", "clouds", "options", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "images", "options", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
@@ -80,7 +79,7 @@ LIBRARIES = {
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
-    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/readiness.py", "extras/viewer/"),
+    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/doctor.py", "extras/viewer/"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }

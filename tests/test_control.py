@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.run.options import Http
+from vlp16emu.extras.bench.options import Http
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 

@@ -15,7 +15,7 @@ import vlp16emu
 from vlp16emu import Emulator, decode
 from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.packets.layout import DATA_PAYLOAD
-from vlp16emu.sinks import RigSink, UdpSink, free_ports
+from vlp16emu.sinks import UdpSink, free_ports
 from vlp16emu.types import PacketKind
 
 SCENE = "static_bench"
@@ -113,13 +113,13 @@ def test_the_end_of_a_stream_is_an_error_for_who_waits_and_no_error_to_stop():
 def test_an_error_of_the_thread_is_raised_in_the_program(monkeypatch):
     """What fails while sending is raised by who reads, and by the end of the block."""
 
-    class Failing(RigSink):
+    class Failing(UdpSink):
         def send(self, packet):
             if packet.due_ns > 1779267600_100000000:
                 raise RunError("the link is gone")
             super().send(packet)
 
-    monkeypatch.setattr("vlp16emu.run.stream.RigSink", Failing)
+    monkeypatch.setattr("vlp16emu.run.stream.UdpSink", Failing)
     with vlp16emu.stream(SCENE, **QUICK) as live, pytest.raises(RunError, match="the link is gone"):
         list(live.scans())
     with pytest.raises(RunError, match="the link is gone"), vlp16emu.stream(SCENE, **QUICK) as live:

@@ -8,9 +8,9 @@ import pytest
 
 from vlp16emu import Emulator, replay
 from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.extras.bench.retime import stamp_ns
+from vlp16emu.extras.replay import Replay
 from vlp16emu.packets import Capture
-from vlp16emu.packets.retime import stamp_ns
-from vlp16emu.run.replay import Replay
 from vlp16emu.types import PacketKind
 
 S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000

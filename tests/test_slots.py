@@ -150,7 +150,7 @@ def test_no_truth_no_cost(monkeypatch, tmp_path):
 
 def test_it_is_not_for_streams_that_are_set_live(tmp_path):
     """What is set live makes packets anew, whose rows would be there twice: refused."""
-    from vlp16emu.run.options import Http
+    from vlp16emu.extras.bench.options import Http
 
     with pytest.raises(InputError, match="--truth-packets or --truth-returns: found beside --http"):
         Emulator("static_bench").stream(http=Http("127.0.0.1:0"), truth=TruthTo(tmp_path / "t", per_return=True))

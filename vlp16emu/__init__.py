@@ -11,13 +11,14 @@ from vlp16emu.kernels.hook import keep_compiled
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
+    from vlp16emu.extras.bench.options import GpsIn, Http, Outlets, PosesIn
     from vlp16emu.extras.clouds.points import write_points
+    from vlp16emu.extras.handle import Live, stream
     from vlp16emu.extras.images.images import write_images
+    from vlp16emu.extras.replay import Replayed, replay
     from vlp16emu.extras.truth.truth import write_truth
     from vlp16emu.extras.verify import Finding, Verification, verify
-    from vlp16emu.run.live import Live, stream
-    from vlp16emu.run.options import GpsIn, Http, Outlets, PosesIn, TruthTo
-    from vlp16emu.run.replay import Replayed, replay
+    from vlp16emu.run.options import TruthTo
     from vlp16emu.run.report import Recording
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
@@ -49,19 +50,19 @@ __all__ = [
 
 _MODULES = {
     "emulator": "Emulator",
+    "extras.bench.options": "GpsIn Http Outlets PosesIn",
     "extras.clouds.points": "write_points",
+    "extras.handle": "Live stream",
     "extras.images.images": "write_images",
+    "extras.replay": "Replayed replay",
     "extras.truth.truth": "write_truth",
     "extras.verify": "Finding Verification verify",
-    "run.live": "Live stream",
-    "run.options": "GpsIn Http Outlets PosesIn TruthTo",
-    "run.replay": "Replayed replay",
+    "run.options": "TruthTo",
     "run.report": "Recording",
     "scan": "Labels Scan decode",
     "scenario": "Scenario load",
 }
-_PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}
-"""Module of each public name."""
+_PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}  # module of each public name
 
 keep_compiled()
 

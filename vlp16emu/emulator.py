@@ -1,34 +1,26 @@
 """The public class: a scene as arrays of scans, as a capture, or over UDP."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields
+from inspect import signature
 from pathlib import Path
 from threading import Event
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.doors import door
 from vlp16emu.engine import Engine, Parts
 from vlp16emu.engine.scans import scans_of, world_T_sensor
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.run.keeping_up import KeptUp, keep_up
-from vlp16emu.run.options import RecordOptions, StreamOptions
+from vlp16emu.run.options import RecordOptions, stream_options
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
 from vlp16emu.run.run import Run, Scene
-from vlp16emu.run.stream import StreamHooks, stream_run
+from vlp16emu.run.stream import stream_run
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Packet, Returns
-
-
-@runtime_checkable
-class TakesPoses(Protocol):
-    """Motion whose poses arrive while it runs."""
-
-    def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None) -> bool:
-        """Take a pose."""
 
 
 class Emulator:
@@ -154,7 +146,6 @@ class Emulator:
         self,
         path: str | Path,
         *,
-        as_due: bool = False,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
         **options: Any,
@@ -165,7 +156,6 @@ class Emulator:
         ----------
         path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output;
             a bag with .mcap, .bag, or as a new folder with a slash at its end
-        as_due : stamp packets when they are due, whatever `[capture]` says
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
@@ -183,14 +173,14 @@ class Emulator:
         RunError
             If the disk is full; the packets before are kept
         """
-        return record(self.run, path, RecordOptions(**options), as_due=as_due, progress=progress, stop=stop)
+        return record(self.run, path, RecordOptions(**options), progress=progress, stop=stop)
 
     def stream(self, **options: Any) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
 
         Parameters
         ----------
-        options : fields of `StreamOptions` and of `StreamHooks`
+        options : fields of `StreamOptions` and of `extras.bench.options.BenchOptions`, and functions that are called while it runs, as `stream_run` takes them
 
         Raises
         ------
@@ -205,12 +195,10 @@ class Emulator:
         RunError
             If the system cannot send any more
         """
-        names = options.keys() & {field.name for field in fields(StreamHooks)}
-        hooks = StreamHooks(**{name: options.pop(name) for name in names})
-        asked = StreamOptions(**options)
-        return stream_run(self.run, asked, hooks)
+        hooks = {name: options.pop(name) for name in options.keys() & signature(stream_run).parameters.keys()}
+        return stream_run(self.run, stream_options()(**options), **hooks)
 
-    def keep_up(self, speed: float = 1.0) -> KeptUp:
+    def keep_up(self, speed: float = 1.0) -> Any:
         """Measure this machine for some seconds, and set the beam and the reach so that a stream leaves a fifth of its time free.
 
         Parameters
@@ -219,9 +207,10 @@ class Emulator:
 
         Returns
         -------
-        The rung of the ladder that is taken; its settings are those of `vlp16emu record --set`, with the same bytes
+        `extras.keep_up.KeptUp`, with the rung of the ladder that is taken; its settings are those of `vlp16emu record --set`,
+        with the same bytes
         """
-        self.run, kept = keep_up(self.run, speed)
+        self.run, kept = door("keep_up")(self.run, speed)
         return kept
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
@@ -232,6 +221,7 @@ class Emulator:
         TrajectoryError
             If the scene is not live
         """
-        if not isinstance(carrier := self.parts.carrier, TakesPoses):
+        if (put := getattr(self.parts.carrier, "put_pose", None)) is None:
             raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')
-        return carrier.put_pose(position_m, quaternion, t_ns)
+        taken: bool = put(position_m, quaternion, t_ns)
+        return taken

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from vlp16emu.run.live import Live
+    from vlp16emu.extras.handle import Live
 
 _LOOK_AHEAD = 128
 """Packets that are computed before the first one leaves, 0.17 s: a hall is made several times as fast as it is sent."""
-_LONGEST_S = 7 * 86_400.0
-"""Longest run of a scene."""
-_LAST = pytest.StashKey[Any]()
-"""The engine of the test before, whose world is used again."""
+_LONGEST_S = 7 * 86_400.0  # longest run of a scene
+_LAST = pytest.StashKey[Any]()  # the engine of the test before, whose world is used again
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -41,7 +39,7 @@ def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
     The scene is the marker's, `--vlp16-scene`, or `vlp16_scene` of the ini file; static_bench otherwise, a hall with
     posts, boxes and balls and a sensor without errors. It ends with the test, or where a walk does.
     """
-    from vlp16emu.run.live import Live
+    from vlp16emu.extras.handle import Live
     from vlp16emu.run.run import Run
 
     marker, config = request.node.get_closest_marker("vlp16"), request.config

@@ -185,14 +185,8 @@ def decode(
 
 
 def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
-    """Read the scans of an open capture, and close it; errors as `decode`."""
-    return cut_scans(_chunks(reader, labels_of))
-
-
-def _chunks(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Chunk]:
-    with reader:
-        for chunk in reader.points():
-            yield chunk_of(chunk, labels_of(chunk))
+    """Read the scans of a capture that is open; errors as `decode`."""
+    return cut_scans(chunk_of(chunk, labels_of(chunk)) for chunk in reader.points())
 
 
 def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:

@@ -14,7 +14,7 @@ def folders(tmp_path, monkeypatch):
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     user_store.cache_clear()
-    user_store().put("a", {"a": np.zeros(10)})
+    user_store().keep("a.world", np.zeros(10))
     user_store().flush()
     user_kernels.cache_clear()
     for name in ("one.kernel", "two.kernel.7.part"):
@@ -56,7 +56,7 @@ def test_no_folder_is_said(cli, monkeypatch):
 def test_kernels_are_compiled_before_they_are_needed(cli, monkeypatch):
     """`--compile` compiles all that the table of kernels has, on request alone, and does not go with `--clear`."""
     groups = []
-    monkeypatch.setattr("vlp16emu.cli.cache.compile_first", groups.append)
+    monkeypatch.setattr("vlp16emu.cli.about.compile_first", groups.append)
     cli("cache")
     assert groups == []
     cli("cache", "--compile")

@@ -12,8 +12,8 @@ import pytest
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.faults import arriving
-from vlp16emu.packets import position_due_ns
-from vlp16emu.run.feed import PacketFeed
+from vlp16emu.packets import FACTORY_LINK, position_due_ns
+from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
 from vlp16emu.sinks import MemorySink, Pacer, UdpSink, stream
 from vlp16emu.types import Packet, PacketKind
@@ -301,7 +301,7 @@ def test_cut_packets_leave_by_udp():
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(5.0)
         port = receiver.getsockname()[1]
-        with UdpSink(data_port=port, position_port=port) as sink:
+        with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
             for size in (0, 1, 600):
                 sink.send(Packet(DATA, 0, bytes(range(200)) * 3 if size == 600 else bytes(size)))
                 assert len(receiver.recv(2000)) == size

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.packets import (
     data_fields,
     data_payloads,
     decode_data,
     decode_position,
     pack_position,
-    parse_rmc,
     position_due_ns,
     rmc,
     scan_starts,

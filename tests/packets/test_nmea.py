@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vlp16emu.errors import InputError, PacketError
-from vlp16emu.packets import parse_rmc, rmc
+from vlp16emu.extras.bench.gps_in import parse_rmc
+from vlp16emu.packets import rmc
 from vlp16emu.types import GnssFix
 
 REAL = b"$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E\r\n"

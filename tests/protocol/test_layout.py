@@ -3,7 +3,8 @@
 import dpkt
 import numpy as np
 
-from vlp16emu.packets import IMU_FRAME, layout
+from vlp16emu.extras.bench.imu_frame import IMU_FRAME
+from vlp16emu.packets import layout
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 

@@ -19,7 +19,7 @@ def ip(words):
     subprocess.run(["ip", *words.split()], check=True)
 
 try:
-    UdpSink("255.255.255.255")
+    UdpSink(host="255.255.255.255")
 except OutputError as error:
     print(error)
 ip("link add sensor0 type veth peer name host0")
@@ -34,7 +34,7 @@ wire = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(0x0800))
 wire.bind(("host0", 0x0800))
 wire.settimeout(5)
 for target in ("255.255.255.255", "192.168.1.255"):
-    with UdpSink(target, as_sensor="192.168.1.201") as sink:
+    with UdpSink(host=target, as_sensor=True) as sink:
         for i in range(4):
             sink.send(Packet(PacketKind.DATA, 0, bytes([i]) * 1206))
             sink.send(Packet(PacketKind.POSITION, 0, bytes([i]) * 512))

@@ -11,8 +11,8 @@ import pytest
 
 from vlp16emu.errors import RunError
 from vlp16emu.sinks import MemorySink, Pacer, stream
-from vlp16emu.sinks.look_ahead import LookAhead
 from vlp16emu.sinks.pacing import prompt_sleeps
+from vlp16emu.sinks.stream import LookAhead
 from vlp16emu.types import Packet, PacketKind
 
 FAST = 1000.0

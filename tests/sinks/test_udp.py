@@ -2,10 +2,12 @@
 
 import socket
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.packets import FACTORY_LINK
 from vlp16emu.sinks import LOOPBACK, UdpSink
 from vlp16emu.types import Packet, PacketKind
 
@@ -26,7 +28,7 @@ def receivers():
 def open_sink(receivers):
     """Aim a sink at the receivers."""
     data, position = receivers
-    return UdpSink(data_port=data.getsockname()[1], position_port=position.getsockname()[1])
+    return UdpSink([replace(FACTORY_LINK, data_port=data.getsockname()[1], position_port=position.getsockname()[1])])
 
 
 def test_datagrams_arrive_at_their_ports(receivers, make_packets):
@@ -41,15 +43,14 @@ def test_datagrams_arrive_at_their_ports(receivers, make_packets):
         assert [payload for payload, _ in received] == [p.payload for p in packets if p.kind is kind]
         assert {sender[0] for _, sender in received} == {LOOPBACK}
         assert not {sender[1] for _, sender in received} & {2368, 8308}
-    assert (sink.result.data_packets, sink.result.position_packets) == (40, 10)
-    assert sink.result.bytes == 40 * 1206 + 10 * 512
+    assert sink.sent == [{PacketKind.DATA: 40, PacketKind.POSITION: 10}]
+    assert sink.latest_position == [packets[-1].payload]
 
 
 def test_loopback_is_the_default():
     """Without an address everything goes to this machine."""
     with UdpSink() as sink:
-        assert {address for _, (address, _) in sink._ways.values()} == {"127.0.0.1"}
-        assert [port for _, (_, port) in sink._ways.values()] == [2368, 8308]
+        assert list(sink._to[0].values()) == [("127.0.0.1", 2368), ("127.0.0.1", 8308)]
 
 
 def test_nobody_listening_does_not_end_the_stream(make_packets):
@@ -57,7 +58,7 @@ def test_nobody_listening_does_not_end_the_stream(make_packets):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
         closed.bind((LOOPBACK, 0))
         port = closed.getsockname()[1]
-    with UdpSink(data_port=port, position_port=port) as sink:
+    with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
         for packet in make_packets(200):
             sink.send(packet)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:
@@ -65,21 +66,21 @@ def test_nobody_listening_does_not_end_the_stream(make_packets):
             late.settimeout(5)
             sink.send(packet)
             assert late.recv(2000) == packet.payload
-    assert sink.result.data_packets + sink.result.position_packets == 201
+    assert sink.sent[0].total() == 201
 
 
 def test_broadcast_is_asked_for_only_where_it_is_meant():
     """The loopback's broadcast address gets sockets that may broadcast, an ordinary address does not."""
     for host, allowed in (("127.255.255.255", 1), ("127.0.0.1", 0), ("127.0.0.7", 0)):
-        with UdpSink(host) as sink:
-            options = {s.getsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST) for s, _ in sink._ways.values()}
+        with UdpSink(host=host) as sink:
+            options = {s.getsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST) for s in sink._sockets[0].values()}
         assert options == {allowed}
 
 
 def test_host_name_is_resolved():
     """A name stands for its IPv4 address."""
-    with UdpSink("localhost") as sink:
-        assert {address for _, (address, _) in sink._ways.values()} == {"127.0.0.1"}
+    with UdpSink(host="localhost") as sink:
+        assert sink.address == "127.0.0.1"
 
 
 @pytest.mark.parametrize(
@@ -94,7 +95,7 @@ def test_host_name_is_resolved():
 def test_impossible_destination_is_refused(host, line):
     """What is no IPv4 host is bad input, reported in one line."""
     with pytest.raises(OutputError, match=line) as caught:
-        UdpSink(host)
+        UdpSink(host=host)
     assert caught.value.exit_code == 2
 
 
@@ -102,9 +103,9 @@ def test_foreign_source_address_is_refused():
     """Sending as a sensor from an address that this machine does not have names address, port and reason."""
     with pytest.raises(
         OutputError,
-        match=r"192\.0\.2\.201:0: Cannot assign requested address; expected .*: sudo ip addr add 192\.0\.2\.201/24",
+        match=r"192\.0\.2\.201:2368: Cannot assign requested address; expected .*: sudo ip addr add 192\.0\.2\.201/24",
     ):
-        UdpSink(as_sensor="192.0.2.201")
+        UdpSink([replace(FACTORY_LINK, source="192.0.2.201")], as_sensor=True)
 
 
 def test_port_in_use_is_refused():
@@ -115,7 +116,7 @@ def test_port_in_use_is_refused():
         with pytest.raises(
             OutputError, match=r"127\.0\.0\.9:(2368|8308): Address already in use; expected a free port"
         ):
-            UdpSink(as_sensor="127.0.0.9")
+            UdpSink([replace(FACTORY_LINK, source="127.0.0.9")], as_sensor=True)
 
 
 def test_system_that_cannot_send_is_a_failed_run():
@@ -124,7 +125,7 @@ def test_system_that_cannot_send_is_a_failed_run():
         sink.send(Packet(PacketKind.DATA, 0, bytes(1206)))
         with pytest.raises(RunError, match=r"127\.0\.0\.1:2368: Message too long at packet 2; those before it"):
             sink.send(Packet(PacketKind.DATA, 1, bytes(70_000)))
-    assert sink.result.data_packets == 1
+    assert sink.sent[0].total() == 1
 
 
 def test_nmea_is_refused():

@@ -1,28 +1,16 @@
 """A scenario set up and run in order: units, blocks, windows, timeline, merge."""
 
-from vlp16emu.engine.build import Parts, Unit, assemble, beam_of, clock_at, in_one_world, in_phase_deg, mounts_of
-from vlp16emu.engine.engine import Engine, Job, Tap, scan
-from vlp16emu.engine.gps import GpsInput
+from vlp16emu.engine.build import (
+    GpsInput,
+    Parts,
+    Unit,
+    assemble,
+    beam_of,
+    clock_at,
+    in_one_world,
+    in_phase_deg,
+    mounts_of,
+)
+from vlp16emu.engine.engine import Engine, Job, scan
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.engine.windows import Batching, window_of, workers
-
-__all__ = [
-    "Batching",
-    "Engine",
-    "GpsInput",
-    "Job",
-    "Parts",
-    "Stretch",
-    "Tap",
-    "Timeline",
-    "Unit",
-    "assemble",
-    "beam_of",
-    "clock_at",
-    "in_one_world",
-    "in_phase_deg",
-    "mounts_of",
-    "scan",
-    "window_of",
-    "workers",
-]

@@ -4,22 +4,20 @@ Builds no geometry yet.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vlp16emu.doors import door
 from vlp16emu.elementary import norm
-from vlp16emu.engine.gps import GpsInput
-from vlp16emu.engine.people import People
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
-from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
-from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns
+from vlp16emu.motion.settings import takes_poses
+from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
@@ -29,9 +27,9 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
-from vlp16emu.types import Firings, HeightField, Hits, ReturnMode, Returns, World
+from vlp16emu.types import GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
-from vlp16emu.world.site import Sway
+from vlp16emu.world.settings import Sway
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
@@ -40,20 +38,41 @@ _IMU = 1000
 """Device whose mount is that of the inertial unit, beyond all sensors."""
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
-
-
 _LEFT_PPM = 1.0
 """Rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt."""
 
 
-class Optics(Protocol):
-    """Dirt and dead lasers between a sensor and the world, which dim its light."""
+@dataclass(frozen=True)
+class GpsInput:
+    """A receiver to which the sensor has been locked since before the run, or none at all; times are UTC in ns."""
 
-    def dimmed(self, firings: Firings, hits: Hits) -> Hits:
-        """Take from the light of each pulse what does not pass."""
+    connected: bool
+    sentence_delay_ns: int
+    """From the second's edge to the arrival of the sentence that names it."""
 
-    def received(self, returns: Returns) -> Returns:
-        """Take away the returns of lasers that emit nothing."""
+    def pps_at(self, t_ns: int) -> PpsState:  # noqa: ARG002  # the same at all times, unless events happen
+        """State of the pulse as the sensor reports it.
+
+        It stays locked while trees hide fixes: that receivers keep their pulse is an assumption.
+        """
+        return PpsState.LOCKED if self.connected else PpsState.ABSENT
+
+    def second_ns(self, t_ns: int) -> int | None:
+        """Return the whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None if there is no sentence.
+
+        The sentence names the edge before it, so it is up to a second and the delay old
+        (63-9243 Rev D, figure 7-4).
+        """
+        return (t_ns - self.sentence_delay_ns) // S_NS * S_NS if self.connected else None
+
+    def sentence(self, fix: GnssFix, seed: int) -> bytes:  # noqa: ARG002  # as above
+        """Sentence of a fix as it reaches the sensor.
+
+        Parameters
+        ----------
+        seed : of the unit
+        """
+        return rmc(fix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +95,8 @@ class Unit:
     """Which pulses are sent, and in which packets; nothing of a sensor without packets."""
     gps: GpsInput
     """What it gets of the GPS receiver."""
-    optics: Optics | None = None
+    optics: Any = None
+    """Dirt and dead lasers that events bring, which dim its light; an object with `dimmed` and `received`, or None."""
 
     @property
     def link(self) -> Link:
@@ -121,8 +141,8 @@ class Parts:
     """At rest."""
     wind: Sway | None
     """What moves its trees."""
-    people: People | None
-    """People beside the carrier."""
+    people: Any
+    """People beside the carrier, an `extras.people.People`; None without them."""
     gps: GpsInput
     """What the receiver sends; what each unit gets of it is the unit's."""
 
@@ -144,14 +164,13 @@ class Parts:
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
     """Return whether runs go the same way through the same world, so that only their sensors may differ."""
-    return not takes_poses(one.motion) and _way(one) == _way(other)
 
+    def way(scenario: Scenario) -> tuple[object, ...]:
+        world, motion = (scenario.world, scenario.world_seed, scenario.wind), (scenario.motion, scenario.motion_seed)
+        reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
+        return *world, *motion, scenario.gps, scenario.start_ns, reach
 
-def _way(scenario: Scenario) -> tuple[object, ...]:
-    """Return what decides a world and the way through it."""
-    world, motion = (scenario.world, scenario.world_seed, scenario.wind), (scenario.motion, scenario.motion_seed)
-    reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
-    return *world, *motion, scenario.gps, scenario.start_ns, reach
+    return not takes_poses(one.motion) and way(one) == way(other)
 
 
 def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
@@ -171,22 +190,21 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     else:
         carrier, ground_m, world, wind = _world(scenario)
     start_ns, imu, seed = scenario.start_ns, scenario.imu, scenario.sensor_seed
-    top = scenario.motion.under_sensors(carrier)
-    motions = [mounted(top, mount, start_ns) for mount in _true_mounts(scenario)]
-    sampler, imu_mount = None, Mount()
+    top, sampler, imu_mount, people = scenario.motion.under_sensors(carrier), None, Mount(), None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)
         sampler = ImuSampler(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
-    units = tuple(_unit(scenario, number, motion) for number, motion in enumerate(motions))
-    people = None
     if scenario.people:
-        people = People(scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed)
+        people = door("people")(scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed)
+    mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
+    units = tuple(_unit(scenario, number, mount, mounted(top, mount, start_ns)) for number, mount in enumerate(mounts))
     return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, _gps(scenario))
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
     """Return the parts of a run with the events of `scenario`; the carrier and the world are the same."""
-    return replace(parts, units=tuple(_unit(scenario, unit.number, unit.motion) for unit in parts.units))
+    units = (_unit(scenario, unit.number, unit.mount, unit.motion) for unit in parts.units)
+    return replace(parts, units=tuple(units))
 
 
 def seed_of(scenario: Scenario, unit: int) -> int:
@@ -246,41 +264,31 @@ def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
     return list(zip([scenario.sensor, *scenario.rig], mounts_of(scenario), strict=True))
 
 
-def _true_mounts(scenario: Scenario) -> list[Mount]:
-    return [true_mount(mount, scenario.sensor_seed, device) for device, mount in enumerate(mounts_of(scenario))]
-
-
-def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
+def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit:
     given, seed = [scenario.sensor, *scenario.rig][number], seed_of(scenario, number)
     section = powered_up(given, seed)
-    head = _head(scenario, section, seed)
-    mode = ReturnMode(section.return_mode)
-    unit = Unit(
-        number=number,
-        section=section,
-        mount=_true_mounts(scenario)[number],
+    head, mode = _head(scenario, section, seed), ReturnMode(section.return_mode)
+    detector = UnitDetector.of_unit(
+        scenario.detector,
+        scenario.noise,
+        scenario.weather,
         seed=seed,
-        head=head,
-        motion=motion,
-        beam=beam_of(scenario, seed),
-        detector=UnitDetector.of_unit(
-            scenario.detector,
-            scenario.noise,
-            scenario.weather,
-            seed=seed,
-            mode=mode,
-            min_range_m=section.min_range_m,
-            max_range_m=section.max_range_m,
-            lasers=len(head.beams.elevation_deg),
-            power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0),
-        ),
-        timeline=Timeline(head, (Stretch(0, None, mode, None),)),
-        gps=_gps(scenario),
+        mode=mode,
+        min_range_m=section.min_range_m,
+        max_range_m=section.max_range_m,
+        lasers=len(head.beams.elevation_deg),
+        power_up_ns=_power_up_ns(scenario, section),
     )
+    timeline, gps, beam = Timeline(head, (Stretch(0, None, mode, None),)), _gps(scenario), beam_of(scenario, seed)
+    unit = Unit(number, section, mount, seed, head, motion, beam, detector, timeline, gps)
     if not scenario.events:
         return unit
     changed: Unit = door("events")(unit, scenario)
     return changed
+
+
+def _power_up_ns(scenario: Scenario, section: Lidar) -> int:
+    return scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0)
 
 
 def _gps(scenario: Scenario) -> GpsInput:
@@ -296,7 +304,7 @@ def clock_at(t_ns: int, section: Lidar, reading_ns: int = 0, *, locked: bool) ->
 
 
 def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
-    start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0)
+    start_ns, power_up_ns = scenario.start_ns, _power_up_ns(scenario, section)
     phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
     angle_deg, error_rpm = section.start_azimuth_deg or 0.0, section.speed_error_rpm
     if phase_deg is not None:

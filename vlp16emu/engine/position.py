@@ -1,7 +1,6 @@
-"""The stream of position packets, what the sensor says of its clock and of the GPS receiver; and when packets leave, without bytes."""
+"""The stream of position packets: what the sensor says of its clock and of the GPS receiver."""
 
-import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.raycast.sky import sky_cover
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.settings import Sensor, on_the_wire
+from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind
 
 _AT_ONCE = 128
@@ -42,7 +41,7 @@ def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -
     return first_position_packet(rate, unit.seed, unit.positions_from_ns, scenario.start_ns + since_ns)
 
 
-def _due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
+def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
     """Yield number and UTC of the position packets of a unit due in a span since the first pulse."""
     rate = on_the_wire(unit.section).position_rate
     first, stop = (number_at(scenario, unit, PacketKind.POSITION, since_ns) for since_ns in (start_ns, stop_ns))
@@ -59,7 +58,7 @@ def position_packets(
 ) -> Iterator[Packet]:
     """Yield the position packets of a unit due in a span since the first pulse."""
     named_ns, sentence = None, b""
-    for number, due_ns in _due(scenario, unit, start_ns, stop_ns):
+    for number, due_ns in positions_due(scenario, unit, start_ns, stop_ns):
         stamp_ns = due_ns - STAMP_LEAD_NS
         second_ns = unit.gps.second_ns(stamp_ns)
         if second_ns != named_ns:
@@ -68,24 +67,3 @@ def position_packets(
         clock_ns = int(unit.head.clock.reading_ns(np.array([stamp_ns]))[0])
         payload = pack_position(clock_ns, unit.gps.pps_at(stamp_ns), sentence)
         yield Packet(PacketKind.POSITION, due_ns, payload, unit.number, number=number)
-
-
-def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so that no light is cast.
-
-    Of a sensor without packets, as many firing sequences at a time.
-    """
-
-    def data(unit: Unit) -> Iterator[Packet]:
-        sequence_ns = unit.head.beams.sequence_ns
-        for rows in unit.timeline.sequences(start_ns, stop_ns):
-            for first, last in zip(rows[:, 0].tolist(), rows[:, -1].tolist(), strict=True):
-                due_ns, fired_ns = (scenario.start_ns + number * sequence_ns for number in (last + 1, first))
-                yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
-
-    def position(unit: Unit) -> Iterator[Packet]:
-        for number, due_ns in _due(scenario, unit, start_ns, stop_ns) if isinstance(unit.section, Sensor) else ():
-            yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
-
-    streams = (stream(unit) for unit in units for stream in (data, position))
-    return heapq.merge(*streams, key=lambda packet: packet.due_ns)

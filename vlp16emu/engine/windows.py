@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.engine.build import Parts
-from vlp16emu.engine.people import Peopled
 from vlp16emu.raycast.caster import Caster, Geometry, caster
 from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
 from vlp16emu.types import F8, Window
@@ -250,6 +249,6 @@ def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) ->
 
     def open_segment(segment: int) -> Geometry:
         geometry = built.open(window_of(parts, start_ns, batching, segment))
-        return Peopled(geometry, parts.people) if parts.people else geometry
+        return parts.people.among(geometry) if parts.people else geometry
 
     return Windows(open_segment, batching, moves=parts.moves, threads=threads)

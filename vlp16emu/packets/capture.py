@@ -1,28 +1,64 @@
-"""Reading captures: numbered UDP datagrams with their stamps and headers, whatever file and link they come from."""
+"""Captures: numbered UDP datagrams with their stamps and headers, and the sensors that sent them.
+
+Classic pcap of Ethernet, as this package writes it, is read here; other files and links by `vlp16emu.extras.captures`.
+"""
 
 import glob
 import re
 import struct
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from ipaddress import ip_address
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
-from vlp16emu.errors import CaptureError
-from vlp16emu.packets.containers import Frame, frames_in, opened
-from vlp16emu.packets.links import LINK_TYPES, PLAIN_AT, PLAIN_BODY, Ip, ip_in, is_plain, mac_of
+from vlp16emu.doors import door, has_door
+from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.packets.layout import BLOCK, BLOCK_FLAG, DATA_BYTES, POSITION_BYTES
+from vlp16emu.units import S_NS, US_NS
 
-_UDP, _UDP_START = 17, struct.Struct(">3H")
-"""Protocol number; source port, destination port, length (RFC 768)."""
-_IPV4 = 4
-_DATA_BYTES, _POSITION_BYTES, _FLAG = 1206, 512, b"\xff\xee"
-"""Lengths of packets, and how data packets begin; as in `layout`."""
+EXPECTED = "a pcap or pcapng file, also as .gz, .bz2, .xz or .zst (`editcap` converts others)"
+PCAP = {
+    magic.to_bytes(4, order): ("<" if order == "little" else ">", unit_ns, record)
+    for magic, unit_ns, record in ((0xA1B2C3D4, US_NS, "4I"), (0xA1B23C4D, 1, "4I"), (0xA1B2CD34, US_NS, "4I8x"))
+    for order in ("little", "big")
+}
+"""Byte order, nanoseconds per unit of a stamp's fraction, and format of a record's header, by the first bytes of a file.
+Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as Wireshark's wiki describes it."""
+_PCAP_HEADER_BYTES = 24
+_LONGEST_FRAME_BYTES = 262_144
+"""A longer record means damage (MAXIMUM_SNAPLEN of libpcap)."""
+_ENDING = re.compile(r"\.(pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?$", re.IGNORECASE)
+
+_ETHERNET = 1
+_MAC_AT = {_ETHERNET: 6, 113: 6, 276: 12}
+"""Offset of the sender's address by link type: Ethernet, Linux cooked (SLL, SLL2). Source: www.tcpdump.org/linktypes.html."""
+_IP_AT, _UDP_AT, _UDP_START = 14, 34, struct.Struct(">3H")
+"""Offsets of both headers in a plain frame; source port, destination port and length of UDP (RFC 768)."""
+_UNFRAGMENTED = b"\x40\0", b"\0\0"
+_TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)
+"""UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)."""
+_FLAG = BLOCK_FLAG.to_bytes(2, "little")
 _RECENT = 512
 """Packets in which a repeat is found: those of 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within milliseconds."""
-_INCOMPLETE = 64
-"""Datagrams whose fragments are waited for at a time."""
+_STRAY = 0.02
+"""Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
+_NAMED = 16
+"""Units listed in an error line; as many as a rig may have."""
+_CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
-_ENDING = re.compile(r"\.(pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?$", re.IGNORECASE)
+
+class Frame(NamedTuple):
+    """A captured frame."""
+
+    stamp_ns: int
+    """UTC; 0 in simple packet blocks of pcapng, which have no stamp."""
+    link_type: int
+    """LINKTYPE_ value of tcpdump.org."""
+    wire_bytes: int
+    """Length of the frame on the wire."""
+    content: bytes
 
 
 class Datagram(NamedTuple):
@@ -51,12 +87,13 @@ class Datagram(NamedTuple):
     def source(self) -> bytes:
         """IP address of the sender, 4 bytes, or 16 of IPv6."""
         ip = self.ip
-        return ip[12:16] if ip[0] >> 4 == _IPV4 else ip[8:24]
+        return ip[12:16] if ip[0] >> 4 == 4 else ip[8:24]
 
     @property
     def mac(self) -> bytes:
         """Address of the sender on the link, 6 bytes; empty if the capture has none."""
-        return mac_of(self.link_type, self.header)
+        at = _MAC_AT.get(self.link_type)
+        return b"" if at is None else self.header[at : at + 6]
 
     @property
     def udp_checksum(self) -> int:
@@ -105,8 +142,8 @@ class Capture:
         self.repeated = 0
         """Packets left out as they came before."""
         self._files = _files(path)
-        self._fragments = _Fragments()
-        self._missed = Counter[str]()
+        self._unwrapper: Any = None  # made for the first frame that is not plain
+        self._cut_short = 0
         self._recent, self._order = set[tuple[bytes, int, bytes]](), deque[tuple[bytes, int, bytes]]()
 
     def __enter__(self) -> Self:
@@ -117,22 +154,20 @@ class Capture:
 
     def __iter__(self) -> Iterator[Datagram]:
         for path in self._files:
-            with opened(path) as file:
-                for frame in frames_in(path, file):
-                    if frame is None:
-                        self.cut = True
-                        break
-                    self.frames += 1
-                    for datagram in _merged(self._datagram(frame)):
-                        if self._keeps_repeats or not self._is_repeat(datagram):
-                            yield datagram
+            for frame in _frames_in(path):
+                if frame is None:
+                    self.cut = True
+                    break
+                self.frames += 1
+                for datagram in _merged(self._datagram(frame)):
+                    if self._keeps_repeats or not self._is_repeat(datagram):
+                        yield datagram
 
     @property
     def missed(self) -> str:
         """Why packets could not be read, with the remedy; empty if there is nothing to say."""
-        if self._fragments.incomplete:
-            self._missed[_NO_FRAGMENTS] = self._fragments.incomplete
-        return "; ".join(f"{number} {what}" for what, number in self._missed.items())
+        counts = Counter(self._unwrapper.missed if self._unwrapper else ()) + Counter({_CUT_SHORT: self._cut_short})
+        return "; ".join(f"{number} {what}" for what, number in counts.items())
 
     def no_data(self) -> CaptureError:
         """Return the error of a capture without data packets, with the cause if it is known."""
@@ -142,44 +177,28 @@ class Capture:
     def _datagram(self, frame: Frame) -> Datagram | None:
         """Parse one frame, or None if no UDP datagram is complete with it."""
         _, link_type, wire_bytes, content = frame
-        at, body = PLAIN_AT, PLAIN_BODY
-        if not is_plain(link_type, content):
-            if link_type not in LINK_TYPES:
-                self._missed[f"frames of link type {link_type}, which is not read"] += 1
+        at, body = _IP_AT, _UDP_AT
+        if not _is_plain(link_type, content):
+            if self._unwrapper is None and has_door("unwrapper"):
+                self._unwrapper = door("unwrapper")()
+            if not self._unwrapper or (found := self._unwrapper.udp_in(link_type, content)) is None:
                 return None
-            ip = ip_in(link_type, content)
-            if ip is None or ip.protocol != _UDP:
-                return None
-            if ip.fragment or ip.more:
-                whole = self._fragments.add(content, ip)
-                if whole is None:
-                    return None
-                content, ip = whole
-                wire_bytes = len(content)
-            at, body = ip.at, ip.body
+            if found[0] is not content:  # put together of fragments
+                wire_bytes = len(found[0])
+            content, at, body = found
         if len(content) < body + 8:
             return None
         source_port, destination_port, udp_bytes = _UDP_START.unpack_from(content, body)
         end = body + udp_bytes if udp_bytes else len(content)
-        if end > len(content) < wire_bytes:
-            self._missed[_CUT_SHORT] += 1
-        return Datagram(
-            self.frames,
-            frame.stamp_ns,
-            len(content),
-            wire_bytes,
-            at,
-            source_port,
-            destination_port,
-            content[: body + 8],
-            content[body + 8 : end],
-            link_type,
-        )
+        self._cut_short += end > len(content) < wire_bytes
+        lengths, ports = (len(content), wire_bytes), (source_port, destination_port)
+        parts = content[: body + 8], content[body + 8 : end]
+        return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
     def _is_repeat(self, datagram: Datagram) -> bool:
         """Count a packet whose payload the same sender has sent to the same port just before: stamps make each one new."""
         payload = datagram.payload
-        if len(payload) != _POSITION_BYTES and not (len(payload) == _DATA_BYTES and payload.startswith(_FLAG)):
+        if len(payload) != POSITION_BYTES and not (len(payload) == DATA_BYTES and payload.startswith(_FLAG)):
             return False
         known = datagram.source, datagram.destination_port, payload
         if known in self._recent:
@@ -192,53 +211,27 @@ class Capture:
         return False
 
 
+def _is_plain(link_type: int, frame: bytes) -> bool:
+    """Return whether a frame is whole UDP over IPv4 without options, on Ethernet without tags, in no tunnel: nearly all are."""
+    return (
+        link_type == _ETHERNET
+        and frame[12:15] == b"\x08\x00\x45"
+        and frame[23:24] == b"\x11"
+        and frame[20:22] in _UNFRAGMENTED
+        and frame[36:38] not in _TUNNELS
+    )
+
+
 def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
     """Yield a datagram; if a network card has merged several data packets into it (UDP GRO of Linux), each of them."""
     if datagram is None:
         return ()
-    payload, size = datagram.payload, _DATA_BYTES
+    payload, size = datagram.payload, DATA_BYTES
     if len(payload) <= size or len(payload) % size or not payload.startswith(_FLAG):
         return (datagram,)
     own_bytes = len(datagram.header) + size
     parts = (payload[at : at + size] for at in range(0, len(payload), size))
     return (datagram._replace(payload=part, captured_bytes=own_bytes, wire_bytes=own_bytes) for part in parts)
-
-
-_NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
-_CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
-
-
-class _Fragments:
-    """IP fragments of datagrams that are not complete (RFC 791, section 3.2)."""
-
-    def __init__(self) -> None:
-        self._held: dict[bytes, dict[int, tuple[bytes, Ip]]] = {}
-        self._dropped = 0
-
-    @property
-    def incomplete(self) -> int:
-        """Datagrams that were not completed so far."""
-        return self._dropped + len(self._held)
-
-    def add(self, frame: bytes, ip: Ip) -> tuple[bytes, Ip] | None:
-        """Return the frame of the first fragment with the bytes of all, once the last one is there."""
-        held = self._held.setdefault(ip.key, {})
-        held[ip.fragment] = frame, ip
-        parts, at = list[bytes](), 0
-        while at in held:
-            part, one = held[at]
-            parts.append(part[one.body : one.end])
-            if not one.more:
-                del self._held[ip.key]
-                first, begin = held[0]
-                return first[: begin.body] + b"".join(parts), begin
-            if not parts[-1]:
-                break
-            at += len(parts[-1])
-        if len(self._held) > _INCOMPLETE:
-            del self._held[next(iter(self._held))]
-            self._dropped += 1
-        return None
 
 
 def _files(path: Path) -> list[Path]:
@@ -247,11 +240,178 @@ def _files(path: Path) -> list[Path]:
         return [path]  # which can be read only once
     is_pattern = not path.exists() and glob.has_magic(path.name)
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
-    stamps_ns = {file: _first_stamp_ns(file) for file in found or [path]}
-    return sorted(stamps_ns, key=lambda file: stamps_ns[file])
+    firsts = {file: next(_frames_in(file), None) for file in found or [path]}
+    return sorted(firsts, key=lambda file: first.stamp_ns if (first := firsts[file]) else 0)
 
 
-def _first_stamp_ns(path: Path) -> int:
-    with opened(path) as file:
-        first = next(frames_in(path, file), None)
-        return first.stamp_ns if first else 0
+def _frames_in(path: Path) -> Iterator[Frame | None]:
+    """Yield the frames of a file; None at its end if that is in the middle of a record.
+
+    Raises
+    ------
+    CaptureError
+        If it cannot be read, is no capture, or a record is damaged.
+    """
+    try:
+        with path.open("rb") as file:
+            yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else door("frames")(path, file)
+    except OSError as error:  # gzip and bz2 report damage so, too
+        raise CaptureError(str(path), error.strerror or f"{error}", EXPECTED) from error
+
+
+def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
+    """Yield the frames of classic pcap, as `_frames_in`; `file` begins with one of `PCAP`."""
+    header = read(file, _PCAP_HEADER_BYTES)
+    if len(header) < _PCAP_HEADER_BYTES:
+        raise no_capture(path, header)
+    order, unit_ns, form = PCAP[header[:4]]
+    record, word, number = struct.Struct(order + form), struct.Struct(f"{order}I"), 0
+    link_type = word.unpack_from(header, 20)[0] & 0xFFFF  # above are flags of the check sequence
+    while head := read(file, record.size):
+        if head.startswith(header[:8]):  # another file behind this one, as `cat` puts it there
+            head += read(file, _PCAP_HEADER_BYTES - len(head))
+            if len(head) == _PCAP_HEADER_BYTES:
+                link_type = word.unpack_from(head, 20)[0] & 0xFFFF
+                continue
+        if len(head) < record.size:
+            yield None
+            return
+        seconds, fraction, captured, wire = record.unpack(head)
+        number += 1
+        if captured > _LONGEST_FRAME_BYTES:
+            where = f"{path}: packet {number}"
+            raise CaptureError(where, f"a length of {captured} bytes", f"at most {_LONGEST_FRAME_BYTES}")
+        content = read(file, captured)
+        if len(content) < captured:
+            yield None
+            return
+        yield Frame(seconds * S_NS + fraction * unit_ns, link_type, wire, content)
+
+
+def read(file: BinaryIO, size: int) -> bytes:
+    """Read `size` bytes, fewer at the end of a file, of a pipe, or of an archive that is cut."""
+    parts = []
+    while size > 0:
+        try:
+            part = file.read(size)
+        except EOFError:
+            break
+        if not part:
+            break
+        parts.append(part)
+        size -= len(part)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def no_capture(path: Path, head: bytes) -> CaptureError:
+    """Return the error of a file that begins with other bytes than captures do."""
+    return CaptureError(str(path), f"no capture, it begins with {head[:4].hex(' ') or 'nothing'}", EXPECTED)
+
+
+class CapturedUnit(NamedTuple):
+    """A sensor, known by its address and the port of its data packets; if two share these, by its MAC address too."""
+
+    source: bytes
+    """IP address, 4 bytes, or 16 of IPv6."""
+    data_port: int
+    position_ports: tuple[int, ...]
+    """Ports of its position packets; none if none were captured."""
+    mac: bytes = b""
+    """6 bytes; empty if address and port are enough."""
+
+    def __str__(self) -> str:
+        return f"{ip_address(self.source)}:{self.data_port}{'@' + self.mac.hex(':') if self.mac else ''}"
+
+    def owns(self, datagram: Datagram) -> bool:
+        """Return whether this unit has sent a datagram."""
+        port = datagram.destination_port
+        is_ours = datagram.source == self.source and (port == self.data_port or port in self.position_ports)
+        return is_ours and (not self.mac or datagram.mac == self.mac)
+
+
+@dataclass(slots=True)
+class _Stream:
+    """Datagrams of the length of data packets, from one sender to one port."""
+
+    first: int
+    last: int = 0
+    packets: int = 0
+    """Those that begin as data packets of Velodyne do."""
+
+
+def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
+    """Find the sensors in a capture by reading all of it, in order of address, port and MAC address.
+
+    Of two that share an address, as behind a router, the one with the lower data port has the lower
+    position port.
+
+    Raises
+    ------
+    CaptureError
+        If the file is no capture, or is damaged, or there is no sensor in it and one is required.
+    """
+    return _units_and_others(path, required=required)[0]
+
+
+def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> CapturedUnit | None:
+    """Find one sensor of a capture; None in a capture of a single one, unless it is named or others send packets of that length.
+
+    Parameters
+    ----------
+    unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
+    where : the option's name in error lines
+
+    Raises
+    ------
+    CaptureError
+        If the file is no capture, or is damaged.
+    InputError
+        If there is no such unit, or there are several and none is named.
+    """
+    units, others = ([], False) if path.is_fifo() else _units_and_others(path)  # a pipe can be read only once
+    if not units or (unit is None and len(units) == 1):
+        return units[0] if others and units else None
+    for number, known in enumerate(units, start=1):
+        if unit in (str(number), str(known)):
+            return known
+    found = f"{len(units)} units in {path}" if unit is None else f"found {unit}"
+    names = [f"{number} ({known})" for number, known in enumerate(units[:_NAMED], start=1)]
+    names += [f"... {len(units)}"] if len(units) > _NAMED else []
+    raise InputError(where, found, f"one of {', '.join(names)}")
+
+
+def _units_and_others(path: Path, *, required: bool = False) -> tuple[list[CapturedUnit], bool]:
+    """Find the sensors, and whether somebody else sends datagrams as long as data packets."""
+    streams: dict[tuple[bytes, int], dict[bytes, _Stream]] = defaultdict(dict)
+    position = defaultdict[bytes, set[int]](set)
+    capture = Capture(path)
+    for datagram in capture:
+        payload = datagram.payload
+        if len(payload) == DATA_BYTES:
+            own = streams[datagram.source, datagram.destination_port]
+            stream = own.setdefault(datagram.mac, _Stream(datagram.number))
+            stream.last = datagram.number
+            stream.packets += payload.startswith(_FLAG) and payload.startswith(_FLAG, BLOCK.itemsize)
+        elif len(payload) == POSITION_BYTES:
+            position[datagram.source].add(datagram.destination_port)
+    counts = {key: sum(stream.packets for stream in own.values()) for key, own in streams.items()}
+    least = max(_STRAY * max(counts.values(), default=0), 1)
+    ports = defaultdict[bytes, list[int]](list)
+    for source, port in sorted(key for key, packets in counts.items() if packets >= least):
+        ports[source].append(port)
+    units = [
+        CapturedUnit(source, port, tuple(sorted(position[source])[place :: len(own)]), mac)
+        for source, own in ports.items()
+        for place, port in enumerate(own)
+        for mac in _macs(streams[source, port], least)
+    ]
+    if required and not units:
+        raise capture.no_data()
+    return units, not all(counts.values())
+
+
+def _macs(streams: dict[bytes, _Stream], least: float) -> list[bytes]:
+    """Return the MAC addresses of sensors that send at the same time; of one that is replaced by another, none."""
+    busy = {mac: stream for mac, stream in streams.items() if stream.packets >= least}
+    latest_first, earliest_last = (max(one.first for one in busy.values()), min(one.last for one in busy.values()))
+    return sorted(busy) if len(busy) > 1 and latest_first < earliest_last else [b""]

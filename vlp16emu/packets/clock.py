@@ -6,12 +6,12 @@ A packet says when it was fired past an hour that it does not name, on a clock t
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from vlp16emu.errors import CaptureError, InputError, PacketError
-from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram
 from vlp16emu.packets.decode import decode_position
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, POSITION_BYTES, RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
 from vlp16emu.packets.nmea import rmc_time
@@ -37,13 +37,6 @@ class Clock(StrEnum):
     """The sensor's clock, in the hour that the first valid sentence of the GPS receiver names."""
     HOST = "host"
     """The capture's stamp, less the time in which a packet fills: as a ROS driver without `gps_time` sees it."""
-
-
-class Sender(Protocol):
-    """One sensor of a capture."""
-
-    def owns(self, datagram: Datagram) -> bool:
-        """Return whether the sensor has sent a datagram."""
 
 
 class PacketClock:
@@ -102,7 +95,7 @@ class UnitClock(NamedTuple):
 
 
 def unit_clocks(
-    path: Path, units: Sequence[Sender | None], name: str | None = None, *, where: str = "clock"
+    path: Path, units: Sequence[CapturedUnit | None], name: str | None = None, *, where: str = "clock"
 ) -> list[UnitClock]:
     """Choose the clock of each unit of a capture.
 
@@ -131,7 +124,9 @@ def unit_clocks(
     return [of.clock(path, name, where) for of in seen]
 
 
-def packet_clock(path: Path, unit: Sender | None, name: str | None = None, *, where: str = "clock") -> PacketClock:
+def packet_clock(
+    path: Path, unit: CapturedUnit | None, name: str | None = None, *, where: str = "clock"
+) -> PacketClock:
     """Return the clock for the packets of one unit, as `unit_clocks`; by default the sensor's for a pipe, which is read only once."""
     if path.is_fifo() and name != Clock.GPS and (name is None or name in tuple(Clock)):
         return PacketClock(Clock(name or Clock.SENSOR))

@@ -49,6 +49,14 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
     ]
 
 
+def returns_in(packet: Packet) -> int:
+    """Count the distances of a data packet that are not 0; none in other packets, and in one that is cut."""
+    if packet.kind is not PacketKind.DATA or len(packet.payload) != layout.DATA_BYTES:
+        return 0
+    fields = np.frombuffer(packet.payload, layout.DATA_PAYLOAD)
+    return int(np.count_nonzero(fields["blocks"]["records"]["distance_lsb"]))
+
+
 def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     """Pack whole packets into bytes.
 

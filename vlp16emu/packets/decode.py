@@ -5,13 +5,11 @@ Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 an
 `sensor` frame, as those of ROS drivers: x = Y forward, y = -X left, z = Z.
 """
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +17,7 @@ from vlp16emu.errors import InputError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
-from vlp16emu.trig import cos_sin
+from vlp16emu.sensor.place import in_sensor
 from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
@@ -33,7 +31,6 @@ PRODUCT_BEFORE_RELEASE = 0x21
 """Product byte of a VLP-16 of 2014; else of an HDL-32E (63-9243 Rev D, table 9-2), so the byte alone does not say."""
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
-
 
 _FASTEST_DEG_PER_NS = 1.5 * 1200 * 6 / S_NS
 """1200 rpm (63-9243 Rev D, section 8.3, p. 50), with a margin for units that run too fast."""
@@ -144,9 +141,8 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     azimuth_cdeg = fields["blocks"]["azimuth_cdeg"][packet, block] + step_cdeg
     azimuth_deg = azimuth_cdeg % layout.AZIMUTH_CODES / 100
     distance_m = records["distance_lsb"].ravel()[source] * layout.DISTANCE_LSB_M
-    xyz_m = np.empty((len(distance_m), 3), np.float32)
-    elevation_rad = np.radians(beams.elevation_deg)
-    _fill_xyz(xyz_m, distance_m, azimuth_deg, laser, elevation_rad, beams.vertical_offset_m)
+    xyz_m = in_sensor(azimuth_deg, beams.elevation_deg[laser], beams.vertical_offset_m[laser], distance_m)
+    xyz_m[distance_m == 0.0] = np.nan
     last_mode = fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.LAST]
     return Points(
         packet=packet,
@@ -156,7 +152,7 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
         ring=beams.ring.astype(np.uint8)[laser],
         azimuth_deg=azimuth_deg,
         distance_m=distance_m.astype(np.float32),
-        xyz_m=xyz_m,
+        xyz_m=xyz_m.astype(np.float32),
         reflectivity=records["reflectivity"].ravel()[source],
         is_last=np.where(dual[packet], block % 2 == 0, last_mode[packet]),
     )
@@ -277,18 +273,3 @@ def _steps_cdeg(fields: NDArray[np.void]) -> F8:
     apart = ~_is_dual(fields)[:, None] | (np.arange(1, BLOCKS_PER_PACKET) % 2 == 0)
     known = apart & (turned <= _MAX_STEP_CDEG)
     return np.sum(turned * known, axis=1) / np.maximum(np.count_nonzero(known, axis=1), 1)
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_xyz(xyz_m: F4, distance_m: F8, azimuth_deg: F8, laser: I8, elevation_rad: F8, correction_m: F8) -> None:
-    """Fill (n, 3) by the manual's formulas, turned to the sensor's frame; NaN without return."""
-    for i in range(len(distance_m)):
-        r, j = distance_m[i], laser[i]
-        if r == 0.0:
-            xyz_m[i] = np.nan
-        else:
-            cosine, sine = cos_sin(math.radians(azimuth_deg[i]))
-            level, up = cos_sin(elevation_rad[j])
-            xyz_m[i, 0] = r * level * cosine
-            xyz_m[i, 1] = -r * level * sine
-            xyz_m[i, 2] = r * up + correction_m[j]

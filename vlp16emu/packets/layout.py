@@ -48,26 +48,6 @@ FACTORY_BYTE = MappingProxyType({SensorModel.VLP_16: 0x22, SensorModel.PUCK_LITE
 
 RECORD = np.dtype([("distance_lsb", "<u2"), ("reflectivity", "u1")])
 """One laser's return, 3 bytes."""
-SLOT = np.dtype(
-    [
-        ("t_ns", "<i8"),  # UTC of the pulse
-        ("echo", "u1"),  # which return it is, place on the last axis of `Returns`; `NO_ECHO` without any
-        ("range_m", "<f4"),  # before errors of range and the 2 mm of the wire
-        ("sensor_m", "<f4", 3),  # at that range, in the sensor at the instant of the pulse
-        ("world_m", "<f8", 3),
-        ("semantic", "u1"),
-        ("part", "u1"),
-        ("instance", "<u4"),
-        ("species", "<u2"),
-        ("share", "<f4"),  # of the footprint that met the surface of the return
-        ("repeat", "?"),  # in dual return: of the same return as the record of the block before
-    ]
-)
-"""Truth behind one record of a data packet."""
-
-NO_ECHO = 255
-"""Echo of a record without distance."""
-
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth_cdeg", "<u2"), ("records", RECORD, (SEQUENCES_PER_BLOCK, LASERS))])
 """Two firing sequences, 100 bytes; the azimuth belongs to the first pulse of the first one."""
 DATA_PAYLOAD = np.dtype(

@@ -11,7 +11,7 @@ from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS, US_NS
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_KNOT_M_S = 1852 / 3600
+KNOT_M_S = 1852 / 3600
 """A nautical mile per hour, exact by definition."""
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, which no receiver passes (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
@@ -57,27 +57,6 @@ def rmc(fix: GnssFix) -> bytes:
     return sentence.encode("ascii")
 
 
-def parse_rmc(sentence: bytes) -> GnssFix:
-    """Read a sentence back, ASCII that ends with CR and LF.
-
-    Raises
-    ------
-    PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number
-    """
-    fields = _fields(sentence)
-    try:
-        return GnssFix(
-            t_ns=_utc_ns(fields[8], fields[0]),
-            valid={"A": True, "V": False}[fields[1]],
-            latitude_deg=_degrees(fields[2], 2, {"N": 1, "S": -1}[fields[3]]),
-            longitude_deg=_degrees(fields[4], 3, {"E": 1, "W": -1}[fields[5]]),
-            speed_m_s=_number(fields[6]) * _KNOT_M_S,
-            course_deg=_number(fields[7]),
-        )
-    except (ValueError, KeyError, IndexError) as error:
-        raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
-
-
 def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
     """Read the second that a sentence names, UTC in ns, and whether its status is A; fields of the place may be empty.
 
@@ -87,15 +66,16 @@ def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
     ------
     PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or no time, date and status where they belong
     """
-    fields = _fields(sentence)
+    fields = fields_of(sentence)
     try:
         valid = {"A": True, "V": False}[fields[1]]
-        return (_utc_ns(fields[8], fields[0]) // S_NS * S_NS if fields[0] and fields[8] else None), valid
+        return (utc_ns(fields[8], fields[0]) // S_NS * S_NS if fields[0] and fields[8] else None), valid
     except (ValueError, KeyError, IndexError) as error:
         raise PacketError("NMEA sentence", repr(sentence), "time, status and date of RMC") from error
 
 
-def _fields(sentence: bytes) -> list[str]:
+def fields_of(sentence: bytes) -> list[str]:
+    """Return the fields of a sentence behind its name; errors as `rmc_time`."""
     import pynmea2
 
     if not (sentence.startswith(b"$GPRMC,") and sentence.endswith(b"\r\n")):
@@ -124,7 +104,7 @@ def _check(fix: GnssFix) -> None:
 
 def _knots(speed_m_s: float) -> str:
     """Write a speed; from 100 knots on a third decimal would take the sentence over the 82 characters of NMEA 0183."""
-    knots = speed_m_s / _KNOT_M_S
+    knots = speed_m_s / KNOT_M_S
     return f"{knots:.{3 if knots < 99.999 else 2}f}"
 
 
@@ -137,21 +117,7 @@ def _degrees_minutes(angle_deg: float, width: int) -> str:
     return f"{degrees:0{width}d}{whole:02d}.{fraction:0{_MINUTE_DECIMALS}d}"
 
 
-def _degrees(field: str, width: int, sign: int) -> float:
-    degrees, minutes = int(field[:width]), _number(field[width:])
-    if minutes >= 60:
-        raise ValueError(field)
-    return sign * (degrees + minutes / 60)
-
-
-def _number(field: str) -> float:
-    """Read a plain number without sign; float alone would take nan and 1e9."""
-    if not field.replace(".", "", 1).isdecimal():
-        raise ValueError(field)
-    return float(field)
-
-
-def _utc_ns(date: str, time: str) -> int:
+def utc_ns(date: str, time: str) -> int:
     """Read ddmmyy, 1969 to 2068, and hhmmss with or without decimals."""
     layout = "%d%m%y%H%M%S.%f" if "." in time else "%d%m%y%H%M%S"
     since = datetime.strptime(date + time, layout).replace(tzinfo=UTC) - _EPOCH

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.errors import CaptureError, PacketError
-from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram
 from vlp16emu.packets.clock import Clock, PacketClock
 from vlp16emu.packets.decode import (
     SENSOR_R_MANUAL,
@@ -28,28 +28,18 @@ from vlp16emu.packets.layout import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
     DATA_BYTES,
-    DATA_PAYLOAD,
     DISTANCE_LSB_M,
     FACTORY_BYTE,
     POSITION_BYTES,
     RECORDS_PER_PACKET,
     RETURN_MODE_BYTE,
 )
-from vlp16emu.packets.units import CapturedUnit
-from vlp16emu.types import I8, U1, U2, Packet, PacketKind, ReturnMode, SensorModel
+from vlp16emu.types import I8, U1, U2, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS
 
 _CHUNK = 2_000
 """Packets decoded at once: 0.8 million records, some 50 MB of points."""
 _BLOCK_RECORDS = 32
-
-
-def returns_in(packet: Packet) -> int:
-    """Count the distances of a data packet that are not 0; none in other packets, and in one that is cut."""
-    if packet.kind is not PacketKind.DATA or len(packet.payload) != DATA_BYTES:
-        return 0
-    fields = np.frombuffer(packet.payload, DATA_PAYLOAD)
-    return int(np.count_nonzero(fields["blocks"]["records"]["distance_lsb"]))
 
 
 class PacketChunk(NamedTuple):
@@ -147,22 +137,18 @@ class CaptureReader:
         self._path, self._unit, self._frame = path, unit, frame
         self._capture = Capture(path)
         self._codes = np.zeros(2**16, np.int64)
-        self._azimuth_cdeg: list[U2] = []
-        self._modes: dict[int, None] = {}
+        self._azimuth_cdeg, self._packet_ns, self._modes = list[U2](), list[I8](), list[U1]()
         self._factory: int | None = None
-        self._turned_cdeg = self._turning_ns = 0
-        self._positions = self._others = 0
+        self._positions = self._others = self._zero_ns = 0
         self._gps: PositionFields | None = None
         self.first_stamp_ns = 0
         """UTC, of the capture, at the first data packet; 0 before one has been read."""
-        self._packet_ns: list[I8] = []
-        self._zero_ns = 0
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self._capture.__exit__(*error)
+    def __exit__(self, *_: object) -> None:
+        return
 
     def points(self) -> Iterator[PacketChunk]:
         """Read chunk by chunk; all points before a packet or record at fault come before the error is raised.
@@ -192,12 +178,12 @@ class CaptureReader:
     @property
     def summary(self) -> Summary:
         """Summary of what has been read, once all points have been taken."""
-        azimuth_cdeg = np.concatenate(self._azimuth_cdeg)
+        azimuth_cdeg, modes = np.concatenate(self._azimuth_cdeg), np.concatenate(self._modes)
         packet_ns = np.concatenate(self._packet_ns)
         block_ns = np.arange(BLOCKS_PER_PACKET) * BLOCK_PERIOD_NS
         starts = scan_starts(azimuth_cdeg.ravel() / 100, (packet_ns[:, None] + block_ns).ravel())
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS
-        modes = {code: mode for mode, code in RETURN_MODE_BYTE.items()}
+        names = {code: mode for mode, code in RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
         return Summary(
             packets=len(azimuth_cdeg),
@@ -207,12 +193,12 @@ class CaptureReader:
                 (model for model in SensorModel if FACTORY_BYTE[model] == self._factory),
                 self._model or SensorModel.VLP_16,
             ),
-            return_mode=", ".join(modes[code] for code in self._modes),
+            return_mode=", ".join(names[code] for code in dict.fromkeys(modes.tolist())),
             points=points,
             no_returns=len(azimuth_cdeg) * RECORDS_PER_PACKET - points,
             scans=len(starts),
             records_per_scan=int(np.median(whole)) if len(whole) else None,
-            rpm=self._turned_cdeg / AZIMUTH_CODES / max(self._turning_ns / S_NS, 1e-9) * 60,
+            rpm=_rpm(azimuth_cdeg, modes),
             first_stamp_ns=self.first_stamp_ns,
             duration_s=int(packet_ns[-1] - packet_ns[0]) / S_NS,
             clock=self.clock.clock,
@@ -258,7 +244,10 @@ class CaptureReader:
         packet_ns = sensor_ns - self._zero_ns
         self._packet_ns.append(packet_ns)
         since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
-        self._note(fields)
+        self._codes += np.bincount(fields["blocks"]["records"]["distance_lsb"].ravel(), minlength=2**16)
+        self._azimuth_cdeg.append(fields["blocks"]["azimuth_cdeg"].copy())
+        self._modes.append(fields["return_mode"].copy())
+        self._factory = int(fields["factory"][0])
         return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, utc_ns, fields, number)
 
     def _note_other(self, datagram: Datagram) -> None:
@@ -274,24 +263,24 @@ class CaptureReader:
             where = f"{self._path}: frame {datagram.number}: {error.where}"
             raise PacketError(where, error.found, error.expected) from None
 
-    def _note(self, fields: NDArray[np.void]) -> None:
-        blocks = fields["blocks"]
-        self._codes += np.bincount(blocks["records"]["distance_lsb"].ravel(), minlength=2**16)
-        azimuth_cdeg = blocks["azimuth_cdeg"]
-        self._azimuth_cdeg.append(azimuth_cdeg.copy())
-        self._modes |= dict.fromkeys(fields["return_mode"].tolist())
-        self._factory = int(fields["factory"][0])
-        for mode in np.unique(fields["return_mode"]):
-            stride = 2 if mode == RETURN_MODE_BYTE[ReturnMode.DUAL] else 1
-            own_cdeg: I8 = azimuth_cdeg[fields["return_mode"] == mode, ::stride].astype(np.int64)
-            step_cdeg: I8 = np.diff(own_cdeg) % AZIMUTH_CODES
-            # A far wider step than its neighbours is the edge of a field of view.
-            even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
-            self._turned_cdeg += int(step_cdeg[even].sum())
-            self._turning_ns += int(even.sum()) * BLOCK_PERIOD_NS
-
     def _ranges_m(self) -> tuple[float, float, float]:
         below = np.cumsum(self._codes[1:])
         shares = (1, -(-below[-1] // 2), below[-1])
         low, middle, high = (float(code + 1) * DISTANCE_LSB_M for code in np.searchsorted(below, shares))
         return low, middle, high
+
+
+def _rpm(azimuth_cdeg: U2, modes: U1) -> float:
+    """Return the mean speed of the rotor over packets, from azimuths (n, 12) of their blocks and return modes (n,)."""
+    turned_cdeg = turning_ns = 0
+    for mode in np.unique(modes):
+        stride = (
+            2 if mode == RETURN_MODE_BYTE[ReturnMode.DUAL] else 1
+        )  # blocks 0 and 1 of dual return share their azimuth
+        own_cdeg: I8 = azimuth_cdeg[modes == mode, ::stride].astype(np.int64)
+        step_cdeg: I8 = np.diff(own_cdeg) % AZIMUTH_CODES
+        # A far wider step than its neighbours is the edge of a field of view.
+        even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
+        turned_cdeg += int(step_cdeg[even].sum())
+        turning_ns += int(even.sum()) * BLOCK_PERIOD_NS
+    return turned_cdeg / AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60

@@ -1,4 +1,4 @@
-"""A run into a capture file or a bag."""
+"""A run into a capture file or a bag, stamped by the clock of the host that records."""
 
 import math
 import time
@@ -6,33 +6,30 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from ipaddress import IPv4Address
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Protocol
+from typing import Any
 
 from vlp16emu.doors import door
-from vlp16emu.engine import Unit
+from vlp16emu.elementary import exp, log
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.output import STDOUT, spare
-from vlp16emu.packets import Capture, returns_in
-from vlp16emu.packets.frames import Link
-from vlp16emu.run.host_clock import HostClock
+from vlp16emu.packets import Link, returns_in
+from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.run.options import RecordOptions, TruthTo
 from vlp16emu.run.report import About, Recording, UnitSent
 from vlp16emu.run.run import Run
-from vlp16emu.scenario.capture import CaptureClock
-from vlp16emu.sinks import PacketSink, PcapResult, PcapSink, check_ending
+from vlp16emu.scenario.model import CaptureClock
+from vlp16emu.sinks import PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
-
-class FileSink(PacketSink, Protocol):
-    """A sink that writes a file and reports its content."""
-
-    @property
-    def result(self) -> PcapResult:
-        """Content of the file, once it is closed."""
+_LONGEST_US = 4_500.0
+"""Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
+_LANES_PER_UNIT = 8
+_LANE = {kind: place for place, kind in enumerate(PacketKind)}
+_MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0
 
 
 def record(
@@ -40,22 +37,21 @@ def record(
     path: str | Path,
     options: RecordOptions,
     *,
-    as_due: bool = False,
     progress: Callable[[float], None] = lambda _: None,
     stop: Event | None = None,
 ) -> Recording:
     """Write the packets of a run into a file; parameters and errors as `Emulator.record`."""
-    truth = TruthTo.of(options.truth)
-    paths = _paths_of_units(Path(path), len(run.engine.parts.units)) if options.split else [Path(path)]
+    units, truth = run.engine.parts.units, TruthTo.of(options.truth)
+    paths = _paths_of_units(Path(path), len(units)) if options.split else [Path(path)]
     for one in paths:
         spare(run.files, one)
     files = _files(run, path, paths, truth, options)
     run, scenario, stop = run.with_truth_in(truth), run.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
-    clock = CaptureClock(preset="ideal") if as_due else scenario.capture
-    host = HostClock(clock, scenario.seed, scenario.start_ns)
+    host = HostClock(scenario.capture, scenario.seed, scenario.start_ns)
     packets = run.engine.packets(*span_s)  # checks the span before a file is touched
-    began_s, sent, simulated_s = time.perf_counter(), Counter[tuple[int, str]](), 0.0
+    began_s, simulated_s = time.perf_counter(), 0.0
+    sent, returns = [Counter[PacketKind]() for _ in units], [0] * len(units)
     begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
     with (
         run.engine.windows.stopped_by(stop),
@@ -67,17 +63,18 @@ def record(
             if stop.is_set():
                 break
             sinks[min(packet.unit, len(sinks) - 1)].send(host.stamped(packet))
-            sent[packet.unit, packet.kind] += 1
-            sent[packet.unit, "returns"] += returns_in(packet)
+            sent[packet.unit][packet.kind] += 1
+            returns[packet.unit] += returns_in(packet)
             simulated_s = (packet.due_ns - begin_ns) / S_NS
             progress(simulated_s)
     interrupted = stop.is_set()
     simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
     written, run_s = [sink.result for sink in sinks], run.engine.parts.motion.run_time_s
+    counts = zip(units, sent, returns, strict=True)
     return Recording(
         file=", ".join(map(str, paths)),
         about=About.of(run.name, scenario),
-        units=tuple(_sent(unit, sent, simulated_s) for unit in run.engine.parts.units),
+        units=tuple(UnitSent.of(unit, of, simulated_s, echoes) for unit, of, echoes in counts),
         bytes=sum(file.bytes for file in written),
         sha256=", ".join(file.sha256 for file in written),
         simulated_s=simulated_s,
@@ -89,11 +86,6 @@ def record(
     )
 
 
-def _sent(unit: Unit, sent: Counter[tuple[int, str]], simulated_s: float) -> UnitSent:
-    data, position, returns = (sent[unit.number, kind] for kind in (PacketKind.DATA, PacketKind.POSITION, "returns"))
-    return UnitSent.of(unit, data, position, simulated_s, returns)
-
-
 def _paths_of_units(path: Path, units: int) -> list[Path]:
     """Return a name for the capture of each unit: `walk_1.pcap` and so on after `walk.pcap`."""
     if path == STDOUT:
@@ -101,27 +93,22 @@ def _paths_of_units(path: Path, units: int) -> list[Path]:
     return [path.with_stem(f"{path.stem}_{number + 1}") for number in range(units)]
 
 
-def _is_bag(name: str | Path) -> bool:
-    """Return whether a name is that of a bag: by its ending, of a folder a slash."""
-    return Path(name).suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
-
-
 def _files(
     run: Run, name: str | Path, paths: Sequence[Path], truth: TruthTo | None, options: RecordOptions
-) -> AbstractContextManager[Sequence[FileSink]]:
+) -> AbstractContextManager[Sequence[Any]]:
     """Return the files of a run, which are opened when they are entered: captures, or a bag."""
-    links = [unit.link for unit in run.engine.parts.units]
-    if not _is_bag(name):
+    is_bag = paths[0].suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
+    if not is_bag:
         check_ending(paths[0])
         if options.bag is not None:
             raise InputError(
                 "--for and --tf", f"found the capture {paths[0]}", "a bag: .mcap, .bag or a slash at the end"
             )
-        return _captures(paths, links)
+        return _captures(paths, [unit.link for unit in run.engine.parts.units])
     if options.split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")
     rate_hz = (truth or TruthTo(paths[0])).rate_hz
-    bag: AbstractContextManager[Sequence[FileSink]] = door("bag")(paths[0], run.engine, rate_hz, options.bag)
+    bag: AbstractContextManager[Sequence[Any]] = door("bag")(paths[0], run.engine, rate_hz, options.bag)
     return bag
 
 
@@ -131,43 +118,45 @@ def _captures(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[Pca
         yield [stack.enter_context(PcapSink(path, links)) for path in paths]
 
 
-def prepared(links: Sequence[Link], path: Path, record: Callable[[Path], object]) -> Iterator[Packet]:
-    """Record a whole run, and yield its packets as `packets_of` does.
+class HostClock:
+    """Clock of the host that records, which stamps the packets of a capture in their order.
+
+    A stamp depends on the seed and the packet alone, unless it would precede the stamp before it.
 
     Parameters
     ----------
-    record : writes the capture
-
-    Raises
-    ------
-    OutputError
-        If the place cannot be read again, or has the ending of another format
+    section : of the scene
+    seed : of the scene
+    start_ns : UTC of the first pulse
     """
-    if path == STDOUT or (path.exists() and not path.is_file()):
-        raise OutputError(str(path), "no file that can be read again", "the name of a file")
-    check_ending(path)
-    record(path)
-    return packets_of(links, path)
 
+    def __init__(self, section: CaptureClock, seed: int, start_ns: int) -> None:
+        self._seed, self._start_ns, self._latest_ns = seed, start_ns, 0
+        names, is_real = ("jitter_us", "late_share", "late_us"), section.preset != "ideal"
+        *drawn, rate, offset = normal(seed, Purpose.CAPTURE_HOST, 0, len(names) + 2).tolist()
+        own = {
+            name: getattr(section, name) * exp(section.host_spread * z) for name, z in zip(names, drawn, strict=True)
+        }
+        self._section = section = section.model_copy(update=own)
+        self._ppm = section.ppm if section.ppm is not None else is_real * (_MIDDLE_PPM + _SPREAD_PPM * rate)
+        self._ahead_ms = section.ahead_ms if section.ahead_ms is not None else is_real * _AHEAD_MS * offset
+        self._is_ideal = not (self._ppm or self._ahead_ms or section.jitter_us or section.late_share)
 
-def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
-    """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
+    def stamped(self, packet: Packet) -> Packet:
+        """Return a packet that is due when it is captured."""
+        if self._is_ideal:
+            return packet
+        since_ns = packet.due_ns - self._start_ns
+        off_ns = since_ns * 1e-6 * self._ppm + 1e6 * self._ahead_ms
+        moved_ns = round(off_ns + self._delay_us(packet) * US_NS)
+        self._latest_ns = max(self._latest_ns, packet.due_ns + moved_ns)
+        return replace(packet, due_ns=self._latest_ns)
 
-    Parameters
-    ----------
-    links : of the units that the packets are from
-
-    Raises
-    ------
-    CaptureError
-        If the file is damaged
-    """
-    ways = {
-        (IPv4Address(link.source).packed, port): (kind, number)
-        for number, link in enumerate(links)
-        for kind, port in ((PacketKind.DATA, link.data_port), (PacketKind.POSITION, link.position_port))
-    }
-    with Capture(path, repeats=True) as capture:
-        for datagram in capture:
-            kind, number = ways[datagram.source, datagram.destination_port]
-            yield Packet(kind, datagram.stamp_ns, datagram.payload, number)
+    def _delay_us(self, packet: Packet) -> float:
+        section, number = self._section, packet.due_ns // US_NS
+        lane = packet.unit * _LANES_PER_UNIT + _LANE[packet.kind]
+        delay_us = section.jitter_us * abs(float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0]))
+        is_late, how = uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number, 2, lane).tolist()
+        if is_late < section.late_share:
+            delay_us += -section.late_us * log(1.0 - how)
+        return min(delay_us, _LONGEST_US)

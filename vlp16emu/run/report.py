@@ -1,18 +1,14 @@
 """Results of runs: what left, when and how punctually, and how far it can be trusted."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Self
 
 from vlp16emu.engine import Unit
-from vlp16emu.output import write_json
-from vlp16emu.run.ladder import settings_that_keep_up
-from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import FellBehind, OutletResult, StreamReport
+from vlp16emu.sinks import StreamReport
 from vlp16emu.types import PacketKind
 
 
@@ -71,13 +67,11 @@ class UnitSent:
     """None for a capture."""
 
     @classmethod
-    def of(
-        cls, unit: Unit, packets: int, position_packets: int, simulated_s: float, returns: int | None = None
-    ) -> Self:
-        """Describe what a sensor of a scene sent."""
+    def of(cls, unit: Unit, sent: Mapping[PacketKind, int], simulated_s: float, returns: int | None = None) -> Self:
+        """Describe what a sensor of a scene sent, by kind."""
         sensor, turn = on_the_wire(unit.section), turn_of(unit.head, simulated_s)
         where = sensor.name, sensor.address, sensor.data_port, sensor.position_port
-        return cls(unit.number + 1, *where, packets, position_packets, returns, turn)
+        return cls(unit.number + 1, *where, sent[PacketKind.DATA], sent[PacketKind.POSITION], returns, turn)
 
 
 class OfUnits:
@@ -150,41 +144,12 @@ class Streamed(OfUnits):
     """`LiveReport` of a run whose poses came in; else None."""
     gps_in: Any | None
     """`GpsInResult` of a real receiver; None without one."""
-    gps_out: OutletResult | None
-    """Sentences and pulses of the receiver; None unless asked for."""
-    imu_out: OutletResult | None
-    """Samples of the inertial unit; None unless asked for."""
+    gps_out: Any | None
+    """`OutletResult` of the sentences and pulses of the receiver; None unless asked for."""
+    imu_out: Any | None
+    """`OutletResult` of the samples of the inertial unit; None unless asked for."""
 
     @property
     def interrupted(self) -> bool:
         """True if the stop event or Ctrl-C ended it."""
         return self.sent.interrupted
-
-
-def outlet_result(
-    kind: PacketKind, ways: Mapping[PacketKind, Any], skipped: Counter[PacketKind]
-) -> OutletResult | None:
-    """Return what left beside the packets of the sensors, with what the stream skipped among the dropped; None for no such outlet."""
-    if kind not in ways:
-        return None
-    result: OutletResult = ways[kind].result
-    return replace(result, dropped=result.dropped + skipped[kind])
-
-
-def write_times(to: TruthTo, report: StreamReport, speed: float) -> None:
-    """Write when the first packet left beside the truth of a stream, so that live results can be compared with it.
-
-    Raises
-    ------
-    OutputError, RunError
-        If the file cannot be written
-    """
-    if report.first is not None:
-        times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
-        write_json(to.folder / "time.json", times)
-
-
-def options_for(times: Sequence[FellBehind], scenario: Scenario, speed: float) -> list[str]:
-    """Return options with which an engine as slow as this one keeps up; none if it was not the cause."""
-    speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None]
-    return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []

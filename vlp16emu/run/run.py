@@ -1,49 +1,20 @@
 """A scene that is read and set up, with its name and its files."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError
-from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import spare
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
-from vlp16emu.types import Packet
-
-
-class HasEngine(Protocol):
-    """Owner of the engine of a run, which may replace it while the run goes on."""
-
-    @property
-    def engine(self) -> Engine:
-        """The engine as it is now."""
-
-
-class Audit(Protocol):
-    """Tap that casts a sample of the pulses again."""
-
-    @property
-    def finding(self) -> AuditFinding:
-        """Error found so far."""
-
-
-class Truth(Protocol):
-    """The ground truth of a run, as it is written."""
-
-    def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
-        """Pass packets on, and write the ground truth up to each of them."""
-
-    def up_to(self, since_s: float) -> None:
-        """Write the ground truth up to a time since the first pulse, for a run without packets."""
-
 
 Scene = str | Path | Mapping[str, Any] | Scenario
 """Name of a scene, path of a .toml file, its tables as a dictionary, or a scenario."""
@@ -58,8 +29,8 @@ class Run:
     """Name, path or title of the scene."""
     files: tuple[Path, ...]
     """Files that the run reads; no output replaces them."""
-    audit: Audit | None = None
-    """Casts a sample of the pulses again, to estimate their error."""
+    audit: Any = None
+    """Tap that casts a sample of the pulses again, to estimate their error."""
 
     @classmethod
     def of(
@@ -74,6 +45,7 @@ class Run:
     ) -> Self:
         """Read a scene and set it up; parameters and errors as of `Emulator`."""
         scenario = load(scene, settings, ideal=ideal)
+        # Poses of a live run are not known again when its pulses are cast a second time.
         wanted = audit and has_door("audit") and not takes_poses(scenario.motion)
         observer = door("audit").of(scenario) if wanted else None
         engine = Engine.of(scenario, threads=threads, taps=[observer] if observer else [], like=like)
@@ -104,21 +76,13 @@ class Run:
             raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
         return unit - 1
 
-    def with_settings(self, settings: Mapping[str, object]) -> Self:
-        """Return a run with some settings changed, if they are not as wanted."""
-        if all(attrgetter(key)(self.scenario) == value for key, value in settings.items()):
+    def changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
+        """Return a run with some settings changed, which shares the world if that stays the same."""
+        scenario, engine = load(self.scenario, settings), self.engine
+        if scenario == self.scenario:
             return self
-        return self._changed(settings)
-
-    def with_texts(self, settings: Sequence[str]) -> Self:
-        """Return a run with some settings changed, each KEY=VALUE as on the command line."""
-        return self._changed(settings)
-
-    def _changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
-        engine, is_audited = self.engine, self.audit is not None
-        changed = type(self).of(self.scenario, settings, threads=engine.threads, audit=is_audited, like=engine)
-        engine = replace(changed.engine, truth_of=engine.truth_of)
-        return replace(changed, engine=engine, name=self.name, files=self.files)
+        made = type(self).of(scenario, threads=engine.threads, audit=self.audit is not None, like=engine)
+        return replace(made, engine=replace(made.engine, truth_of=engine.truth_of), name=self.name, files=self.files)
 
     def with_truth_in(self, to: TruthTo | None) -> Self:
         """Return a run whose packets carry the ground truth of their records, if `to` asks for it."""
@@ -127,12 +91,12 @@ class Run:
         return replace(self, engine=replace(self.engine, truth_of=door("truth_of_records")))
 
     @contextmanager
-    def truth(self, to: TruthPlace | None, span_s: tuple[float, float], *, of: HasEngine) -> Iterator[Truth | None]:
-        """Open the folder for the ground truth of a span; None if none is wanted.
+    def truth(self, to: TruthPlace | None, span_s: tuple[float, float], *, of: Any) -> Iterator[Any]:
+        """Open the folder for the ground truth of a span, an `extras.truth.truth.Truth`; None if none is wanted.
 
         Parameters
         ----------
-        of : whose engine makes the packets, with the events so far
+        of : this run, or the feed whose engine makes the packets, with the events so far
         """
         if (place := TruthTo.of(to)) is None:
             yield None

@@ -1,104 +1,123 @@
 """A scene over UDP in real time."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
-from threading import Event
+from dataclasses import asdict, replace
+from threading import Event, Thread
 from typing import Any
 
-from vlp16emu.doors import door
-from vlp16emu.engine import Unit
+from vlp16emu.doors import door, has_door
+from vlp16emu.engine import Engine, Unit
+from vlp16emu.engine.position import number_at
 from vlp16emu.errors import InputError
-from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.run.feed import PacketFeed
-from vlp16emu.run.options import Http, RecordOptions, StreamOptions, TruthTo
-from vlp16emu.run.record import prepared, record
-from vlp16emu.run.report import About, Streamed, UnitSent, options_for, outlet_result, write_times
+from vlp16emu.motion.settings import takes_poses
+from vlp16emu.output import write_json
+from vlp16emu.run.options import StreamOptions, TruthTo
+from vlp16emu.run.report import About, Streamed, UnitSent
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import (
     LOOK_AHEAD_PACKETS,
     FellBehind,
     Late,
-    Outlet,
     Pacer,
     PacketSink,
-    RigSink,
-    SinkByKind,
     StreamReport,
+    UdpSink,
     UnderWay,
     free_ports,
     stream,
 )
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, seconds_to_ns
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreamHooks:
-    """Functions of a program that are called while its stream runs."""
+def stream_run(
+    run: Run,
+    options: StreamOptions,
+    *,
+    watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink,
+    opened: Callable[[Sequence[Unit]], None] = lambda _: None,
+    look_ahead: int = LOOK_AHEAD_PACKETS,
+    preparing: Callable[[float], None] = lambda _: None,
+    progress: Callable[[float], None] = lambda _: None,
+    notify: Callable[[FellBehind], None] = lambda _: None,
+    stop: Event | None = None,
+) -> Streamed:
+    """Send the packets of a run over UDP, each at its time; errors as `Emulator.stream`.
 
-    watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink
-    """Called with the sink of the packets and their clock; returns the sink that takes them instead."""
-    opened: Callable[[Sequence[Unit]], None] = lambda _: None
-    """Called with the sensors, which have their ports, before the first packet is computed, when the sockets are open."""
-    look_ahead: int = LOOK_AHEAD_PACKETS
-    """Packets of a sensor that are computed before the first one leaves."""
-    preparing: Callable[[float], None] = lambda _: None
-    """Called with the simulated seconds computed so far into `prepare`."""
-    progress: Callable[[float], None] = lambda _: None
-    """Called with the simulated seconds so far, packet by packet."""
-    notify: Callable[[FellBehind], None] = lambda _: None
-    """Called each time that the stream falls behind."""
-    stop: Event | None = None
-    """Ends the stream from another thread."""
-
-
-def stream_run(run: Run, options: StreamOptions, hooks: StreamHooks) -> Streamed:
-    """Send the packets of a run over UDP, each at its time; errors as `Emulator.stream`."""
+    Parameters
+    ----------
+    watched : called with the sink of the packets and their clock; returns the sink that takes them instead
+    opened : called with the sensors, which have their ports, before the first packet is computed, when the sockets are open
+    look_ahead : packets of a sensor that are computed before the first one leaves
+    preparing : called with the simulated seconds computed so far into `prepare`
+    progress : called with the simulated seconds so far, packet by packet
+    notify : called each time that the stream falls behind
+    stop : ends the stream from another thread
+    """
     (host, _), truth = options.receiver, TruthTo.of(options.truth)
+    http, poses, outlets, gps_in = options.beside
     _check(options, truth)
-    pacer, policy, stop = Pacer(options.speed), Late(options.late), hooks.stop or Event()
+    pacer, policy, stop = Pacer(options.speed), Late(options.late), stop or Event()
     with ExitStack() as stack:
         run = stack.enter_context(_on_ports(run.with_truth_in(truth), options))
-        scenario, parts = run.scenario, run.engine.parts
+        scenario, units = run.scenario, run.engine.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
         stack.enter_context(run.engine.windows.stopped_by(stop))
-        is_live = takes_poses(scenario.motion) or options.poses is not None
-        flight = stack.enter_context(door("live")(run, options.poses)) if is_live else None
+        is_live = takes_poses(scenario.motion) or poses is not None
+        flight = stack.enter_context(door("live")(run, poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else policy
-        outlets = door("outlets")(options.outlets) if options.outlets else None
-        engine = replace(run.engine, prompt=options.http is not None)
+        outlets = stack.enter_context(door("outlets")(outlets)) if outlets else None
+        engine = replace(run.engine, prompt=http is not None)
         feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
-        sink = stack.enter_context(_rig(run, options, host, hooks))
-        ways = stack.enter_context(outlets.opened(scenario.imu)) if outlets else {}
-        hooks.opened(parts.units)
-        packets = _packets(run, options, hooks, feed, span_s, stack, stop)
-        way = hooks.watched(SinkByKind(sink, ways) if ways else sink, pacer)
-        clock = options.gps_in and door("gps_in")(
-            options.gps_in, scenario.gps, parts.units[0].section.powered_for_s or 0.0
-        )
-        way = stack.enter_context(clock).sink(way) if clock else way
+        udp = stack.enter_context(_udp(run, options, host, progress))
+        way = outlets.open(udp, scenario.imu) if outlets else udp
+        opened(units)
+        if options.prepare:
+            packets: Iterable[Packet] = door("prepared")(run, options, progress=preparing, stop=stop)
+        else:
+            writer = stack.enter_context(run.truth(truth, span_s, of=feed))
+            packets = writer.beside(feed) if writer else feed
+        way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
+        gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
+        way = stack.enter_context(gps_in).sink(way) if gps_in else way
         way = flight.begun(way, pacer, now=options.now) if flight else way
-        ahead = len(parts.units) * (flight.look_ahead if flight else hooks.look_ahead)
+        ahead = len(units) * (flight.look_ahead if flight else look_ahead)
         report = stream(
             packets,
             way,
             pacer,
-            begun=lambda under_way: _serve(options.http, feed, sink, under_way, stack),
+            begun=lambda now: _serve(http, feed, udp, now, stack),
             late=policy,
-            notify=hooks.notify,
-            go_on_from=None if options.prepare else _going_on(feed, flight, pacer),
+            notify=notify,
+            go_on_from=None if options.prepare else flight.going_on(feed.go_on_from) if flight else feed.go_on_from,
             now=options.now,
             stop=stop,
             look_ahead_packets=ahead + (outlets.look_ahead(scenario.imu) if outlets else 0),
         )
         live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
-    if truth is not None:
-        write_times(truth, report, options.speed)
     report = replace(report, skipped=report.skipped + feed.skipped)
-    made = live, clock.result if clock else None
-    return _streamed(run, replace(options, to=host, late=policy), report, sink, ways, *made)
+    sent = outlets.results(report.skipped) if outlets else (None, None)
+    asked = replace(options, to=host, late=policy, truth=truth)
+    return _streamed(run, asked, report, udp, live, gps_in and gps_in.result, *sent)
+
+
+def _check(options: StreamOptions, truth: TruthTo | None) -> None:
+    """Refuse options that exclude each other."""
+    http, _, outlets, gps_in = options.beside
+    beside = outlets and (outlets.gps_out or outlets.imu_out)
+    _exclude(options.prepare, "--prepare", {"--http": http, "--gps-out or --imu-out": beside})
+    _exclude(options.now, "--now", {"--gps-in": gps_in})
+    fine = truth and (truth.per_packet or truth.per_return)
+    _exclude(http, "--http", {"--truth-packets or --truth-returns": fine})
+
+
+def _exclude(given: object, option: str, others: Mapping[str, object]) -> None:
+    for other, value in others.items():
+        if given and value:
+            raise InputError(other, f"found beside {option}", "one of both")
 
 
 @contextmanager
@@ -113,90 +132,129 @@ def _on_ports(run: Run, options: StreamOptions) -> Iterator[Run]:
             own = [{key.removeprefix("sensor."): next(given) for key in free} for _ in rig]
             tables = (unit.model_dump(mode="json", exclude_none=True) for unit in rig)
             settings["rig"] = [table | keys for table, keys in zip(tables, own, strict=True)]
-        yield run.with_settings(settings)
+        yield run.changed(settings)
 
 
-def _streamed(
-    run: Run,
-    options: StreamOptions,
-    report: StreamReport,
-    sink: RigSink,
-    ways: Mapping[PacketKind, Outlet],
-    live: Any | None,
-    gps_in: Any | None,
-) -> Streamed:
-    sent = zip(run.engine.parts.units, sink.results, strict=True)
-    return Streamed(
-        about=About.of(run.name, run.scenario),
-        to=str(options.to),
-        speed=options.speed,
-        late=options.late,
-        units=tuple(UnitSent.of(unit, n.data_packets, n.position_packets, report.simulated_s) for unit, n in sent),
-        sent=report,
-        keeps_up_with=tuple(options_for(report.behind, run.scenario, options.speed)),
-        audit=run.finding,
-        live=live,
-        gps_in=gps_in,
-        gps_out=outlet_result(PacketKind.NMEA, ways, report.skipped),
-        imu_out=outlet_result(PacketKind.IMU, ways, report.skipped),
-    )
-
-
-def _rig(run: Run, options: StreamOptions, host: str, hooks: StreamHooks) -> RigSink:
+def _udp(run: Run, options: StreamOptions, host: str, progress: Callable[[float], None]) -> UdpSink:
     """Return the sockets of all sensors."""
-    start_ns = run.scenario.start_ns
-    return RigSink(
-        [unit.link for unit in run.engine.parts.units],
+    links, start_ns = [unit.link for unit in run.engine.parts.units], run.scenario.start_ns
+    return UdpSink(
+        links,
         host,
         as_sensor=options.is_from_sensor,
         interface=options.interface,
-        sent=lambda due_ns: hooks.progress((due_ns - start_ns) / S_NS),
+        sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
     )
 
 
-def _check(options: StreamOptions, truth: TruthTo | None) -> None:
-    """Refuse options that exclude each other."""
-    beside = options.outlets and (options.outlets.gps_out or options.outlets.imu_out)
-    _exclude(options.prepare, "--prepare", {"--http": options.http, "--gps-out or --imu-out": beside})
-    _exclude(options.now, "--now", {"--gps-in": options.gps_in})
-    fine = truth and (truth.per_packet or truth.per_return)
-    _exclude(options.http, "--http", {"--truth-packets or --truth-returns": fine})
-
-
-def _exclude(given: object, option: str, others: Mapping[str, object]) -> None:
-    for other, value in others.items():
-        if given and value:
-            raise InputError(other, f"found beside {option}", "one of both")
-
-
-def _packets(
-    run: Run,
-    options: StreamOptions,
-    hooks: StreamHooks,
-    feed: PacketFeed,
-    span_s: tuple[float, float],
-    stack: ExitStack,
-    stop: Event,
-) -> Iterable[Packet]:
-    """Return the packets to send: those of the feed, or those of a capture that is recorded first."""
-    if options.prepare is None:
-        truth = stack.enter_context(run.truth(options.truth, span_s, of=feed))
-        return truth.beside(feed) if truth else feed
-    asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
-    return prepared(
-        [unit.link for unit in run.engine.parts.units],
-        Path(options.prepare),
-        lambda path: record(run, path, asked, as_due=True, progress=hooks.preparing, stop=stop),
-    )
-
-
-def _going_on(feed: PacketFeed, flight: Any | None, pacer: Pacer) -> Callable[[int], None]:
-    """Return the function that makes the feed skip packets due before a UTC time."""
-    further: Callable[[int], None] = flight.going_on(feed.go_on_from, pacer) if flight else feed.go_on_from
-    return further
-
-
-def _serve(http: Http | None, feed: PacketFeed, sink: RigSink, now: UnderWay, until: ExitStack) -> None:
-    """Serve the web interfaces of the sensors until the stream ends."""
+def _serve(http: Any, feed: "PacketFeed", udp: UdpSink, now: UnderWay, until: ExitStack) -> None:
+    """Serve the web interfaces of the sensors until the stream ends, if they are wanted."""
     if http is not None:
-        until.enter_context(door("web")(feed, sink, now, http))
+        until.enter_context(door("web")(feed, udp, now, http))
+
+
+def _streamed(run: Run, options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any) -> Streamed:
+    """Return the result of a stream, `beside` are its last fields, and write when it began to its ground truth."""
+    truth, sent = TruthTo.of(options.truth), zip(run.engine.parts.units, udp.sent, strict=True)
+    if truth is not None and report.first is not None:  # so that live results can be compared with the truth
+        times = {"moved_s": report.moved_s, "speed": options.speed, "packet_0": asdict(report.first)}
+        write_json(truth.folder / "time.json", times)
+    enough: Sequence[str] = ()
+    if report.behind and has_door("keeps_up_with"):
+        enough = door("keeps_up_with")(report.behind, run.scenario, options.speed)
+    units = tuple(UnitSent.of(unit, of, report.simulated_s) for unit, of in sent)
+    asked = str(options.to), options.speed, options.late
+    return Streamed(About.of(run.name, run.scenario), *asked, units, report, tuple(enough), run.finding, *beside)
+
+
+class PacketFeed:
+    """Iterator over the packets of a run in order of sending, which can skip ahead or go on with other events.
+
+    Parameters
+    ----------
+    engine : makes them
+    start_s, stop_s : span of the run, since the first pulse
+    also : kinds that are sent beside the packets of the sensors
+
+    Raises
+    ------
+    InputError
+        If the engine has no such span, or the scene no device that `also` asks for
+    """
+
+    def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:
+        self.engine, self._stop_s = engine, stop_s
+        """Makes the packets from here on."""
+        self._beside = door("beside")(engine, also) if also else None
+        self._packets = self._from(start_s)
+        self._reached_ns = engine.scenario.start_ns
+        self._at_reached = set[tuple[int, PacketKind]]()
+        self._from_ns: int | None = None
+        self.skipped = Counter[PacketKind]()
+        """Packets that were skipped, by kind."""
+
+    def __iter__(self) -> Iterator[Packet]:
+        return self
+
+    def __next__(self) -> Packet:
+        from_ns, self._from_ns = self._from_ns, None
+        if from_ns is not None:
+            self._leave_out(from_ns)
+        packet = next(self._packets)
+        if packet.due_ns > self._reached_ns:
+            self._reached_ns = packet.due_ns
+            self._at_reached.clear()
+        self._at_reached.add((packet.unit, packet.kind))
+        return packet
+
+    def close(self) -> None:
+        """Stop the workers, and wait for the blocks under way."""
+        self._packets = iter(())
+
+    def go_on_from(self, due_ns: int) -> None:
+        """Skip packets due before a UTC time, from the next one on; from any thread."""
+        self._from_ns = due_ns
+
+    def begin_again(self, from_ns: int, engine: Engine) -> None:
+        """Go on from a UTC time, or from where the run is if that is earlier, with another engine; between two packets."""
+        before, self.engine = self._packets, engine
+        if isinstance(before, Generator):  # its workers end beside us, as the next packet is wanted at once
+            Thread(target=before.close, name="let go", daemon=True).start()
+        if from_ns > self._reached_ns:
+            from_ns, there = self._reached_ns, self._at_reached
+        else:
+            there = set()
+        self._packets = self._after(from_ns, there)
+
+    def _from(self, start_s: float) -> Iterator[Packet]:
+        packets = self.engine.packets(start_s, self._stop_s)
+        if self._beside is None:
+            return packets
+        return iter(self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
+
+    def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
+        """Yield packets due from a UTC time on, without those of `there` due just then, which have been sent."""
+        for packet in self._from(self._since_s(from_ns)):
+            if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
+                yield packet
+
+    def _leave_out(self, from_ns: int) -> None:
+        """Go on at a UTC time, and count the packets before it as skipped."""
+        stop_ns = self.engine.scenario.start_ns + round(self._stop_s * S_NS)
+        from_ns = min(from_ns, stop_ns)
+        if from_ns <= self._reached_ns:
+            return
+        self.close()  # of the packets before
+        self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
+        self._packets = self._from(self._since_s(from_ns))
+
+    def _count(self, before_ns: int) -> Counter[PacketKind]:
+        """Count the packets of all units due before a UTC time, by kind."""
+        scenario, units = self.engine.scenario, self.engine.parts.units
+        since_ns = before_ns - scenario.start_ns
+        kinds = PacketKind.DATA, PacketKind.POSITION
+        sent = {kind: sum(number_at(scenario, unit, kind, since_ns) for unit in units) for kind in kinds}
+        return Counter(sent | (self._beside.count(0, since_ns) if self._beside else {}))
+
+    def _since_s(self, utc_ns: int) -> float:
+        return (utc_ns - self.engine.scenario.start_ns) / S_NS

@@ -63,18 +63,11 @@ def find(scene: str) -> Path:
     return known[name]
 
 
-def named_files(scenario: Section) -> list[Path]:
-    """Return the files that a scenario names: poses, waypoints, heights, trees, meshes."""
-    return list(_named_in(scenario))
-
-
-def _named_in(value: object) -> Iterator[Path]:
-    if isinstance(value, Section):
-        kinds = get_type_hints(type(value), include_extras=True)
-        for key, inner in value:
-            if isinstance(inner, str) and SceneFile in (kinds[key], *get_args(kinds[key])):
-                yield Path(inner)
-            yield from _named_in(inner)
-    elif isinstance(value, list | tuple):
-        for inner in value:
-            yield from _named_in(inner)
+def named_files(scenario: object) -> list[Path]:
+    """Return the files that a scenario, or a part of one, names: poses, waypoints, heights, trees, meshes."""
+    own, parts = list[Path](), list(scenario) if isinstance(scenario, list | tuple) else []
+    if isinstance(scenario, Section):
+        kinds, parts = get_type_hints(type(scenario), include_extras=True), [inner for _, inner in scenario]
+        named = (key for key, inner in scenario if isinstance(inner, str))
+        own = [Path(getattr(scenario, key)) for key in named if SceneFile in (kinds[key], *get_args(kinds[key]))]
+    return [*own, *(file for part in parts for file in named_files(part))]

@@ -14,23 +14,13 @@ from vlp16emu.motion import Walk
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
 from vlp16emu.scenario.schema import schema
+from vlp16emu.sensor import Lidar
 from vlp16emu.settings import DEEPEST, OneOf, Preset, SceneFile, Section, merged, toml
 
 _RIVALS = frozenset(Walk.one_of), Walk.either_or
 """Keys that exclude each other: a setting of one takes the place of the others."""
-_UNIT_ERRORS = (
-    "eccentricity_deg",
-    "azimuth_noise_deg",
-    "clock_error_ppm",
-    "twice_per_turn_deg",
-    "hum_deg",
-    "encoder_pitch_deg",
-    "speed_error_rpm",
-    "speed_wander_rpm",
-)
-"""Errors among the keys of `[sensor]` and `[[rig]]`."""
-
-
+_UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)
+"""Errors among the keys of `[sensor]` and `[[rig]]`, switched off."""
 _MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
 _FIELD: dict[str, Any] = {"imu": {"preset": "field", "mount": _MOUNT}}
 """Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by self-calibration
@@ -88,7 +78,9 @@ def load(
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene
     source = _source(scene, folder or Path.cwd())
-    changes = list(_changes(settings))
+    given = settings.items() if isinstance(settings, Mapping) else ()
+    read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
+    changes = [one._replace(value=_as_meant(one.value, _kinds_at(one.key))) for one in read]
     if ideal:
         _take_errors(source.tree)
     try:
@@ -128,7 +120,7 @@ def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path) -> _
     path = scene if isinstance(scene, Path) else find(scene)
     tree = {"title": path.stem} | _read(path)
     _check_depth(str(path), tree)
-    return _Source(str(path), tree, path.parent.absolute(), is_json=_is_json(path))
+    return _Source(str(path), tree, path.parent.absolute(), is_json=path.suffix == ".json")
 
 
 def _checked(source: _Source) -> Scenario:
@@ -144,12 +136,8 @@ def _checked(source: _Source) -> Scenario:
     return Scenario.model_validate(source.tree, context=context)
 
 
-def _is_json(path: Path) -> bool:
-    return path.suffix == ".json"
-
-
 def _read(path: Path) -> dict[str, Any]:
-    kind, parse = ("JSON", json.loads) if _is_json(path) else ("TOML", toml)
+    kind, parse = ("JSON", json.loads) if path.suffix == ".json" else ("TOML", toml)
     with readable(path, "a scene file", ScenarioError):
         text = path.read_text(encoding="utf-8-sig")
     try:
@@ -178,19 +166,15 @@ def _take_errors(tree: dict[str, Any]) -> None:
     units = rig if isinstance(rig := tree.get("rig"), list) else []
     for unit in (tree.setdefault("sensor", {}), *units):
         if isinstance(unit, dict):  # what is no table is found when the scene is checked
-            unit.update({"preset": "steady"} | dict.fromkeys(_UNIT_ERRORS, 0.0))
+            unit.update({"preset": "steady"} | _UNIT_ERRORS)
 
 
-def _changes(settings: Mapping[str, object] | Sequence[str]) -> Iterable[_Setting]:
-    if isinstance(settings, Mapping):
-        read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in settings.items()]
-    else:
-        read = [_parsed(text) for text in settings]
-    for setting in read:
-        kinds: list[Any] = [Scenario]
-        for name in setting.key.split("."):
-            kinds = _kinds_of(kinds, name)
-        yield setting._replace(value=_as_meant(setting.value, kinds))
+def _kinds_at(key: str) -> list[Any]:
+    """List the types that a key of a scene may have, by its path."""
+    kinds: list[Any] = [Scenario]
+    for name in key.split("."):
+        kinds = _kinds_of(kinds, name)
+    return kinds
 
 
 def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
@@ -230,10 +214,14 @@ def _as_meant(value: object, kinds: Sequence[Any]) -> object:
 
 
 def _parsed(text: str) -> _Setting:
-    key, equals, value = text.partition("=")
-    if not equals or not value.strip():
-        key = ""
-    return _Setting(key.strip(), _value(value.strip()), f"--set {text}")
+    """Read `key.path=value`; a value that is no TOML is the bare word that was meant."""
+    key, _, value = (part.strip() for part in text.partition("="))
+    try:
+        parsed = toml(f"value = {value}")
+    except (ValueError, RecursionError):
+        parsed = {}
+    # A line break in the value would begin another key.
+    return _Setting(key if value else "", parsed["value"] if len(parsed) == 1 else value, f"--set {text}")
 
 
 def _apply(tree: dict[str, Any], setting: _Setting) -> None:
@@ -259,15 +247,6 @@ def _drop_rivals(tree: dict[str, Any], name: str) -> None:
                 tree.pop(rival, None)
 
 
-def _value(text: str) -> object:
-    """Parse a value; what is no TOML is the bare word that was meant."""
-    try:
-        parsed = toml(f"value = {text}")
-    except (ValueError, RecursionError):
-        return text
-    return parsed["value"] if len(parsed) == 1 else text
-
-
 def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str, str]) -> str:
     """Return the origin of a fault: the last setting of its key, the one without which there is none, or the scene."""
     key, _, _ = fault
@@ -275,14 +254,10 @@ def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str
         if key == setting.key or key.startswith((f"{setting.key}.", f"{setting.key}[")):
             return setting.where if key == setting.key else f"{setting.where}: {key}"
     for count in reversed(range(len(settings))):
-        if _fault(source, settings[:count]) != fault:
-            return f"{settings[count].where}: {key}"
+        try:
+            _checked(_changed(source, settings[:count]))
+        except ValidationError as error:
+            if explain(error, schema()) == fault:
+                continue
+        return f"{settings[count].where}: {key}"
     return f"{source.where}: {key}"
-
-
-def _fault(source: _Source, settings: Sequence[_Setting]) -> tuple[str, str, str] | None:
-    try:
-        _checked(_changed(source, settings))
-    except ValidationError as error:
-        return explain(error, schema())
-    return None

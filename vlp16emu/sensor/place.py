@@ -1,20 +1,19 @@
 """Points from returns, beam table and poses, as a driver with perfect poses computes them."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.sensor.beams import BeamTable
-from vlp16emu.sensor.head import turn
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array, Firings, IntArray, Poses
 
 
-@dataclass(frozen=True, slots=True)
-class PlacedReturns:
+class PlacedReturns(NamedTuple):
     """n points."""
 
     azimuth_deg: Array
@@ -50,38 +49,35 @@ def place(
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
     azimuth_deg, elevation_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0, beams.elevation_deg[laser]
-    sensor_m, world_m = np.empty((len(laser), 3)), np.empty((len(laser), 3))
-    ranges = beams.vertical_offset_m[laser], distance_m, np.empty((0, 2)) if tangents is None else tangents
-    _place(azimuth_deg, elevation_deg, *ranges, poses.world_R_body, poses.world_p_body_m, sensor_m, world_m)
+    range_m = distance_m.astype(np.float64)
+    sensor_m = in_sensor(azimuth_deg, elevation_deg, beams.vertical_offset_m[laser], range_m)
+    if tangents is not None:
+        _shift(tangents, azimuth_deg, elevation_deg, range_m, sensor_m)
+    world_m = matvec(poses.world_R_body, sensor_m) + poses.world_p_body_m
     return PlacedReturns(azimuth_deg, elevation_deg, sensor_m, world_m)
 
 
 @numba.njit(cache=True, nogil=True)
-def _place(
-    azimuth_deg: Array,
-    elevation_deg: Array,
-    offset_m: Array,
-    distance_m: NDArray[np.float32],
-    tangents: Array,
-    world_R_body: Array,
-    world_p_body_m: Array,
-    sensor_m: Array,
-    world_m: Array,
-) -> None:
-    moving = len(world_p_body_m) > 1
+def in_sensor(azimuth_deg: Array, elevation_deg: Array, offset_m: Array, distance_m: Array) -> Array:
+    """Return the points (n, 3) of ranges in the sensor's frame, by the manual's formulas; all arguments (n,)."""
+    out = np.empty((len(distance_m), 3))
     for i in range(len(distance_m)):
-        n = i if moving else 0
-        r, (cosine, sine) = float(distance_m[i]), cos_sin(math.radians(azimuth_deg[i]))
+        cosine, sine = cos_sin(math.radians(azimuth_deg[i]))
         level, up = cos_sin(math.radians(elevation_deg[i]))
-        sensor_m[i, 0] = r * level * cosine
-        sensor_m[i, 1] = -r * level * sine
-        sensor_m[i, 2] = r * up + offset_m[i]
-        if len(tangents):
-            a, b = tangents[i]
-            shorter = 1.0 - math.sqrt(1.0 - a * a - b * b)
-            sensor_m[i, 0] -= r * (shorter * level * cosine + a * sine + b * up * cosine)
-            sensor_m[i, 1] += r * (shorter * level * sine - a * cosine + b * up * sine)
-            sensor_m[i, 2] += r * (b * level - shorter * up)
-        turn(world_R_body[n], sensor_m[i], world_m[i])
-        for axis in range(3):
-            world_m[i, axis] += world_p_body_m[n, axis]
+        out[i, 0] = distance_m[i] * level * cosine
+        out[i, 1] = -distance_m[i] * level * sine
+        out[i, 2] = distance_m[i] * up + offset_m[i]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _shift(tangents: Array, azimuth_deg: Array, elevation_deg: Array, distance_m: Array, sensor_m: Array) -> None:
+    """Move points off the axes of their pulses, by tangents (n, 2) to greater azimuths and upwards, at the same ranges."""
+    for i in range(len(distance_m)):
+        r, (a, b) = distance_m[i], tangents[i]
+        cosine, sine = cos_sin(math.radians(azimuth_deg[i]))
+        level, up = cos_sin(math.radians(elevation_deg[i]))
+        shorter = 1.0 - math.sqrt(1.0 - a * a - b * b)
+        sensor_m[i, 0] -= r * (shorter * level * cosine + a * sine + b * up * cosine)
+        sensor_m[i, 1] += r * (shorter * level * sine - a * cosine + b * up * sine)
+        sensor_m[i, 2] += r * (b * level - shorter * up)

@@ -48,9 +48,6 @@ TOLERANCE_NS = 50_000_000
 """Lateness up to which a stream is not behind: half a revolution at 600 rpm. Pauses of 5 to 40 ms are common where
 other programs want the same cores; the usual receive buffer of Linux, 208 KiB, holds 120 ms of packets."""
 
-_SETTLED_NS = 5 * S_NS
-"""Without a packet that is too late for so long, the next one is another time that the stream fell behind."""
-
 
 class Late(StrEnum):
     """Treatment of a packet that is late by more than the tolerance."""
@@ -84,43 +81,6 @@ class FellBehind:
         if self.engine_speed is None:
             return "the engine is too slow"
         return f"the engine computes {self.engine_speed:.2f} x real time"
-
-
-class DelayLog:
-    """Times that a stream fell behind.
-
-    Parameters
-    ----------
-    late : how lateness adds up
-    notify : called at once, each time that the stream falls behind
-    """
-
-    def __init__(self, late: Late, notify: Callable[[FellBehind], None]) -> None:
-        self._late, self._notify = late, notify
-        self._last_ns = 0
-        self.times: list[FellBehind] = []
-
-    def overdue(self, late_ns: int, deadline_ns: int, *, engine_speed: float | None) -> None:
-        """Notify at once that a packet is late which the engine has still not computed; its delay comes with it."""
-        self._time(late_ns, deadline_ns, engine=True, engine_speed=engine_speed)
-
-    def add(self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None) -> None:
-        """Record a packet that is late by more than the tolerance; its deadline counts from the start."""
-        late_s = late_ns / S_NS
-        time = self._time(late_ns, deadline_ns, engine=engine, engine_speed=engine_speed)
-        time.total_s = time.total_s + late_s if self._late is Late.PACE else max(time.total_s, late_s)
-
-    def _time(self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None) -> FellBehind:
-        """Give the time that lasts, or begin one and notify of it."""
-        now_ns = deadline_ns + late_ns
-        is_new = not self.times or now_ns - self._last_ns > _SETTLED_NS
-        self._last_ns = now_ns
-        if is_new:
-            self.times.append(FellBehind(deadline_ns / S_NS, late_ns / S_NS, engine, engine_speed))
-            self._notify(self.times[-1])
-        elif engine:
-            self.times[-1].engine_speed = engine_speed
-        return self.times[-1]
 
 
 _CLOSEST = 0.94
@@ -199,13 +159,15 @@ class Pacer:
     ) -> None:
         if not (math.isfinite(speed) and speed > 0):
             raise InputError("speed", f"{speed}", "a finite number above 0")
-        self.speed, self._clock_ns, self._sleep = speed, clock_ns, sleep
-        self._first_due_ns: int | None = None
-        self._start_ns = 0
+        self.speed, self.now_ns, self._sleep = speed, clock_ns, sleep
+        self.first_due_ns: int | None = None
+        """Due time of the first packet; None before it."""
+        self.start_ns = 0
+        """Instant on the pacer's clock at which it was to leave."""
         self._planned_ns = 0
         self._last = dict[tuple[int, PacketKind], tuple[int, int]]()
         self.delay_ns = 0
-        """Time by which deadlines have been moved in all."""
+        """Time by which all deadlines to come have been moved."""
         self.late_ns = 0
         """Lateness of the packet that was waited for last."""
         self.elapsed_ns = (0, 0)
@@ -213,47 +175,21 @@ class Pacer:
 
     def begin(self, due_ns: int, ago_ns: int = 0) -> None:
         """Start the clock: what is due at a time leaves some time ago, or in some time where that is negative."""
-        self._first_due_ns, self._start_ns = due_ns, self._clock_ns() - ago_ns
+        self.first_due_ns, self.start_ns = due_ns, self.now_ns() - ago_ns
 
     def deadline_ns(self, due_ns: int) -> int:
         """Instant on the pacer's clock at which a packet shall leave; the first call starts the clock."""
-        if self._first_due_ns is None:
+        if self.first_due_ns is None:
             self.begin(due_ns)
-        assert self._first_due_ns is not None
-        simulated_ns = due_ns - self._first_due_ns
-        return self._start_ns + self.delay_ns + round(simulated_ns / self.speed)
-
-    @property
-    def first_due_ns(self) -> int | None:
-        """Due time of the first packet; None before it."""
-        return self._first_due_ns
-
-    @property
-    def has_begun(self) -> bool:
-        """True if the clock runs."""
-        return self._first_due_ns is not None
+        assert self.first_due_ns is not None
+        simulated_ns = due_ns - self.first_due_ns
+        return self.start_ns + self.delay_ns + round(simulated_ns / self.speed)
 
     def due_in_ns(self, ahead_ns: int) -> int:
         """Due time of a packet whose deadline is some time ahead of now; after the first deadline."""
-        assert self._first_due_ns is not None
-        ran_ns = self._clock_ns() - self._start_ns - self.delay_ns
-        return self._first_due_ns + round((ran_ns + ahead_ns) * self.speed)
-
-    def left_ns(self, due_ns: int) -> int:
-        """Return the time until a packet due at `due_ns` leaves; negative if it should have left."""
-        return self.deadline_ns(due_ns) - self._clock_ns()
-
-    def behind_ns(self, deadline_ns: int) -> int:
-        """Return the time since a deadline, 0 before it."""
-        return max(self._clock_ns() - deadline_ns, 0)
-
-    def since_start_ns(self, instant_ns: int) -> int:
-        """Clock time from the first deadline to an instant."""
-        return instant_ns - self._start_ns
-
-    def delay(self, by_ns: int) -> None:
-        """Move all deadlines to come."""
-        self.delay_ns += by_ns
+        assert self.first_due_ns is not None
+        ran_ns = self.now_ns() - self.start_ns - self.delay_ns
+        return self.first_due_ns + round((ran_ns + ahead_ns) * self.speed)
 
     def break_off(self) -> None:
         """Forget the spacing after packets were dropped: the next one leaves at its deadline."""
@@ -269,15 +205,15 @@ class Pacer:
         last_due_ns, planned_ns = self._last.get((packet.unit, packet.kind), (packet.due_ns, deadline_ns))
         closest_ns = planned_ns + round(_CLOSEST * (packet.due_ns - last_due_ns) / self.speed)
         self._planned_ns = max(deadline_ns, closest_ns)
-        while (left_ns := self._planned_ns - (now_ns := self._clock_ns())) > 0 and not is_over():
+        while (left_ns := self._planned_ns - (now_ns := self.now_ns())) > 0 and not is_over():
             self._sleep(min(left_ns / S_NS, _NAP_S))
         self.late_ns = now_ns - deadline_ns
         return self.late_ns
 
     def left(self, packet: Packet) -> None:
         """Note that the packet that was waited for has left just now."""
-        assert self._first_due_ns is not None
-        now_ns = self._clock_ns()
+        assert self.first_due_ns is not None
+        now_ns = self.now_ns()
         planned_ns = max(self._planned_ns, now_ns - _JITTER_NS)
         self._last[packet.unit, packet.kind] = packet.due_ns, planned_ns
-        self.elapsed_ns = packet.due_ns - self._first_due_ns, now_ns - self._start_ns
+        self.elapsed_ns = packet.due_ns - self.first_due_ns, now_ns - self.start_ns

@@ -1,29 +1,21 @@
 """Packets in real time: computed ahead by one thread, sent at their deadlines by another."""
 
+import os
 import sys
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any, Self
 
+from vlp16emu.doors import door
 from vlp16emu.errors import InputError
-from vlp16emu.packets.retime import age_ns, has_stamp, moved, stamp_ns
-from vlp16emu.sinks.look_ahead import LookAhead
-from vlp16emu.sinks.pacing import (
-    TOLERANCE_NS,
-    DelayLog,
-    FellBehind,
-    Late,
-    Lateness,
-    LatenessHistogram,
-    Pacer,
-    prompt_sleeps,
-)
+from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer, prompt_sleeps
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.units import HOUR_NS, S_NS
+from vlp16emu.units import S_NS
 
 LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
@@ -37,8 +29,163 @@ _PATIENCE_NS = 250_000_000
 """Time of computing packets that are dropped, before the engine is asked to go on further ahead."""
 _LEAD_NS = 250_000_000
 """First lead of the engine: most engines have ended the blocks under way and begun new ones by then; it doubles for others."""
-_ASLEEP_NS = 20_000_000
-"""Last part of the wait for an instant, in which only the clock is looked at and no longer the stop event."""
+_SETTLED_NS = 5 * S_NS
+"""Without a packet that is too late for so long, the next one is another time that the stream fell behind."""
+_POLL_S = 0.05
+"""Interval at which a waiting thread looks whether to stop."""
+_REFILLS = 8
+"""Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
+packet would cost the one that sends as much as the sending."""
+_NICE = 3
+"""Niceness added to threads that compute. A driver that shares a core with one of them gets two thirds of it; at equal
+priority it gets half, and one that needs half loses packets. More would cost speed where other programs are at work, and the
+thread that sends would be late more often: it waits for the interpreter, which a thread without a core holds."""
+
+
+class LookAhead:
+    """Runs through packets in a thread of its own, at most `capacity` of them ahead of `take`.
+
+    A context manager; leaving it stops the thread as soon as the packet under way is done. The thread is
+    a daemon, so a second Ctrl-C need not wait for that. On Linux it gives way to other threads, and so do those that
+    it starts, as a new thread has the priority of the one that starts it; elsewhere a priority is one of the process.
+
+    Parameters
+    ----------
+    packets : in order of sending; used by the thread alone from now on
+    capacity : packets held at most
+    stop : ends the wait of both sides when somebody sets it
+    """
+
+    def __init__(self, packets: Iterable[Packet], capacity: int, stop: threading.Event) -> None:
+        self._capacity, self._stop = capacity, stop
+        self._room_at = capacity - max(capacity // _REFILLS, 1)
+        self._ready = deque[Packet]()
+        self._changed = threading.Condition()
+        self._done = self._ended = False
+        self._left = False
+        self._error: BaseException | None = None
+        self._made_due_ns = 0
+        self._full: tuple[int, int] | None = None
+        self._redo: tuple[int, Callable[[int], None]] | None = None
+        self._thread = threading.Thread(target=self._run, args=(iter(packets),), name="look-ahead", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._changed:
+            self._left = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    @property
+    def first(self) -> Packet | None:
+        """The packet that `take` gives next, if it is there."""
+        return self._ready[0] if self._ready else None
+
+    @property
+    def made_until_ns(self) -> int:
+        """Due time of the last packet that has been computed; far off once all have been."""
+        return 2**63 if self._done else self._made_due_ns
+
+    @property
+    def engine_speed(self) -> float | None:
+        """Simulated time per time in which it was computed, since the buffer was last full; None before."""
+        if (full := self._full) is None:
+            return None
+        clock_ns, due_ns = full
+        return (self._made_due_ns - due_ns) / max(time.monotonic_ns() - clock_ns, 1)
+
+    def fill(self) -> None:
+        """Wait until the buffer is full, the packets are at their end, or `stop` is set."""
+        with self._changed:
+            while len(self._ready) < self._capacity and not self._done and not self._over:
+                self._changed.wait(_POLL_S)
+
+    def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
+        """Next packet; None at the end or when `stop` is set. Where there is none yet, calls `waiting` with the engine's speed every 50 ms.
+
+        Raises
+        ------
+        BaseException : What the packets themselves raised, once those before it have been taken.
+        """
+        with self._changed:
+            while not self._ready and not self._done and not self._over:
+                if not self._changed.wait(_POLL_S):
+                    waiting(self.engine_speed)
+            if self._over:
+                return None
+            if self._ready:
+                packet = self._ready.popleft()
+                if len(self._ready) == self._room_at or not self._ready:
+                    self._changed.notify_all()
+                return packet
+        if self._error is not None:
+            raise self._error
+        return None
+
+    def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
+        """Compute again the packets due from `due_ns` on that are not taken yet; from any thread. After the last packet, do nothing.
+
+        Parameters
+        ----------
+        restart : makes the iterator of packets begin again at a due time; called by the thread that computes
+        """
+        with self._changed:
+            if self._ended:
+                return
+            earliest_ns = min(due_ns, self._redo[0]) if self._redo else due_ns
+            while self._ready and self._ready[-1].due_ns >= earliest_ns:
+                self._ready.pop()
+            self._redo, self._done = (earliest_ns, restart), False
+            self._made_due_ns = min(self._made_due_ns, earliest_ns)
+            self._changed.notify_all()
+
+    @property
+    def _over(self) -> bool:
+        return self._left or self._stop.is_set()
+
+    def _wait_for_room(self, packet: Packet | None) -> None:
+        """Wait until a share of the full buffer has been taken, after the last packet all of it; holds the lock.
+
+        It also ends if nobody wants more, or if the buffer is to be computed again.
+        """
+        most = self._room_at
+        if packet is None:
+            most, self._done = 0, True
+            self._changed.notify_all()
+        elif len(self._ready) < self._capacity:
+            return
+        while len(self._ready) > most and not self._over and self._redo is None:
+            self._changed.wait(_POLL_S)
+        if packet is not None:
+            self._full = time.monotonic_ns(), packet.due_ns
+
+    def _run(self, packets: Iterator[Packet]) -> None:
+        if sys.platform == "linux":
+            os.nice(_NICE)
+        try:
+            while True:
+                packet = next(packets, None)
+                with self._changed:
+                    self._wait_for_room(packet)
+                    redo, self._redo = self._redo, None
+                    if self._over or (packet is None and redo is None):
+                        return
+                    if packet is not None and (redo is None or packet.due_ns < redo[0]):
+                        self._made_due_ns = packet.due_ns
+                        self._ready.append(packet)
+                        self._changed.notify_all()
+                if redo is not None:
+                    due_ns, restart = redo
+                    restart(due_ns)
+        except BaseException as error:  # noqa: BLE001  # belongs to the thread that takes, which raises it
+            self._error = error
+        finally:
+            with self._changed:
+                self._done = self._ended = True
+                self._changed.notify_all()
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +198,7 @@ class UnderWay:
 
     def due_in_ns(self, ahead_ns: int) -> int:
         """Due time, UTC, of a packet that leaves some time ahead of now."""
-        if not self._pacer.has_begun:
+        if self._pacer.first_due_ns is None:
             return self._first_due_ns + round(ahead_ns * self._pacer.speed)
         return self._pacer.due_in_ns(ahead_ns)
 
@@ -131,7 +278,7 @@ def stream(
     late : what happens to packets late by more than `TOLERANCE_NS`
     notify : called by the sending thread each time that the stream falls behind
     go_on_from : with `skip`, makes `packets` leave out those that are due before a UTC time in ns
-    now : send packets as of the present, as `NowSink` does
+    now : send packets as of the present: stamps and sentences moved by whole seconds
     begun : called before the first packet leaves
     stop : ends the stream from another thread
     look_ahead_packets : size of the buffer
@@ -144,7 +291,7 @@ def stream(
     if now and pacer.speed != 1.0:
         raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, which is that of the clock")
     stop = stop or threading.Event()
-    present = NowSink(sink) if now else None
+    present: Any = door("present")(sink) if now else None
     sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from, is_over=stop.is_set)
     left, interrupted = None, False
     try:
@@ -152,8 +299,8 @@ def stream(
             ahead.fill()
             if first := ahead.first:
                 begun(UnderWay(ahead, pacer, first.due_ns))
-                if present and pacer.has_begun:
-                    present.join(first, pacer.left_ns(first.due_ns))
+                if present and pacer.first_due_ns is not None:
+                    present.join(first, pacer.deadline_ns(first.due_ns) - pacer.now_ns())
                 elif present:
                     pacer.begin(first.due_ns, present.begin(first, stop))
             had_to_wait = False
@@ -161,7 +308,7 @@ def stream(
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
                 if left is None and not stop.is_set():
                     left = FirstPacket(packet.due_ns, present.began_ns if present else None, time.time_ns())
-                had_to_wait = ahead.is_empty
+                had_to_wait = ahead.first is None
             interrupted = stop.is_set()
     except KeyboardInterrupt:
         interrupted = True
@@ -193,42 +340,51 @@ class Sender:
     ) -> None:
         self._sink, self._pacer, self._is_over = sink, pacer, is_over
         self._late, self._go_on_from = late, go_on_from
-        self._log = DelayLog(late, notify)
-        self._lateness = LatenessHistogram()
-        self._skipped = Counter[PacketKind]()
+        self._notify, self._last_ns = notify, 0
+        self._behind = list[FellBehind]()
+        self._lateness, self._skipped = LatenessHistogram(), Counter[PacketKind]()
         self._skipping_since_ns: int | None = None
         self._lead_ns = self._gone_on_from_ns = 0
         self._next_due_ns: int | None = None
 
     def send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None = None) -> None:
         """Send at the deadline; `had_to_wait` says that the packet was not ready when it was asked for."""
-        self._next_due_ns = packet.due_ns + _SPACING_NS
-        deadline_ns = self._pacer.deadline_ns(packet.due_ns)
-        behind_ns = self._pacer.behind_ns(deadline_ns)
-        if behind_ns > TOLERANCE_NS:
-            since_ns = self._pacer.since_start_ns(deadline_ns)
-            self._log.add(behind_ns, since_ns, engine=had_to_wait, engine_speed=engine_speed)
+        pacer, self._next_due_ns = self._pacer, packet.due_ns + _SPACING_NS
+        deadline_ns = pacer.deadline_ns(packet.due_ns)
+        late_ns = pacer.now_ns() - deadline_ns
+        if late_ns > TOLERANCE_NS:
+            behind, late_s = self._fell_behind(late_ns, deadline_ns, engine_speed, engine=had_to_wait), late_ns / S_NS
             if self._late is Late.SKIP:
-                self._skip(packet, since_ns + behind_ns, had_to_wait=had_to_wait)
+                behind.total_s = max(behind.total_s, late_s)
+                self._skip(packet, deadline_ns + late_ns, had_to_wait=had_to_wait)
                 return
-            self._pacer.delay(behind_ns)
+            behind.total_s += late_s
+            pacer.delay_ns += late_ns
         self._skipping_since_ns, self._lead_ns = None, 0
-        late_ns = self._pacer.wait(packet, deadline_ns, is_over=self._is_over)
+        late_ns = pacer.wait(packet, deadline_ns, is_over=self._is_over)
         if self._is_over():
             return
         self._lateness.add(late_ns)
         self._sink.send(packet)
-        self._pacer.left(packet)
+        pacer.left(packet)
 
     def watch(self, engine_speed: float | None) -> None:
-        """Notify if the next packet, which is waited for, is late by more than the tolerance already."""
-        if self._next_due_ns is None:
-            return
-        deadline_ns = self._pacer.deadline_ns(self._next_due_ns)
-        behind_ns = self._pacer.behind_ns(deadline_ns)
-        if behind_ns > TOLERANCE_NS:
-            since_ns = self._pacer.since_start_ns(deadline_ns)
-            self._log.overdue(behind_ns, since_ns, engine_speed=engine_speed)
+        """Notify if the next packet, which is waited for, is late by more than the tolerance already; its delay comes with it."""
+        if self._next_due_ns is not None:
+            deadline_ns = self._pacer.deadline_ns(self._next_due_ns)
+            if (late_ns := self._pacer.now_ns() - deadline_ns) > TOLERANCE_NS:
+                self._fell_behind(late_ns, deadline_ns, engine_speed, engine=True)
+
+    def _fell_behind(self, late_ns: int, deadline_ns: int, engine_speed: float | None, *, engine: bool) -> FellBehind:
+        """Return the time behind that lasts, or begin one and notify of it."""
+        before_ns, self._last_ns = self._last_ns, deadline_ns + late_ns
+        if not self._behind or self._last_ns - before_ns > _SETTLED_NS:
+            at_s = (deadline_ns - self._pacer.start_ns) / S_NS
+            self._behind.append(FellBehind(at_s, late_ns / S_NS, engine, engine_speed))
+            self._notify(self._behind[-1])
+        elif engine:
+            self._behind[-1].engine_speed = engine_speed
+        return self._behind[-1]
 
     def report(self, *, interrupted: bool, moved_s: int = 0, first: FirstPacket | None = None) -> StreamReport:
         """Sum up."""
@@ -237,7 +393,7 @@ class Sender:
             lateness=self._lateness.summary,
             simulated_s=simulated_ns / S_NS,
             wall_s=wall_ns / S_NS,
-            behind=tuple(self._log.times),
+            behind=tuple(self._behind),
             delay_s=self._pacer.delay_ns / S_NS,
             skipped=self._skipped,
             interrupted=interrupted,
@@ -260,68 +416,3 @@ class Sender:
             self._gone_on_from_ns = self._pacer.due_in_ns(self._lead_ns)
             self._go_on_from(self._gone_on_from_ns)
             self._skipping_since_ns = now_ns
-
-
-class NowSink(PacketSink):
-    """Passes packets on, moved by a whole number of seconds into the present of the system's clock.
-
-    Because seconds stay whole, the pulses of the receiver, its sentences and the stamps stay as far apart as they were. For that
-    the stream begins at the instant that has the first packet's fraction of a second: it waits for less than one.
-
-    Parameters
-    ----------
-    sink : where they go
-    clock_ns : UTC
-    sleep : suspends the thread for some seconds
-    """
-
-    def __init__(
-        self,
-        sink: PacketSink,
-        *,
-        clock_ns: Callable[[], int] = time.time_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._sink, self._clock_ns, self._sleep = sink, clock_ns, sleep
-        self._ahead_ns = 0
-        self.moved_s = 0
-        """Whole seconds from the time of the packets to the present; known when the first one leaves, as `began_ns`."""
-        self.began_ns = 0
-        """UTC at which that is by the sensor's clock."""
-
-    def begin(self, first: Packet, stop: threading.Event) -> int:
-        """Wait for the instant at which the first packet leaves, or until the stream is to stop.
-
-        Returns
-        -------
-        Time since the instant, in ns; negative before it
-        """
-        sent_ns, now_ns = self._sent_ns(first), self._clock_ns()
-        at_ns = now_ns + (sent_ns - now_ns) % S_NS
-        if (left_ns := at_ns - self._clock_ns()) > _ASLEEP_NS:
-            stop.wait((left_ns - _ASLEEP_NS) / S_NS)
-        while not stop.is_set() and (left_ns := at_ns - self._clock_ns()) > 0:
-            self._sleep(left_ns / S_NS)
-        self._start(first, sent_ns, at_ns)
-        return self._clock_ns() - at_ns
-
-    def join(self, first: Packet, left_ns: int) -> None:
-        """Begin where a clock runs already, by which the first packet leaves in some time, or left some time ago."""
-        sent_ns, due_ns = self._sent_ns(first), self._clock_ns() + left_ns
-        self._start(first, sent_ns, sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS)
-
-    def _sent_ns(self, first: Packet) -> int:
-        """Return the UTC at which a packet leaves by its own stamp, or is due without one."""
-        if not has_stamp(first):
-            return first.due_ns
-        moved(first, 0, first.due_ns)  # Python loads what parses dates in the first one's time, 3 ms
-        made_ns = stamp_ns(first)
-        hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
-        return hour_ns + made_ns + age_ns(first)
-
-    def _start(self, first: Packet, sent_ns: int, at_ns: int) -> None:
-        self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet; errors are the sink's."""
-        self._sink.send(moved(packet, self.moved_s, packet.due_ns + self._ahead_ns))

@@ -1,4 +1,4 @@
-"""Packets as UDP datagrams, from one sensor or from all sensors of a rig."""
+"""Packets as UDP datagrams, of one sensor or of all sensors of a rig."""
 
 import errno
 import ipaddress
@@ -7,11 +7,10 @@ import socket
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from itertools import count, islice
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
+from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, FACTORY_LINK, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 
@@ -28,6 +27,8 @@ _offered = count(os.getpid() * 61)
 _SO_NO_CHECK, _IP_MTU_DISCOVER = 11, 10
 _IP_PMTUDISC_DONT, _IP_PMTUDISC_DO = 0, 2
 
+_PORTS = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
+"""Port that a sensor sends a kind from."""
 _OF_SENSOR = {
     # No UDP checksum, don't fragment and, for that reason, identification 0.
     DATA_PORT: (
@@ -45,29 +46,20 @@ _OF_SENSOR = {
 """Options of a sensor's sockets, by port."""
 
 
-@dataclass(frozen=True, slots=True)
-class UdpResult:
-    """Packets that were sent."""
-
-    data_packets: int
-    position_packets: int
-    bytes: int
-    """Bytes of payload."""
-
-
 class UdpSink(PacketSink):
-    """Sends data and position packets from two sockets, which are never connected.
+    """Sends the data and position packets of each unit from two sockets of its own, which are never connected.
 
     A connected socket would give a running identification to frames that must carry 0, and would report
     the refusals of a host on which nobody listens yet.
 
     Parameters
     ----------
+    links : of each unit; packets go to their ports
     host : address or name of the receiver; may be a broadcast address
-    data_port, position_port : UDP ports of the receiver
-    as_sensor : address of this machine to send from, with the ports and header fields of a real sensor;
-        None for any address, any free ports, and headers as the system makes them
+    as_sensor : send from the units' own addresses, which must be this machine's, with the ports and header fields of a real
+        sensor; else from any address, any free ports, and with headers as the system makes them
     interface : by which all leaves; None for that which the system's routes give
+    sent : called after each packet with its due time, UTC ns
 
     Raises
     ------
@@ -77,50 +69,49 @@ class UdpSink(PacketSink):
 
     def __init__(
         self,
+        links: Sequence[Link] = (FACTORY_LINK,),
         host: str = LOOPBACK,
         *,
-        data_port: int = DATA_PORT,
-        position_port: int = POSITION_PORT,
-        as_sensor: str | None = None,
+        as_sensor: bool = False,
         interface: str | None = None,
+        sent: Callable[[int], None] = lambda _: None,
     ) -> None:
-        address = resolve(host)
-        self._source = as_sensor, interface
-        broadcast = _is_broadcast(address, *self._source)
-        self.latest_position = b""
-        """Payload of the position packet that was sent last."""
-        self._sent = Counter[PacketKind]()
-        self._bytes = 0
+        self.sent = [Counter[PacketKind]() for _ in links]
+        """Packets that each unit has sent so far, by kind."""
+        self.latest_position = [b""] * len(links)
+        """Payload of the position packet that each unit has sent last; empty before the first."""
+        self._after, self._interface = sent, interface
+        self._sources = [link.source if as_sensor else None for link in links]
         with ExitStack() as stack:
-            data = stack.enter_context(_open(DATA_PORT, *self._source, broadcast=broadcast))
-            position = stack.enter_context(_open(POSITION_PORT, *self._source, broadcast=broadcast))
-            self._sockets = stack.pop_all()
-        self._ways = {
-            PacketKind.DATA: (data, (address, data_port)),
-            PacketKind.POSITION: (position, (address, position_port)),
-        }
+            self._sockets = [
+                {kind: stack.enter_context(_open(port, source, interface)) for kind, port in _PORTS.items()}
+                for source in self._sources
+            ]
+            self._to = [dict[PacketKind, tuple[str, int]]() for _ in links]
+            for unit, link in enumerate(links):
+                self.redirect(unit, host, link.data_port, link.position_port)
+            self._open = stack.pop_all()
 
     def __exit__(self, *_: object) -> None:
-        self._sockets.close()
+        self._open.close()
 
     @property
     def address(self) -> str:
-        """IPv4 address that packets are sent to."""
-        return self._ways[PacketKind.DATA][1][0]
+        """IPv4 address that packets of the first unit are sent to."""
+        return self._to[0][PacketKind.DATA][0]
 
-    def redirect(self, host: str, data_port: int, position_port: int) -> None:
-        """Send to another receiver from now on; from any thread.
+    def redirect(self, unit: int, host: str, data_port: int, position_port: int) -> None:
+        """Send the packets of a unit to another receiver from now on; from any thread.
 
         Raises
         ------
         OutputError : If the host is unknown or out of reach; then all stays as it is.
         """
         address = resolve(host)
-        if _is_broadcast(address, *self._source):
-            for way, _ in self._ways.values():
-                way.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        ports = {PacketKind.DATA: data_port, PacketKind.POSITION: position_port}
-        self._ways = {kind: (way, (address, ports[kind])) for kind, (way, _) in self._ways.items()}
+        if _is_broadcast(address, self._sources[unit], self._interface):
+            for opened in self._sockets[unit].values():
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        self._to[unit] = {PacketKind.DATA: (address, data_port), PacketKind.POSITION: (address, position_port)}
 
     def send(self, packet: Packet) -> None:
         """Send one packet.
@@ -130,22 +121,19 @@ class UdpSink(PacketSink):
         RunError : If the system cannot send any more, for instance because the link is gone.
         ValueError : If the packet is NMEA, which travels by serial line and not by Ethernet.
         """
-        if packet.kind not in self._ways:
-            raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")
-        way, (address, port) = self._ways[packet.kind]
+        unit, kind = packet.unit, packet.kind
+        if kind not in _PORTS:
+            raise ValueError(f"found a packet of kind {kind}, expected data or position")
+        address, port = self._to[unit][kind]
         try:
-            self._bytes += way.sendto(packet.payload, (address, port))
+            self._sockets[unit][kind].sendto(packet.payload, (address, port))
         except OSError as error:
-            where = f"{address}:{port}: {error.strerror} at packet {self._sent.total() + 1}"
+            where = f"{address}:{port}: {error.strerror} at packet {self.sent[unit].total() + 1}"
             raise RunError(f"{where}; those before it have been sent") from error
-        self._sent[packet.kind] += 1
-        if packet.kind is PacketKind.POSITION:
-            self.latest_position = packet.payload
-
-    @property
-    def result(self) -> UdpResult:
-        """Packets sent so far."""
-        return UdpResult(self._sent[PacketKind.DATA], self._sent[PacketKind.POSITION], self._bytes)
+        self.sent[unit][kind] += 1
+        if kind is PacketKind.POSITION:
+            self.latest_position[unit] = packet.payload
+        self._after(packet.due_ns)
 
 
 @contextmanager
@@ -206,17 +194,13 @@ def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) ->
     return False
 
 
-def _open(sensor_port: int, as_sensor: str | None, interface: str | None, *, broadcast: bool) -> socket.socket:
-    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
+def _open(sensor_port: int, as_sensor: str | None, interface: str | None) -> socket.socket:
+    with ExitStack() as stack:
+        opened = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         _bind(opened, as_sensor, interface, sensor_port)
-        if broadcast:
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         for option in _OF_SENSOR[sensor_port] if as_sensor is not None else ():
             opened.setsockopt(*option)
-    except OutputError:
-        opened.close()
-        raise
+        stack.pop_all()
     return opened
 
 
@@ -242,71 +226,3 @@ def _bind(opened: socket.socket, as_sensor: str | None, interface: str | None, p
 def _interfaces() -> list[str]:
     names = sorted(name for _, name in socket.if_nameindex())
     return sorted(names, key=lambda name: name == "lo")
-
-
-class RigSink(PacketSink):
-    """Sends the packets of each unit to the ports of its own link.
-
-    Parameters
-    ----------
-    links : of each unit
-    host : as `UdpSink` takes it
-    as_sensor : send from the units' own addresses, with their headers
-    interface : as `UdpSink` takes it
-    sent : called after each packet with its due time, UTC ns
-
-    Raises
-    ------
-    OutputError : as `UdpSink`
-    """
-
-    def __init__(
-        self,
-        links: Sequence[Link],
-        host: str,
-        *,
-        as_sensor: bool = False,
-        interface: str | None = None,
-        sent: Callable[[int], None] = lambda _: None,
-    ) -> None:
-        self._sent = sent
-        with ExitStack() as stack:
-            self._sinks = [
-                stack.enter_context(
-                    UdpSink(
-                        host,
-                        data_port=link.data_port,
-                        position_port=link.position_port,
-                        as_sensor=link.source if as_sensor else None,
-                        interface=interface,
-                    )
-                )
-                for link in links
-            ]
-            self._open = stack.pop_all()
-
-    def __exit__(self, *_: object) -> None:
-        self._open.close()
-
-    def send(self, packet: Packet) -> None:
-        """Send one packet; errors are those of `UdpSink.send`."""
-        self._sinks[packet.unit].send(packet)
-        self._sent(packet.due_ns)
-
-    @property
-    def address(self) -> str:
-        """IPv4 address that packets of the first unit are sent to."""
-        return self._sinks[0].address
-
-    def latest_position(self, unit: int) -> bytes:
-        """Payload of the position packet that a unit has sent last; empty before the first."""
-        return self._sinks[unit].latest_position
-
-    def redirect(self, unit: int, host: str, data_port: int, position_port: int) -> None:
-        """Send the packets of a unit to another receiver from now on; as `UdpSink.redirect`."""
-        self._sinks[unit].redirect(host, data_port, position_port)
-
-    @property
-    def results(self) -> list[UdpResult]:
-        """Packets that each unit has sent so far."""
-        return [sink.result for sink in self._sinks]

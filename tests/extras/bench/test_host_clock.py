@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vlp16emu.run.host_clock import HostClock
-from vlp16emu.scenario.capture import CaptureClock
+from vlp16emu.run.record import HostClock
+from vlp16emu.scenario.model import CaptureClock
 from vlp16emu.types import Packet, PacketKind
 
 START_NS = 1_700_000_000 * 10**9
@@ -36,8 +36,8 @@ def test_a_preset_has_the_spacing_of_real_captures(preset, low_us, high_us):
 
 def test_hosts_differ_in_their_clocks():
     """Over many seeds the rate is within -15 to 20 ppm for most, and the offset within some milliseconds, before or behind."""
-    clocks = [HostClock(CaptureClock(), seed, START_NS)._section for seed in range(200)]
-    ppm, ahead_ms = np.array([(clock.ppm, clock.ahead_ms) for clock in clocks]).T
+    clocks = [HostClock(CaptureClock(), seed, START_NS) for seed in range(200)]
+    ppm, ahead_ms = np.array([(clock._ppm, clock._ahead_ms) for clock in clocks]).T
     assert 0.8 < ((ppm > -15) & (ppm < 20)).mean() < 1.0
     assert np.abs(ahead_ms).max() < 15
     assert 0.35 < (ahead_ms > 0).mean() < 0.65

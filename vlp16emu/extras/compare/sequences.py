@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets import layout
-from vlp16emu.packets.capture import Capture, Datagram
-from vlp16emu.packets.units import CapturedUnit
+from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS

@@ -1,0 +1,174 @@
+"""What is set on a sensor, what of it survives, and its converters against the formulas of the manual, applied the other way."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from vlp16emu.errors import InputError, OutputError, RunError
+from vlp16emu.extras.bench.device import DeviceSettings, DeviceStatus, diagnostics
+from vlp16emu.types import PpsState, ReturnMode
+from vlp16emu.units import S_NS
+
+OTHERS = DeviceSettings(
+    1200, ReturnMode.DUAL, False, (90, 270), True, 12_345, "10.0.0.7", 3000, 3001,
+    "10.0.0.2", "255.255.0.0", "0.0.0.0", True,
+)  # fmt: skip
+
+
+def test_a_change_is_passed_on_once(make):
+    """The stream hears of settings that change, and not of those that are set to what they are."""
+    engine, device = make()
+    device.change(lambda settings: replace(settings, rpm=1200))
+    device.change(lambda settings: replace(settings, rpm=1200))
+    assert [settings.rpm for settings in engine.changes] == [1200]
+
+
+@pytest.mark.parametrize("act", ["change", "restart"])
+def test_what_the_stream_cannot_follow_is_not_set(make, act):
+    """A receiver that is out of reach leaves the settings as they were, and the one who asks hears of it."""
+    _, device = make()
+    device.adopt(lambda _: OTHERS)
+
+    def refused(_before, settings, **_how):
+        raise OutputError("destination", "out of reach", "an address in reach")
+
+    device._changed = refused
+    with pytest.raises(OutputError):
+        device.restart() if act == "restart" else device.change(lambda settings: replace(settings, rpm=300))
+    assert device.settings == OTHERS
+
+
+@pytest.mark.parametrize("in_a_file", [True, False])
+def test_saved_settings_survive_a_reset_and_others_are_lost(make, tmp_path, in_a_file):
+    """A reset brings back what was saved last, and before that what the factory has set."""
+    engine, device = make(saved=tmp_path / "saved.json" if in_a_file else None)
+    device.adopt(lambda _: OTHERS)
+    device.restart()
+    assert (device.settings, engine.resets) == (DeviceSettings(), [DeviceSettings()])
+    device.adopt(lambda _: OTHERS)
+    device.save()
+    device.change(lambda settings: replace(settings, rpm=300))
+    device.restart()
+    assert (device.settings, device.power_up, engine.resets[-1]) == (OTHERS,) * 3
+
+
+def test_saved_settings_survive_the_run(make, tmp_path):
+    """The next run starts with every field of a JSON table of those saved; one that has saved nothing with the factory's."""
+    file = tmp_path / "saved.json"
+    _, device = make(saved=file)
+    device.adopt(lambda _: OTHERS)
+    _, unsaved = make(saved=file)
+    device.save()
+    _, again = make(saved=file)
+    assert (unsaved.settings, again.settings) == (DeviceSettings(), OTHERS)
+    tree = json.loads(file.read_text())
+    assert (tree["rpm"], tree["return_mode"], tree["fov_deg"]) == (1200, "dual", [90, 270])
+    assert all(getattr(OTHERS, name) != getattr(DeviceSettings(), name) for name in DeviceSettings.__slots__)
+
+
+def test_a_key_that_was_not_saved_is_the_factorys(make, tmp_path):
+    """A file with some of the keys leaves the others as the factory has set them."""
+    file = tmp_path / "saved.json"
+    file.write_text('{"rpm": 300}')
+    _, device = make(saved=file, factory=OTHERS)
+    assert device.settings == replace(OTHERS, rpm=300)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        ("", "no JSON; expected settings that a sensor has saved"),
+        ("[1]", "expected a table"),
+        ('{"rpm": 310}', "rpm: found 310; expected a whole number from 300 to 1200 in steps of 60"),
+        ('{"rpn": 300}', "rpn: unknown key"),
+        ('{"host": "x"}', 'host: found "x"; expected the IPv4 address of a host, or 255.255.255.255'),
+        ('{"return_mode": "Dual"}', 'return_mode: found "Dual"; expected "strongest", "last" or "dual"'),
+        ("9" * 20_000, "found 20000 bytes"),
+        ("[" * 9000, "no JSON"),
+    ],
+)
+def test_a_file_that_no_sensor_has_saved_is_refused(make, tmp_path, content, line):
+    """A file that was edited badly is named with the key, what was found and what was expected."""
+    file = tmp_path / "saved.json"
+    file.write_text(content)
+    with pytest.raises(InputError) as caught:
+        make(saved=file)
+    assert str(caught.value).startswith(str(file))
+    assert line in str(caught.value)
+
+
+def test_settings_that_cannot_be_saved_are_not_taken_for_saved(make, tmp_path):
+    """Where the file cannot be written, the next power-up is as before."""
+    _, device = make(saved=tmp_path / "absent" / "saved.json")
+    device.adopt(lambda _: OTHERS)
+    with pytest.raises((InputError, RunError)):
+        device.save()
+    assert device.power_up == DeviceSettings()
+
+
+WARM = DeviceStatus(
+    t_ns=1_779_267_600 * S_NS, pps=PpsState.ABSENT, position="", motor_rpm=600.0, motor_on=True,
+    phase_locked=False, phase_cdeg=0, laser_on=True, powered_for_s=7200.0,
+)  # fmt: skip
+
+
+def volts(raw):
+    return raw * 5 / 4096
+
+
+def celsius(raw):
+    """63-9243 Rev D, section 10.2.3.2."""
+    return -1481.96 + math.sqrt(2.1962e6 + (1.8639 - volts(raw)) / 3.88e-6)
+
+
+def boards(**changes):
+    tree = diagnostics(replace(WARM, **changes))["volt_temp"]
+    return tree["bot"], tree["top"]
+
+
+def test_the_formulas_give_the_check_numbers_of_real_units():
+    """1037 counts are 51.1 degrees, 2628 are -181 V: what the tests below read with."""
+    assert celsius(1037) == pytest.approx(51.1, abs=0.05)
+    assert 101 * (volts(2628) - 5) == pytest.approx(-181, abs=0.5)
+
+
+@pytest.mark.parametrize("t_s", range(0, 60, 7))
+def test_a_healthy_sensor_reads_as_real_units_do(t_s):
+    """Rails, input, high voltage and temperatures of a warm unit are within 1 % of those on record, at any time."""
+    bottom, top = boards(t_ns=WARM.t_ns + t_s * S_NS)
+    real_bottom = {"i_out": 2087, "pwr_1_2v": 986, "lm20_temp": 1037, "pwr_5v": 2056, "pwr_2_5v": 2047,
+                   "pwr_3_3v": 2706, "pwr_v_in": 891, "pwr_1_25v": 0}  # fmt: skip
+    real_top = {"hv": 2628, "ad_temp": 602, "lm20_temp": 1018, "pwr_5v": 2078, "pwr_2_5v": 2047, "pwr_3_3v": 2687,
+                "pwr_5v_raw": 2190, "pwr_vccint": 976}  # fmt: skip
+    assert bottom == {name: pytest.approx(raw, rel=0.01) for name, raw in real_bottom.items()}
+    assert top == {name: pytest.approx(raw, rel=0.01) for name, raw in real_top.items()}
+
+
+def test_boards_warm_up_over_the_first_minutes():
+    """From 25 degrees at power-up, over more than half of the way after two minutes, to 51 and 53 after ten."""
+    readings = [[celsius(board["lm20_temp"]) for board in boards(powered_for_s=s)] for s in (0.0, 120.0, 600.0)]
+    for cold, between, warm in zip(*readings, strict=True):
+        assert cold == pytest.approx(25, abs=0.5)
+        assert between > (cold + warm) / 2
+        assert warm == pytest.approx(52, abs=1.7)
+
+
+def test_values_move_slightly_and_the_same_way_every_time():
+    """Within a minute every converter but the unused one shows more than one value, and never jumps; a time has its values."""
+    seen = [boards(t_ns=WARM.t_ns + s * S_NS) for s in range(62)]
+    assert seen == [boards(t_ns=WARM.t_ns + s * S_NS) for s in range(62)]
+    for side in (0, 1):
+        for name in seen[0][side]:
+            counts = [boards_[side][name] for boards_ in seen]
+            assert max(counts) - min(counts) in range(1, 8) or name == "pwr_1_25v", name
+
+
+def test_the_current_follows_motor_and_laser():
+    """0.48 A at 600 rpm, more at 1200, less without lasers, least at rest."""
+    states = ((1200.0, True), (600.0, True), (600.0, False), (0.0, False))
+    currents = [10 * (volts(boards(motor_rpm=rpm, laser_on=on)[0]["i_out"]) - 2.5) for rpm, on in states]
+    assert currents == sorted(currents, reverse=True)
+    assert len(set(currents)) == 4
+    assert currents[1] == pytest.approx(0.48, abs=0.03)

@@ -1,0 +1,84 @@
+"""Frames of inertial samples."""
+
+import struct
+import tomllib
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vlp16emu.errors import PacketError
+from vlp16emu.extras.bench.imu_frame import IMU_FRAME, decode_imu, imu_frames
+from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
+from vlp16emu.types import Packet, PacketKind
+
+GOLDEN = Path(__file__).resolve().parents[3] / "protocol" / "golden"
+MEANING = tomllib.loads((GOLDEN / "imu.toml").read_text())
+FRAME = bytes.fromhex((GOLDEN / "imu.hex").read_text())
+
+
+def made(count, seed=1):
+    """Frames of random samples."""
+    draw = np.random.default_rng(seed)
+    t_ns = draw.integers(2**62, size=count)
+    return imu_frames(2**40, t_ns, draw.normal(size=(count, 3)), draw.normal(size=(count, 3)))
+
+
+def found_in(stream):
+    """Frames in bytes of a serial line, as `protocol/imu_frame.toml` says, by the standard library alone."""
+    at = 0
+    while (at := stream.find(b"IMU\1", at)) >= 0:
+        frame = stream[at : at + 72]
+        if len(frame) == 72 and struct.unpack_from("<I", frame, 4)[0] == zlib.crc32(frame[8:]):
+            yield frame
+            at += 72
+        else:
+            at += 1
+
+
+def test_a_sample_becomes_the_golden_frame():
+    """The sample that the golden meaning states becomes its bytes, and they are read back as it."""
+    numbers = [np.array([MEANING[key]]) for key in ("t_ns", "angular_rate_rad_s", "specific_force_m_s2")]
+    assert imu_frames(MEANING["sequence"], *numbers) == [FRAME]
+    fields = decode_imu(FRAME)
+    for key in ("sequence", "t_ns", "angular_rate_rad_s", "specific_force_m_s2"):
+        assert fields[key].tolist() == MEANING[key]
+
+
+def test_by_hand():
+    """The second number is -1/64, 0xBF90000000000000, at byte 32; sample 1000 is 0x3E8, at byte 8."""
+    assert FRAME[:4] == b"IMU\1"
+    assert FRAME[8:16] == b"\xe8\x03\0\0\0\0\0\0"
+    assert FRAME[32:40] == b"\0\0\0\0\0\0\x90\xbf"
+
+
+def test_any_wrong_bit_is_found():
+    """A frame with one bit turned over is refused, wherever it is; so is one of another length."""
+    for bit in range(8 * len(FRAME)):
+        wrong = bytearray(FRAME)
+        wrong[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(PacketError, match="IMU frame"):
+            decode_imu(bytes(wrong))
+    with pytest.raises(PacketError, match="found 71 bytes; expected 72"):
+        decode_imu(FRAME[:-1])
+
+
+def test_a_reader_finds_its_way_back():
+    """Of a line that begins amid a frame, loses bytes and has noise between frames, all whole frames are found."""
+    frames = made(50)
+    noise = np.random.default_rng(2).bytes(200) + b"IMU\1"
+    stream = frames[0][31:] + b"".join(frames[1:20]) + frames[20][:40] + frames[21] + noise + b"".join(frames[22:])
+    assert list(found_in(stream)) == frames[1:20] + frames[21:]
+
+
+def test_moving_changes_time_and_checksum_alone():
+    """By whole seconds, there and back to the same bytes; the stamp of the packet is that of UTC."""
+    packet = Packet(PacketKind.IMU, MEANING["t_ns"], FRAME)
+    later = moved(packet, 16_133_300)
+    fields = decode_imu(later.payload)
+    assert fields["t_ns"] == MEANING["t_ns"] + 16_133_300 * 10**9
+    assert later.payload[24:] == FRAME[24:]
+    assert moved(later, -16_133_300) == packet
+    assert (stamp_ns(packet), age_ns(packet)) == (500_000_000, 0)
+    assert IMU_FRAME.fields["t_ns"][1] == 16

@@ -1,0 +1,67 @@
+"""Packets of another time, sent as of the present."""
+
+from threading import Event
+
+import pytest
+
+from vlp16emu.extras.bench.retime import NowSink, stamp_ns
+from vlp16emu.sinks import MemorySink
+from vlp16emu.types import Packet, PacketKind
+
+S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000
+AGE_NS = 1_327_104
+
+
+class Clock:
+    """A clock that only sleeping moves on."""
+
+    def __init__(self, now_ns):
+        self.now_ns = now_ns
+
+    def __call__(self):
+        """Time now."""
+        return self.now_ns
+
+    def sleep(self, seconds):
+        """Go on at once."""
+        self.now_ns += round(seconds * S_NS)
+
+
+class Waiting(Event):
+    """An event whose waiting passes on a clock."""
+
+    def __init__(self, clock):
+        super().__init__()
+        self.wait = clock.sleep
+
+
+def data(made_ns):
+    """A packet of one instant, with its stamp in whole microseconds."""
+    payload = bytearray(1206)
+    payload[1200:1204] = (made_ns % HOUR_NS // 1000).to_bytes(4, "little")
+    payload[1204:] = b"\x37\x22"
+    return Packet(PacketKind.DATA, made_ns + AGE_NS, bytes(payload))
+
+
+@pytest.mark.parametrize("now_ns", [1_795_000_000_123_456_789, 1_795_003_599_999_000_000, 3 * S_NS])
+def test_stamps_are_those_of_the_clock(now_ns):
+    """Stamp and age of the first packet make the time at which it leaves, in the second after now; later ones follow."""
+    clock, sink = Clock(now_ns), MemorySink()
+    packets = [data(1_779_000_000 * S_NS + 250_000_000 + step * 10_000_000) for step in range(3)]
+    present = NowSink(sink, clock_ns=clock, sleep=clock.sleep)
+    present.begin(packets[0], Waiting(clock))
+    assert 0 <= clock.now_ns - now_ns < S_NS
+    for packet in packets:
+        present.send(packet)
+    assert [stamp_ns(packet) for packet in sink.packets] == [
+        (clock.now_ns - AGE_NS + step * 10_000_000) % HOUR_NS for step in range(3)
+    ]
+    assert present.moved_s * S_NS == clock.now_ns - packets[0].due_ns
+
+
+def test_a_stream_that_is_to_stop_does_not_wait():
+    """Where the stop event is set, beginning returns at once."""
+    clock, stop = Clock(5 * S_NS + 1), Event()
+    stop.set()
+    NowSink(MemorySink(), clock_ns=clock, sleep=clock.sleep).begin(data(10 * S_NS), stop)
+    assert clock.now_ns == 5 * S_NS + 1

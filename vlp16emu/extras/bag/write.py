@@ -1,0 +1,290 @@
+"""A run, or a capture with or without its truth, as a bag."""
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from vlp16emu.engine import Engine
+from vlp16emu.errors import InputError, PacketError, readable
+from vlp16emu.extras.bag.bag_file import LATEST_NS, check_bag
+from vlp16emu.extras.bag.messages import TrueMessages
+from vlp16emu.extras.bag.sink import BagSink, Truth
+from vlp16emu.extras.slam import Rig, written_beside
+from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
+from vlp16emu.motion.imu import Inertial
+from vlp16emu.motion.pose import Kinematics
+from vlp16emu.output import spare
+from vlp16emu.packets import (
+    DATA_BYTES,
+    Capture,
+    CapturedUnit,
+    CaptureReader,
+    Clock,
+    PacketClock,
+    check_stamps,
+    chosen_unit,
+    unit_clocks,
+    units_in,
+)
+from vlp16emu.run.options import BagOptions
+from vlp16emu.types import Packet, PacketKind, PpsState
+from vlp16emu.units import S_NS
+
+_TIME = "t_utc_s"
+_POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
+_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+_SAID = ("latitude_deg", "longitude_deg", "valid")
+_EVER_NS = 2**62
+_SET_RPM = 60.0
+"""Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)."""
+
+Row = tuple[int, list[float]]
+"""UTC of a sample, and its numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class BagResult:
+    """Contents of a bag."""
+
+    file: str
+    messages: dict[str, int]
+    """Messages of each topic."""
+    duration_s: float
+    """Time from the first message to the last."""
+    clocks: tuple[str, ...]
+    """Clock of each unit, in the order of their topics: sensor, gps or host."""
+    host_ahead_s: tuple[float, ...]
+    """Capture stamps less the sensor's clock at the first data packet of each unit."""
+    repeats: int
+    """Packets left out as they came before."""
+    interrupted: bool
+
+
+@contextmanager
+def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None) -> Iterator[list[BagSink]]:
+    """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile` and `written_beside`."""
+    options, scenario, units = options or BagOptions(), engine.scenario, engine.parts.units
+    rig, tree = rig_of(scenario, engine.parts), scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    frames = _frames(len(units))
+
+    def clock_of(number: int, due_ns: int) -> PacketClock:
+        is_locked = units[number].gps.pps_at(due_ns) is PpsState.LOCKED
+        return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
+
+    truth = Truth(rig, tree, partial(_feeds_of_run, engine, rate_hz), -(-S_NS // rate_hz))
+    with (
+        written_beside(path, options.slam, lambda: Rig.of(rig, tree, frames[0])),
+        BagSink(path, frames, clock_of, options, truth) as sink,
+    ):
+        yield [sink]
+
+
+def _frames(units: int) -> list[str]:
+    """Return the frames of the clouds of so many sensors; topics are under the same names."""
+    return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
+
+
+def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Callable[[int], None]]:
+    parts, start_ns = engine.parts, engine.scenario.start_ns
+    poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
+    feeds = [Samples(partial(_odometry, to), poses, start_ns, rate_hz, begin_ns).up_to]
+    if (imu := engine.scenario.imu) is not None and parts.imu is not None:
+        feeds.append(Samples(partial(_inertial, to), parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
+    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
+        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
+        feeds.append(Samples(partial(_fixes, to, engine), seconds, 0, 1, max(named_ns, begin_ns)).up_to)
+    return feeds
+
+
+def _odometry(to: TrueMessages, true: Kinematics) -> None:
+    from scipy.spatial.transform import Rotation
+
+    quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
+    own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
+    numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
+    for sample in zip(true.t_ns.tolist(), numbers, strict=True):
+        to.odometry(*sample)
+
+
+def _inertial(to: TrueMessages, read: Inertial) -> None:
+    rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
+    stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+    for sample in zip(stamps_ns.tolist(), rates, strict=True):
+        to.inertial(*sample)
+
+
+def _fixes(to: TrueMessages, engine: Engine, seconds: range) -> None:
+    for second in seconds:
+        said = engine.receiver.fix(second * S_NS)
+        to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
+
+
+def write_bag(
+    capture: Path,
+    out: Path,
+    truth: Path | None = None,
+    *,
+    unit: str | None = None,
+    clock: str | None = None,
+    options: BagOptions | None = None,
+    stop: Event | None = None,
+) -> BagResult:
+    """Write the bag of a capture; memory does not grow with its length.
+
+    Parameters
+    ----------
+    capture : file with VLP-16 packets, also of a real sensor
+    out : .mcap, .bag or a folder, as `BagFile` takes it
+    truth : folder with the truth of the run: true odometry, transforms, inertial unit and receiver
+    unit : the one sensor of several to write, as `chosen_unit` takes it; without it all of them
+    clock : of all stamps, as `unit_clocks` takes it
+    options : transforms, and a configuration beside the bag, which without truth has the capture's speed alone
+    stop : ends the bag between two packets; it is valid
+
+    Raises
+    ------
+    CaptureError, PacketError
+        If the capture is none, is damaged, or has stamps that no bag can hold
+    InputError
+        If the truth cannot be read or is not of as many units, or there is no such unit or clock
+    OutputError, MissingExtraError, RunError
+        as `BagFile` and `written_beside`
+    """
+    options, stop = options or BagOptions(), stop or Event()
+    spare([capture], out)
+    check_bag(out)
+    every = units_in(capture, required=True)
+    units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
+    clocks = unit_clocks(capture, units, clock, where="--clock")
+    check_stamps(capture, clocks, LATEST_NS)
+    made, frames = [one.make() for one in clocks], _frames(len(units))
+    true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every))
+
+    def rig() -> Rig:
+        return Rig.of(true.rig, true.scenario, frames[0]) if true else _measured(capture, units[0], frames[0])
+
+    with (
+        written_beside(out, options.slam, rig),
+        BagSink(out, frames, lambda number, _: made[number], options, true) as sink,
+        Capture(capture) as datagrams,
+    ):
+        for datagram in datagrams:
+            if stop.is_set():
+                break
+            of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
+            if of is not None:
+                kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
+                try:
+                    sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
+                except PacketError as error:
+                    raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
+    first_ns, last_ns = sink.bag.span_ns or (0, 0)
+    return BagResult(
+        file=str(out),
+        messages=dict(sorted(sink.bag.counts.items())),
+        duration_s=(last_ns - first_ns) / S_NS,
+        clocks=tuple(one.clock for one in clocks),
+        host_ahead_s=tuple((one.host_ahead_ns or 0) / S_NS for one in made),
+        repeats=datagrams.repeated,
+        interrupted=stop.is_set(),
+    )
+
+
+def _measured(capture: Path, unit: CapturedUnit, frame: str) -> Rig:
+    """Return the rig of a capture without truth, with the speed of its first packets."""
+    with CaptureReader(capture, unit) as reader:
+        next(reader.points(), None)
+        return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frame)
+
+
+def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
+    """Return the truth in a folder of some of so many units in the capture."""
+    rig, scenario = (_json(folder / name) for name in ("rig.json", "scenario.json"))
+    if len(rig["units"]) != units:
+        raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture")
+    rig = {**rig, "units": [rig["units"][number] for number in taken]}
+
+    def feeds(to: TrueMessages, begin_ns: int) -> list[Callable[[int], None]]:
+        imu = scenario.get("imu") or {}
+        read = (*_AXES, *(ATTITUDE if imu.get("attitude") else ()))
+        stamp = STAMP if imu.get("jitter_s") or any(imu.get("delay_s", ())) else _TIME
+        found = [_feed(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
+        for name, columns, take, time in (("imu.csv", read, to.inertial, stamp), ("gnss.csv", _SAID, to.fix, _TIME)):
+            if (folder / name).exists():
+                rows = _table(folder / name, columns, time=time)
+                found.append(_feed((row for row in rows if row[0] >= begin_ns), take))
+        return found
+
+    return Truth(rig, scenario, feeds, _EVER_NS)
+
+
+def _json(path: Path) -> Any:
+    with readable(path, "a file of a --truth folder", InputError):
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            raise InputError(str(path), "no JSON", "a file of a --truth folder") from None
+
+
+def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Callable[[int], None]:
+    """Return a function that takes rows in order until and with an instant."""
+    waiting = next(rows, None)
+
+    def up_to(t_ns: int) -> None:
+        nonlocal waiting
+        while waiting is not None and waiting[0] <= t_ns:
+            take(*waiting)
+            waiting = next(rows, None)
+
+    return up_to
+
+
+def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
+    """Yield poses from an instant on, and velocity and angular rate until the next one; the last one keeps those before."""
+    from scipy.spatial.transform import Rotation
+
+    before: Row | None = None
+    rates = [0.0] * 6
+    for t_ns, pose in _table(path, _POSE[1:], names=_POSE):
+        if before is not None:
+            (t0_ns, pose0), step_s = before, (t_ns - before[0]) / S_NS
+            try:
+                back, turn = Rotation.from_quat(pose0[3:]).inv(), Rotation.from_quat(pose[3:])
+            except ValueError:
+                raise InputError(str(path), f"no rotation at {t_ns / S_NS:.3f} s", "a quaternion") from None
+            moved_m, turned = back.apply(np.subtract(pose[:3], pose0[:3])), back * turn
+            rates = (np.concatenate([moved_m, turned.as_rotvec()]) / step_s).tolist()
+            if t0_ns >= begin_ns:
+                yield t0_ns, pose0 + rates
+        before = t_ns, pose
+    if before is None or before[0] < begin_ns:
+        found = "no poses" if before is None else f"poses until {before[0] / S_NS:.3f} s"
+        expected = f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s"
+        raise InputError(str(path), found, expected)
+    yield before[0], before[1] + rates
+
+
+def _table(
+    path: Path, columns: Sequence[str], names: Sequence[str] | None = None, *, time: str = _TIME
+) -> Iterator[Row]:
+    """Yield the numbers of columns, and the time, of a CSV; or of a TUM file, which has no names of its own."""
+    with readable(path, "a file of a --truth folder", InputError, most_bytes=_EVER_NS), path.open() as lines:
+        reader = csv.DictReader(lines, names, delimiter=" " if names else ",")
+        if missing := {time, *columns} - set(reader.fieldnames or ()):
+            raise InputError(f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}")
+        for row in reader:
+            if row[time] == "#":
+                continue
+            try:
+                yield int(row[time].replace(".", "")), [float(row[name]) for name in columns]
+            except (TypeError, ValueError):
+                found = f"found {' '.join(str(cell) for cell in row.values())[:60]}"
+                raise InputError(f"{path}, line {reader.line_num}", found, "numbers") from None

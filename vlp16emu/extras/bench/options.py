@@ -1,0 +1,136 @@
+"""Options of what stands beside a stream: web interfaces, poses that come in, serial lines. Of no library, as help is quick."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from vlp16emu.errors import InputError
+from vlp16emu.options import Option, Options
+from vlp16emu.run.options import LAST_PORT, StreamOptions
+
+
+@dataclass(frozen=True)
+class Http(Options):
+    """Web interfaces of a stream's sensors."""
+
+    at: Annotated[
+        str,
+        Option(
+            "Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
+            "PORT alone is on 127.0.0.1.",
+            "HOST:PORT",
+            "--http",
+        ),
+    ]
+    saved: Annotated[
+        Path | None,
+        Option("Keep the settings that are saved in the web interface, from run to run.", "FILE", "--http-settings"),
+    ] = None
+    """File of the first sensor; those of others have its name with their number."""
+    serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
+    """Called with the address and port of each, before the first packet leaves."""
+    controlled: Callable[[Any], None] = lambda _: None
+    """Called before that with the `Control` that sets the sensors."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.address  # refused before a world is grown
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host, and port of the first sensor; 0 for free ports. InputError if it is none."""
+        host, _, port = self.at.rpartition(":")
+        if not (port.isascii() and port.isdecimal() and int(port) <= LAST_PORT):
+            raise InputError("--http", f"found {self.at!r}", "HOST:PORT, such as 127.0.0.1:8080")
+        return host.strip("[]") or "127.0.0.1", int(port)
+
+
+@dataclass(frozen=True)
+class PosesIn(Options):
+    """Poses of a live scene."""
+
+    where: Annotated[
+        str | None,
+        Option(
+            'Where poses come in, of a scene with motion.kind = "live"; the stream waits for the first one.',
+            "udp://HOST:PORT",
+            "--pose-in",
+        ),
+    ] = None
+    """None if `Emulator.put_pose` alone brings them."""
+    flown: Annotated[
+        Path | None,
+        Option(
+            "Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.", "FILE.csv", "--flown"
+        ),
+    ] = None
+    news: Callable[[str], None] = lambda _: None
+    """Called with a line when poses are waited for, lost, or back."""
+
+
+@dataclass(frozen=True)
+class Outlets(Options):
+    """Outputs of a stream beside the packets of the sensors."""
+
+    gps_out: Annotated[
+        str | None,
+        Option(
+            "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of pyserial such as "
+            "socket://127.0.0.1:5000.",
+            "PORT",
+        ),
+    ] = None
+    gps_pps: Annotated[
+        str, Option("Line of that port that carries the receiver's pulse.", words=("dtr", "rts", "off"))
+    ] = "dtr"
+    """A null-modem cable leads DTR to DCD, where programs look for it."""
+    imu_out: Annotated[
+        str | None,
+        Option(
+            "Send the samples of the inertial unit ([imu]) too, each at its time; on a serial port with 921600 8N1.",
+            "udp://HOST:PORT|serial:PORT",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class GpsIn(Options):
+    """A real GPS receiver that is wired to the sensors."""
+
+    port: Annotated[
+        str,
+        Option(
+            "Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's clock: a device, "
+            "or a URL of pyserial.",
+            "PORT",
+            "--gps-in",
+        ),
+    ]
+    pulse: Annotated[
+        str,
+        Option(
+            "Line of that port that carries the pulse; sentence if none is wired.",
+            name="--gps-in-pulse",
+            words=("sentence", "cd", "cts", "dsr", "ri"),
+        ),
+    ] = "sentence"
+    """With `sentence` a second begins `gps.sentence_delay_s` before its sentence."""
+
+
+@dataclass(frozen=True)
+class BenchOptions(StreamOptions):
+    """Options of a stream, with what stands beside it."""
+
+    http: Http | None = None
+    """None for no web interfaces."""
+    poses: PosesIn | None = None
+    """The stream of a live scene begins with the first pose, and drops late packets."""
+    outlets: Outlets | None = None
+    gps_in: GpsIn | None = None
+    """Sets the clock of the sensors instead of the receiver of the scene."""
+
+    @property
+    def beside(self) -> tuple[Any, Any, Any, Any]:
+        """Fields of this class, for the core."""
+        return self.http, self.poses, self.outlets, self.gps_in

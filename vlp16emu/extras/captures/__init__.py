@@ -1,0 +1,1 @@
+"""Captures of other programs: pcapng, archives, link types beside Ethernet, tags, tunnels and fragments."""

@@ -1,0 +1,156 @@
+"""Frames of pcapng, and of archives with pcap or pcapng in them.
+
+The records are walked here, as dpkt's readers turn stamps into floats, drop the length on the wire and the link types of
+pcapng, and do not report when the last packet is cut.
+"""
+
+import bz2
+import gzip
+import lzma
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from vlp16emu.errors import CaptureError
+from vlp16emu.packets.capture import EXPECTED, PCAP, Frame, no_capture, pcap_frames, read
+from vlp16emu.units import S_NS, US_NS
+
+_SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6
+"""Block types of pcapng, as all below from IETF draft-ietf-opsawg-pcapng."""
+_BYTE_ORDER = 0x1A2B3C4D
+_OPTION_RESOLUTION, _OPTION_OFFSET = 9, 14
+_LONGEST_BLOCK_BYTES = 16 << 20
+"""A longer block means damage (MAX_BLOCK_SIZE of Wireshark)."""
+_ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
+
+Frames = Iterator[Frame | None]
+"""Frames of a file; the last is None if the file ends in the middle of a record."""
+
+
+def frames(path: Path, file: Any) -> Frames:
+    """Yield the frames of a file that is no plain pcap.
+
+    Raises
+    ------
+    CaptureError
+        If it is neither pcapng nor an archive that can be unpacked with a capture in it, or a record is damaged.
+    """
+    try:
+        unpacked = _unpacked(path, file)
+        head = file.peek(4)[:4] if unpacked is file else read(unpacked, 4)
+        joined: Any = file if unpacked is file else _Prefixed(head, unpacked)
+        if head in PCAP:
+            yield from pcap_frames(path, joined)
+        elif int.from_bytes(head) == _SECTION:
+            read(joined, 4)
+            yield from _pcapng(path, joined)
+        else:
+            raise no_capture(path, head)
+    except (zlib.error, lzma.LZMAError) as error:
+        raise CaptureError(str(path), f"a damaged archive: {error}", EXPECTED) from error
+
+
+class _Prefixed:
+    """A stream that gives bytes back that were read from it."""
+
+    def __init__(self, head: bytes, file: BinaryIO) -> None:
+        self._head, self._file = head, file
+
+    def read(self, size: int) -> bytes:
+        """Read up to `size` bytes."""
+        part, self._head = self._head[:size], self._head[size:]
+        return part or self._file.read(size)
+
+
+def _unpacked(path: Path, file: Any) -> Any:
+    """Return the stream of an archive, or the file itself if it is none."""
+    head: bytes = file.peek(6)
+    if head.startswith(_ZSTD):
+        try:
+            import zstandard
+        except ImportError:
+            expected = "the library zstandard (pip install zstandard), or the file unpacked by `unzstd`"
+            raise CaptureError(str(path), "a zstd archive", expected) from None
+        return zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
+    for magic, (name, command) in _OTHERS.items():
+        if head.startswith(magic):
+            raise CaptureError(str(path), f"a {name} archive", f"{EXPECTED}: `{command} {path.name} > some.pcap`")
+    return next((opener(file) for magic, opener in _ARCHIVES.items() if head.startswith(magic)), file)
+
+
+class _Interface(NamedTuple):
+    link_type: int
+    snap_bytes: int
+    units_per_s: int
+    offset_s: int
+
+
+def _pcapng(path: Path, file: Any) -> Frames:
+    """Yield the frames of pcapng, from behind the type of its first block."""
+    order, kind, interfaces, blocks = "<", _SECTION, list[_Interface](), 0
+    while True:
+        blocks += 1
+        length_at = read(file, 8 if kind == _SECTION else 4)
+        if kind == _SECTION:
+            order = "<" if int.from_bytes(length_at[4:], "little") == _BYTE_ORDER else ">"
+            interfaces = []
+        length = int.from_bytes(length_at[:4], "little" if order == "<" else "big")
+        if len(length_at) < (8 if kind == _SECTION else 4):
+            yield None
+            return
+        if not 12 <= length <= _LONGEST_BLOCK_BYTES or length % 4:  # type, length, length again
+            where, expected = f"{path}: block {blocks}", f"12 to {_LONGEST_BLOCK_BYTES}, in steps of 4"
+            raise CaptureError(where, f"a length of {length} bytes", expected)
+        body = read(file, rest := length - 4 - len(length_at))
+        if len(body) < rest:
+            yield None
+            return
+        try:
+            if kind == _INTERFACE:
+                interfaces.append(_interface(body, order))
+            frame = _frame(body, kind, order, interfaces)
+        except struct.error:
+            found, expected = f"a block of type {kind} with {len(body) - 4} bytes", "its fields"
+            raise CaptureError(f"{path}: block {blocks}", found, expected) from None
+        if frame is not None:
+            yield frame
+        head = read(file, 4)
+        if len(head) < 4:  # a block type
+            if head:
+                yield None
+            return
+        kind = int.from_bytes(head, "little" if order == "<" else "big")  # a section's reads the same either way
+
+
+def _interface(body: bytes, order: str) -> _Interface:
+    link_type, _, snap_bytes = struct.unpack_from(f"{order}2HI", body)
+    units_per_s, offset_s, at = S_NS // US_NS, 0, 8
+    while at + 4 <= len(body):
+        code, size = struct.unpack_from(f"{order}2H", body, at)
+        value = body[at + 4 : at + 4 + size]
+        if code == _OPTION_RESOLUTION and value:
+            units_per_s = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** value[0]
+        elif code == _OPTION_OFFSET:
+            offset_s = int.from_bytes(value, "little" if order == "<" else "big", signed=True)
+        at += 4 + -(-size // 4) * 4
+    return _Interface(link_type, snap_bytes, units_per_s, offset_s)
+
+
+def _frame(body: bytes, kind: int, order: str, interfaces: list[_Interface]) -> Frame | None:
+    """Read a packet block; None for other blocks and for packets of an interface that is not described."""
+    if kind == _SIMPLE_PACKET and interfaces:
+        wire, own = struct.unpack_from(f"{order}I", body)[0], interfaces[0]
+        captured = min(wire, own.snap_bytes or wire)
+        return Frame(0, own.link_type, wire, body[4 : 4 + captured])
+    if kind not in (_PACKET, _OLD_PACKET) or len(body) < 20:  # the fields before the frame
+        return None
+    number, high, low, captured, wire = struct.unpack_from(f"{order}{'I' if kind == _PACKET else 'H2x'}4I", body)
+    if number >= len(interfaces):
+        return None
+    own = interfaces[number]
+    stamp_ns = own.offset_s * S_NS + (high << 32 | low) * S_NS // own.units_per_s
+    return Frame(stamp_ns, own.link_type, wire, body[20 : 20 + captured])

@@ -1,0 +1,242 @@
+"""UDP datagrams in frames of any link type that carries IP, behind tags, labels and tunnels."""
+
+import struct
+from collections import Counter
+from typing import NamedTuple
+
+_ETHERNET = 1
+_ETHERTYPE_AT = {_ETHERNET: 12, 113: 14, 276: 0, 104: 2, 138: 16}
+"""Offset of the EtherType by link type: Ethernet, Linux cooked (SLL, SLL2), Cisco HDLC, IP over FireWire.
+Source of all link types: www.tcpdump.org/linktypes.html."""
+_BODY_AT = {_ETHERNET: 14, 113: 16, 276: 20, 104: 4, 138: 18}
+_BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
+"""Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
+_PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
+"""Offset of PPP by link type: serial, with a byte of direction, behind PPPoE."""
+_WIFI, _NFLOG, _NFLOG_PAYLOAD = 105, 239, 9
+_WRAPPED = {127: ("<H", 2, None), 163: (">I", 4, None), 192: ("<H", 2, 4), 149: ("<I", 0, 8), 258: ("<I", 0, 8)}
+"""Link types with a header of their own in front: format and offset of its length, and offset of the link type behind it, IEEE 802.11
+where there is none. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
+_LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
+
+_IPV4, _IPV6, _TAGS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
+_MPLS, _PPPOE, _BRIDGED, _LLC = (0x8847, 0x8848), 0x8864, 0x6558, (0x0001, 0x0004)
+"""EtherTypes of IEEE 802 and RFC 3032, 2516, 1701; the last are those of SLL for 802.3 and 802.2."""
+_SMALLEST_ETHERTYPE = 0x0600
+_PPP_IP = (0x0021, 0x0057)
+_UDP, _IP_IN_IP, _IP6_IN_IP, _GRE = 17, 4, 41, 47
+_FRAGMENT6, _AUTHENTICATION, _EXTENSIONS6 = 44, 51, (0, 43, 60, 51, 44)
+"""Protocol numbers of IANA; headers that may stand in front of the payload of IPv6 (RFC 8200)."""
+_VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)
+"""UDP ports of RFC 7348 and RFC 8926."""
+_ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB
+"""EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)."""
+_MOST_LAYERS = 8
+_INCOMPLETE = 64
+"""Datagrams whose fragments are waited for at a time."""
+_NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
+
+
+class Ip(NamedTuple):
+    """An IP packet in a frame."""
+
+    at: int
+    """Offset of its header in the frame."""
+    body: int
+    """Offset of its content, behind header and extensions."""
+    end: int
+    """Offset of its end by its own length; what is behind is padding."""
+    protocol: int
+    fragment: int
+    """Offset in the datagram, bytes."""
+    more: bool
+    """More fragments follow."""
+    key: bytes
+    """Addresses, identification and protocol, the same for all fragments of a datagram."""
+
+
+class Unwrapper:
+    """Finds UDP in the frames of one capture, and puts IP fragments together (RFC 791, section 3.2)."""
+
+    def __init__(self) -> None:
+        self._held = dict[bytes, dict[int, tuple[bytes, Ip]]]()
+        self._dropped, self._unread = 0, Counter[str]()
+
+    @property
+    def missed(self) -> Counter[str]:
+        """Frames and datagrams that could not be read so far, by cause."""
+        return self._unread + Counter({_NO_FRAGMENTS: self._dropped + len(self._held)})
+
+    def udp_in(self, link_type: int, frame: bytes) -> tuple[bytes, int, int] | None:
+        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers; None if none is complete with it."""
+        if link_type not in _LINK_TYPES:
+            self._unread[f"frames of link type {link_type}, which is not read"] += 1
+            return None
+        ip = _ip_in(link_type, frame)
+        if ip is None or ip.protocol != _UDP:
+            return None
+        if ip.fragment or ip.more:
+            return self._joined(frame, ip)
+        return frame, ip.at, ip.body
+
+    def _joined(self, frame: bytes, ip: Ip) -> tuple[bytes, int, int] | None:
+        """Return the frame of the first fragment with the bytes of all, once the last one is there."""
+        held = self._held.setdefault(ip.key, {})
+        held[ip.fragment] = frame, ip
+        parts, at = list[bytes](), 0
+        while at in held:
+            part, one = held[at]
+            parts.append(part[one.body : one.end])
+            if not one.more:
+                del self._held[ip.key]
+                first, begin = held[0]
+                return first[: begin.body] + b"".join(parts), begin.at, begin.body
+            if not parts[-1]:
+                break
+            at += len(parts[-1])
+        if len(self._held) > _INCOMPLETE:
+            del self._held[next(iter(self._held))]
+            self._dropped += 1
+        return None
+
+
+def _ip_in(link_type: int, frame: bytes) -> Ip | None:
+    """Find the innermost IP packet; None if there is none that is whole to its body."""
+    begin = 0
+    if link_type in _WRAPPED:
+        link_type, begin = _unwrapped(link_type, frame)
+    if link_type in _ETHERTYPE_AT:
+        kind_at, body = begin + _ETHERTYPE_AT[link_type], begin + _BODY_AT[link_type]
+        kind = int.from_bytes(frame[kind_at : kind_at + 2])
+        at: int | None = body if kind == _IPV4 else _behind(frame, kind, body)
+    elif link_type in _BARE_IP_AT:
+        at = begin + _BARE_IP_AT[link_type]
+    elif link_type in _PPP_AT:
+        at = _behind_ppp(frame, begin + _PPP_AT[link_type])
+    elif link_type in (_WIFI, _NFLOG):
+        at = _behind_wifi(frame, begin) if link_type == _WIFI else _behind_nflog(frame)
+    else:
+        return None
+    ip = None
+    for _ in range(_MOST_LAYERS):
+        found = None if at is None else _ip_at(frame, at)
+        if found is None:
+            return ip
+        ip, at = found, _inside(frame, found)
+        if at is None:
+            return ip
+    return ip
+
+
+def _unwrapped(link_type: int, frame: bytes) -> tuple[int, int]:
+    """Return the link type behind a header that names its length, and where its frame begins."""
+    form, length_at, kind_at = _WRAPPED[link_type]
+    try:
+        (length,) = struct.unpack_from(form, frame, length_at)
+        return _WIFI if kind_at is None else struct.unpack_from("<I", frame, kind_at)[0], length
+    except struct.error:
+        return -1, 0
+
+
+def _behind_wifi(frame: bytes, at: int) -> int | None:
+    """Find the IP header in a frame of IEEE 802.11 that is data, and not encrypted."""
+    kind, flags = frame[at : at + 1], frame[at + 1 : at + 2]
+    if not flags or kind[0] & 0x4C != 0x08 or flags[0] & 0x40:
+        return None
+    quality = bool(kind[0] & 0x80)
+    at += 24 + 6 * (flags[0] & 3 == 3) + 2 * quality + 4 * (quality and flags[0] >> 7)
+    return _behind(frame, 0, at)
+
+
+def _behind_nflog(frame: bytes) -> int | None:
+    """Find the packet among the fields of the netfilter log of Linux."""
+    at = 4
+    while at + 4 <= len(frame):
+        length, kind = struct.unpack_from("<2H", frame, at)
+        if kind == _NFLOG_PAYLOAD:
+            return at + 4
+        at += max(-(-length // 4) * 4, 4)
+    return None
+
+
+def _behind(frame: bytes, kind: int, at: int) -> int | None:
+    """Find the IP header behind an EtherType whose content begins at `at`."""
+    for _ in range(_MOST_LAYERS):
+        if kind in (_IPV4, _IPV6):
+            return at
+        if kind in _TAGS:
+            kind, at = int.from_bytes(frame[at + 2 : at + 4]), at + 4
+        elif kind in _MPLS:
+            while at + 4 <= len(frame) and not frame[at + 2] & 1:  # the lowest label has this bit
+                at += 4
+            return at + 4
+        elif kind == _PPPOE:
+            return _behind_ppp(frame, at + 6)
+        elif kind == _BRIDGED:
+            kind, at = int.from_bytes(frame[at + 12 : at + 14]), at + 14
+        elif (kind < _SMALLEST_ETHERTYPE or kind in _LLC) and frame[at : at + 3] == b"\xaa\xaa\x03":
+            kind, at = int.from_bytes(frame[at + 6 : at + 8]), at + 8
+        else:
+            return None
+    return None
+
+
+def _behind_ppp(frame: bytes, at: int) -> int | None:
+    if frame[at : at + 2] == b"\xff\x03":
+        at += 2
+    if frame[at : at + 2] in (b"\x0f\x00", b"\x8f\x00"):  # Cisco HDLC instead
+        return _behind(frame, int.from_bytes(frame[at + 2 : at + 4]), at + 4)
+    short = frame[at : at + 1] in (b"\x21", b"\x57")  # RFC 1661, section 6.5: the protocol in one byte
+    kind = int.from_bytes(frame[at : at + 2 - short])
+    return at + 2 - short if kind in _PPP_IP else None
+
+
+def _ip_at(frame: bytes, at: int) -> Ip | None:
+    version = frame[at] >> 4 if at < len(frame) else 0
+    if version == 4 and len(frame) >= at + 20:  # RFC 791
+        body, words = at + 4 * (frame[at] & 0x0F), int.from_bytes(frame[at + 6 : at + 8])
+        end = at + int.from_bytes(frame[at + 2 : at + 4])
+        end = end if end > at else len(frame)  # 0 where the network card cuts the datagram up
+        if body < at + 20:
+            return None
+        protocol, fragment = frame[at + 9], (words & 0x1FFF) * 8
+        key = frame[at + 12 : at + 20] + frame[at + 4 : at + 6] + frame[at + 9 : at + 10]
+        return Ip(at, body, end, protocol, fragment, bool(words & 0x2000), key)
+    return _ip6_at(frame, at) if version == 6 and len(frame) >= at + 40 else None  # RFC 8200
+
+
+def _ip6_at(frame: bytes, at: int) -> Ip | None:
+    protocol, body, fragment, more = frame[at + 6], at + 40, 0, False
+    end, key = body + int.from_bytes(frame[at + 4 : at + 6]), frame[at + 8 : at + 40]
+    while protocol in _EXTENSIONS6 and body + 8 <= len(frame):
+        before, protocol, size = protocol, frame[body], frame[body + 1]
+        if before == _FRAGMENT6:
+            words = int.from_bytes(frame[body + 2 : body + 4])
+            fragment, more, key = words & 0xFFF8, bool(words & 1), key + frame[body + 4 : body + 8]
+        body += 8 if before == _FRAGMENT6 else (size + 2) * 4 if before == _AUTHENTICATION else (size + 1) * 8
+        if fragment:
+            break
+    return Ip(at, body, end, protocol, fragment, more, key)
+
+
+def _inside(frame: bytes, ip: Ip) -> int | None:
+    """Find the IP header of a packet in a tunnel."""
+    at = ip.body
+    if ip.fragment or ip.more:
+        return None
+    if ip.protocol in (_IP_IN_IP, _IP6_IN_IP):
+        return at
+    if ip.protocol == _GRE and at + 4 <= len(frame):
+        flags, kind = frame[at], int.from_bytes(frame[at + 2 : at + 4])
+        at += 4 + 4 * sum(bool(flags & bit) for bit in (0x80, 0x20, 0x10))
+        if kind == _ERSPAN:
+            at, kind = at + 8 * bool(flags & 0x10), _BRIDGED  # type I has neither a number nor a header
+        elif kind == _ERSPAN_3:
+            at, kind = at + 12 + 8 * (at + 12 <= len(frame) and frame[at + 11] & 1), _BRIDGED
+        return _behind(frame, kind, at)
+    port = frame[at + 2 : at + 4] if ip.protocol == _UDP else b""
+    if port == _VXLAN:
+        return _behind(frame, _BRIDGED, at + 16)
+    if port == _GENEVE and at + 16 <= len(frame):
+        return _behind(frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F))
+    return None

@@ -1,0 +1,341 @@
+"""A stream on a thread of its own, whose program reads what leaves: ports, packets, point clouds and their ground truth."""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import islice
+from threading import Condition, Event, Thread
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.doors import door
+from vlp16emu.engine import Unit
+from vlp16emu.engine.scans import world_T_sensor
+from vlp16emu.errors import InputError, RunError
+from vlp16emu.extras.bench.options import BenchOptions, Http
+from vlp16emu.extras.truth.slots import SLOT
+from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
+from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.run.report import Streamed
+from vlp16emu.run.run import Run, Scene
+from vlp16emu.run.stream import stream_run
+from vlp16emu.scan import Chunk, Scan, chunk_of, cut_scans
+from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import HOUR_NS, S_NS, US_NS
+
+_HELD = 2048
+"""Packets of a sensor and kind that can be asked for: 2.7 s of single return, 50 MB with their ground truth."""
+_AT_ONCE = 16
+"""Packets that are decoded at once for scans, 21 ms."""
+_LABELS = ("semantic", "part", "instance", "species", "range_m")
+RECORD_TRUTH = np.dtype([*SLOT.descr, ("world_T_sensor", "<f8", (4, 4))])
+"""Ground truth of one record of a data packet, with the pose of its sensor at the instant of the pulse."""
+
+
+def stream(
+    scene: Scene,
+    settings: Mapping[str, object] | Sequence[str] = (),
+    *,
+    ideal: bool = False,
+    threads: int = 0,
+    truth: bool = True,
+    **options: Any,
+) -> "Live":
+    """Begin to stream a scene over UDP, and return as soon as its first data packet has left; errors as `Emulator.stream`.
+
+    Parameters
+    ----------
+    scene, settings, ideal, threads : as of `Emulator`
+    truth : whether scans have labels and `Live.truth` is known; costs a third more computing
+    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None for those of the scene),
+        and the web interface is on another one (None for none)
+
+    Examples
+    --------
+    >>> import vlp16emu
+    >>> with vlp16emu.stream("static_bench") as live:
+    ...     scan = next(live.scans())
+    >>> scan.labels.semantic.shape == scan.t_ns.shape
+    True
+    """
+    return Live(Run.of(scene, settings, ideal=ideal, threads=threads), truth=truth, **options)
+
+
+class _Lane:
+    """Packets of one sensor and kind that have left."""
+
+    def __init__(self) -> None:
+        self.held = deque[Packet](maxlen=_HELD)
+        self.leaving: Packet | None = None
+        """Packet that a receiver may have before it counts as left."""
+        self.count = self.taken = 0
+        self.wake_at: float = np.inf
+        """Count at which a thread is to be woken that waits for packets."""
+
+    def since(self, number: int) -> list[Packet]:
+        """Return the packets from a number on, as far as they are held."""
+        return list(islice(self.held, max(number - self.count + len(self.held), 0), None))
+
+
+class Live(PacketSink):
+    """A stream that is under way, on a thread of its own; a context manager that stops it.
+
+    What goes wrong there is raised by the method that waits for packets, at the end of the block if there is none, and by
+    `stop`.
+
+    Parameters
+    ----------
+    run : the scene
+    truth : whether packets carry their ground truth
+    look_ahead : packets of a sensor that are computed before the first one leaves
+    options : fields of `StreamOptions`, with the defaults of `stream`
+    """
+
+    def __init__(self, run: Run, *, truth: bool = True, look_ahead: int = LOOK_AHEAD_PACKETS, **options: Any) -> None:
+        engine = replace(run.engine, truth_of=door("truth_of_records")) if truth else run.engine
+        self.run = replace(run, engine=engine)
+        self.ports = list[tuple[int, int]]()
+        """Ports of data and position packets of each sensor."""
+        self.http: str | None = None
+        """URL of the web interface of the first sensor; None without one."""
+        self._stop, self._changed, self._over = Event(), Condition(), False
+        self._result: Streamed | None = None
+        self._error: BaseException | None = None
+        self._has_raised = False
+        self._control: Any = None
+        self._lanes = {(unit.number, kind): _Lane() for unit in engine.parts.units for kind in PacketKind}
+        self._sink: PacketSink
+        self._pacer: Pacer
+        self._shift_ns: int | None = None
+        """By how much later packets are due than in the scene, as they are moved into the present."""
+        self._not_before_ns = 0
+        http = options.pop("http", Http(f"{LOOPBACK}:0"))
+        http = http and replace(http, controlled=self._controls, serving=self._serves)
+        ports = {"position_port": 0} | ({} if ":" in (options.get("to") or "") else {"data_port": 0})
+        self._asked = BenchOptions(**ports | options, http=http)
+        self._thread = Thread(target=self._work, args=(look_ahead,), name="vlp16emu stream", daemon=True)
+        self._thread.start()
+        try:
+            with self._changed:
+                self._wait(self._lanes[0, PacketKind.DATA], lambda: 1)
+            self._raise()
+        except BaseException:
+            self._end()
+            raise
+
+    def __exit__(self, *raised: object) -> None:
+        self._end()
+        if not any(raised) and not self._has_raised:
+            self._raise()
+
+    @property
+    def data_port(self) -> int:
+        """Port that the data packets of the first sensor are sent to."""
+        return self.ports[0][0]
+
+    @property
+    def position_port(self) -> int:
+        """Port that its position packets are sent to."""
+        return self.ports[0][1]
+
+    def stop(self) -> Streamed:
+        """End the stream and return its report; errors are those of the stream. Does no harm twice."""
+        self._end()
+        self._raise()
+        assert self._result is not None
+        return self._result
+
+    def packets(self, count: int, *, unit: int = 1, kind: str = "data", timeout_s: float = 30.0) -> list[bytes]:
+        """Wait for packets that have left, and return their payloads: the first ones that no call before has returned.
+
+        Of packets that left more than 2048 packets ago nothing is known. After `set` and `fault` it is those that follow it.
+
+        Raises
+        ------
+        InputError
+            If there is no such unit or kind (data or position), or more than 2048 packets are asked for
+        RunError
+            If they have not left when the stream ends, or when `timeout_s` has passed; errors of the stream
+        """
+        lane = self._lane(unit, kind)
+        if not 1 <= count <= _HELD:
+            raise InputError("packets", f"found {count}", f"1 to {_HELD}")
+        with self._changed:
+            self._wait(lane, lambda: self._next_of(lane) + count, timeout_s)
+            lane.taken, is_over = self._next_of(lane), self._over
+            found = [packet.payload for packet in lane.since(lane.taken)[:count]]
+            if len(found) == count:
+                lane.taken += count
+                return found
+        self._raise()
+        when = "before the stream ended" if is_over else f"within {timeout_s:g} s"
+        raise RunError(f"{len(found)} of {count} packets have left {when}")
+
+    def truth(self, payload: bytes, *, unit: int = 1) -> NDArray[np.void]:
+        """Return the ground truth of the records of a data packet that left, found by its time stamp: `RECORD_TRUTH` (384,).
+
+        Record 32 b + c is that of channel c of block b. `range_m`, `sensor_m` (3), `world_m` (3), `semantic`, `part`,
+        `instance` and `species` are those of the surface that the return is from; `echo` is 0 for the strongest, 1 for
+        the last, 2 for the second strongest and 255 for none; `t_ns` and `world_T_sensor` (4, 4) are those of the pulse.
+
+        Raises
+        ------
+        InputError
+            If none of the sensor's last 2048 packets has the stamp, or the stream was begun without truth
+        """
+        lane, stamp = self._lane(unit, "data"), _stamp(payload)
+        with self._changed:
+            known = [*lane.held, *filter(None, [lane.leaving])]
+        slots = next((packet.slots for packet in reversed(known) if _stamp(packet.payload) == stamp), None)
+        if slots is None:
+            expected = f"one of the last {len(known)} of unit {unit}, in a stream with truth"
+            raise InputError("packet", "found no truth of its time stamp", expected)
+        rows = np.zeros(len(slots), RECORD_TRUTH)
+        for name in SLOT.names or ():
+            rows[name] = slots[name]
+        rows["world_T_sensor"] = world_T_sensor(self.run.engine.parts.units[unit - 1], rows["t_ns"])
+        return rows
+
+    def scans(self, *, unit: int = 1) -> Iterator[Scan]:
+        """Yield whole revolutions of a sensor, decoded from its packets as they leave, until the stream ends.
+
+        They have labels if the stream has truth. Their times are those of the scene. A program that is behind by more than
+        2048 packets goes on with the newest. What is no whole data packet is passed over.
+
+        Raises
+        ------
+        InputError
+            If there is no such unit
+        Vlp16emuError
+            Errors of the stream
+        """
+        lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
+        return cut_scans(self._chunks(lane), lambda t_ns: world_T_sensor(of, np.array([t_ns]))[0])
+
+    def set(self, *, unit: int = 1, **settings: object) -> None:
+        """Set a sensor as its web interface would: keys of the event `setting`; as `fault`."""
+        self.fault("setting", unit=unit, **settings)
+
+    def fault(self, kind: str, *, unit: int = 1, **keys: object) -> None:
+        """Let an event of `[[events]]` happen to a sensor, and return when packets follow it.
+
+        Parameters
+        ----------
+        kind : as in `[[events]]`, for instance drop, reorder, corrupt, pps_loss or power_cycle
+        keys : of that event, for instance `count=1` or `duration_s=0.5`
+
+        Raises
+        ------
+        InputError
+            If it is none, or cannot happen in this scene, or the stream has no web interface
+        """
+        if (control := self._control) is None:
+            raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")
+        at_ns = control.happen(kind, unit, **keys)
+        with self._changed:
+            self._not_before_ns = at_ns + (self._shift_ns or 0)
+        while (left_ns := control.due_in_ns(at_ns)) > 0 and not self._over:
+            self._stop.wait(max(left_ns / S_NS / self._asked.speed, 0.001))
+
+    def _watches(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
+        self._sink, self._pacer = sink, pacer
+        return self
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet, keep it, and wake who waits for it; called by the stream."""
+        lane = self._lanes[packet.unit, packet.kind]
+        lane.leaving = packet  # a receiver may have it before it counts as left
+        self._sink.send(packet)
+        with self._changed:
+            if self._shift_ns is None:
+                self._shift_ns = packet.due_ns - (self._pacer.first_due_ns or packet.due_ns)
+            lane.held.append(packet)
+            lane.count += 1
+            if lane.count >= lane.wake_at:
+                lane.wake_at = np.inf
+                self._changed.notify_all()
+
+    def _opens(self, units: Sequence[Unit]) -> None:
+        self.ports = [(unit.link.data_port, unit.link.position_port) for unit in units]
+
+    def _controls(self, control: Any) -> None:
+        self._control = control
+
+    def _serves(self, places: list[tuple[str, int]]) -> None:
+        self.http = "http://{}:{}/".format(*places[0])
+
+    def _work(self, look_ahead: int) -> None:
+        """Body of the thread."""
+        try:
+            hooks: dict[str, Any] = {"watched": self._watches, "opened": self._opens, "stop": self._stop}
+            self._result = stream_run(self.run, self._asked, look_ahead=look_ahead, **hooks)
+        except BaseException as error:  # noqa: BLE001  # belongs to the thread that waits, which raises it
+            self._error = error
+        with self._changed:
+            self._over = True
+            self._changed.notify_all()
+
+    def _end(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            self._has_raised = True
+            raise self._error
+
+    def _lane(self, unit: int, kind: str) -> _Lane:
+        if kind not in ("data", "position"):
+            raise InputError("kind", f"found {kind}", "data or position")
+        return self._lanes[self.run.number(unit), PacketKind(kind)]
+
+    def _next_of(self, lane: _Lane) -> int:
+        """Return the number of the packet that is to be taken next: held still, and not due before the last change."""
+        first = max(lane.taken, lane.count - len(lane.held))
+        return first + sum(packet.due_ns < self._not_before_ns for packet in lane.since(first))
+
+    def _wait(self, lane: _Lane, count: Callable[[], int], timeout_s: float | None = None) -> None:
+        """Wait until so many packets have left, the stream is over, or the time has passed; holds the lock."""
+
+        def is_there() -> bool:
+            wanted = count()
+            lane.wake_at = min(lane.wake_at, wanted)
+            return lane.count >= wanted or self._over
+
+        self._changed.wait_for(is_there, timeout_s)
+
+    def _chunks(self, lane: _Lane) -> Iterator[Chunk]:
+        """Yield the points of packets as they leave; a jump of the clock where some are not held any more."""
+        number, is_over = 0, False
+        while not is_over:
+            with self._changed:
+                self._wait(lane, lambda wanted=number + _AT_ONCE: wanted)  # type: ignore[misc]  # of its default
+                is_late = number < lane.count - len(lane.held)
+                packets, number, is_over = [] if is_late else lane.since(number), lane.count, self._over
+            yield from _points([packet for packet in packets if len(packet.payload) == DATA_BYTES])
+        self._raise()
+
+
+def _points(packets: list[Packet]) -> Iterator[Chunk]:
+    """Yield the points of data packets of the right length, without those whose bytes are no VLP-16's."""
+    payloads = np.frombuffer(b"".join(packet.payload for packet in packets), np.uint8).reshape(-1, DATA_BYTES)
+    bad = {fault.packet for fault in faults_in(data_fields(payloads))}
+    if not (good := [i for i in range(len(packets)) if i not in bad]):
+        return
+    points, fields = decode_data(payloads[good], keep_no_returns=False), data_fields(payloads[good])
+    packet_ns = fields["timestamp_us"].astype(np.int64) * US_NS
+    clock_ns = packet_ns[points.packet] + (points.time_ns - packet_ns[points.packet]) % HOUR_NS
+    fired_ns, labels = np.array([packets[i].fired_ns for i in good], np.int64), {}
+    if packets[0].slots is not None:
+        slots = np.array([packets[i].slots for i in good])[points.packet, points.slot]
+        labels = {name: slots[name] for name in _LABELS}
+    yield chunk_of(PacketChunk(points, clock_ns, packet_ns, fired_ns, fields, np.array(good)), labels)
+
+
+def _stamp(payload: bytes) -> bytes:
+    """Return the four bytes of a time stamp, or a payload that is too short to have one."""
+    at = DATA_PAYLOAD.fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
+    return payload[at : at + 4] or payload

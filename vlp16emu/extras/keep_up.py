@@ -1,0 +1,200 @@
+"""Settings with which a stream keeps up: a ladder of beams and reaches, and the rung that this machine is fast enough for."""
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from vlp16emu.run.run import Run
+from vlp16emu.scenario import Scenario
+from vlp16emu.sinks import FellBehind
+
+_FREE = 0.2
+"""Share of the time that a rung leaves free: for sending, for windows of the world, and for other programs."""
+_STALLED = 0.1
+"""Speed below which the engine waits for something, so that its speed says nothing of settings."""
+_WARM_S, _MEASURED_S = 0.1, 1.5
+"""Simulated seconds that open the window and load the kernels, and those that are measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """A rung of the ladder; reach and rays are no more than the scene's own."""
+
+    rays: int
+    """Most sub-rays of a pulse."""
+    reach_m: float
+    gain: float
+    """About how much faster a forest is than on the first rung: us per pulse in `tools/results/accuracy.md`, and for the
+    reach `scenes/OUTPUTS.md`."""
+    error_mm: float
+    """Mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`."""
+
+    @property
+    def name(self) -> str:
+        """The rung in words."""
+        rays = {1: "one ray", 64: "adaptive, at most 64 sub-rays"}.get(self.rays, f"{self.rays} sub-rays")
+        return rays if math.isinf(self.reach_m) else f"{rays}, to {self.reach_m:g} m"
+
+    @property
+    def settings(self) -> list[str]:
+        """What `--set` takes; none for a scene as it is."""
+        # The first eight support points are better than eight fixed sub-rays (38 to 53 mm), but no four of them are.
+        model = "none" if self.rays == 1 else ("fixed" if self.rays == 4 else "adaptive")
+        rays = [] if self.rays == 1 else [f"beam.rays={self.rays}"]
+        reach = [] if math.isinf(self.reach_m) else [f"sensor.max_range_m={self.reach_m:g}"]
+        return [f"beam.model={model}", *rays, *reach]
+
+    @property
+    def options(self) -> str:
+        """Options of `vlp16emu stream`."""
+        return " ".join(f"--set {setting}" for setting in self.settings)
+
+
+LADDER = (
+    Rung(64, math.inf, 1.0, 26.0),
+    Rung(8, math.inf, 1.08, 38.0),
+    Rung(4, math.inf, 1.25, 75.0),
+    Rung(1, math.inf, 3.0, 120.0),
+    Rung(1, 45.0, 6.0, 120.0),
+)
+"""No rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing."""
+
+
+def below(scenario: Scenario) -> list[Rung]:
+    """Return the rungs on which a scene is faster than as it is, the best first."""
+    rays = scenario.beam.rays if scenario.beam.model in ("adaptive", "fixed") else 1
+    reach_m = scenario.sensor.max_range_m
+    fewer = [rung for rung in LADDER if rung.rays < rays or rung.reach_m < reach_m]
+    return [rung for rung in fewer if rung.rays <= rays and (rung.reach_m < reach_m or math.isinf(rung.reach_m))]
+
+
+def enough(scenario: Scenario, engine_speed: float, speed: float) -> list[Rung]:
+    """Return the rungs that leave a fifth of the time free by their gains, the best first.
+
+    Parameters
+    ----------
+    engine_speed : simulated seconds per second of the scene as it is, as measured
+    speed : simulated seconds per second asked for
+    """
+    lower = below(scenario)
+    own = next((rung for rung in reversed(LADDER) if rung not in lower), LADDER[0])
+    return [rung for rung in lower if engine_speed * rung.gain / own.gain * (1 - _FREE) >= speed]
+
+
+def choose(
+    scenario: Scenario, speed: float, measured: Callable[[Rung | None], float]
+) -> tuple[Rung | None, float, float]:
+    """Return the best rung that leaves a fifth of the time free, its speed, and that of the scene as it is.
+
+    The scene as it is (None) comes first; then the rungs that would be fast enough by their gains, from the best one down.
+
+    Parameters
+    ----------
+    speed : simulated seconds per second asked for
+    measured : returns the simulated seconds per second on a rung
+    """
+    own = reached = measured(None)
+    chosen, lower = None, below(scenario)
+    for rung in (enough(scenario, own, speed) or lower[-1:]) if reached * (1 - _FREE) < speed else ():
+        chosen, reached = rung, measured(rung)
+        if reached * (1 - _FREE) >= speed:
+            break
+    return chosen, reached, own
+
+
+def settings_that_keep_up(scenario: Scenario, engine_speed: float, speed: float) -> list[str]:
+    """Return options of `stream` with which the engine keeps up, each enough by itself; if it is stalled, those that make it faster.
+
+    Parameters
+    ----------
+    engine_speed : simulated seconds per second, as measured
+    speed : simulated seconds per second asked for
+    """
+    if engine_speed < _STALLED:
+        return [rung.options for rung in below(scenario)[-2:]]
+    slower = float(f"{(1 - _FREE) * min(engine_speed, speed):.2g}")
+    return [*(rung.options for rung in enough(scenario, engine_speed, speed)[:2]), f"--speed {slower:g}"]
+
+
+def keeps_up_with(times: Sequence[FellBehind], scenario: Scenario, speed: float) -> list[str]:
+    """Return options with which an engine that fell behind keeps up; none if it was not the cause."""
+    speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None]
+    return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []
+
+
+def speed_beside_sender(engine_speed: float, sender_share: float, threads: int, cores: int) -> float:
+    """Return the engine's speed if the sending thread takes its share of the same cores.
+
+    Parameters
+    ----------
+    engine_speed : simulated seconds per second without other work
+    sender_share : processor seconds per second of the sending thread, in [0, 1)
+    threads : workers of the engine
+    cores : of the machine
+    """
+    return engine_speed * min((cores - sender_share) / min(threads, cores), 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class KeptUp:
+    """Rung of a stream, as measured on this machine."""
+
+    rung: Rung | None
+    """None for the scene as it is."""
+    speed: float
+    """Simulated seconds per second on it."""
+    enough: bool
+    """True if the rung leaves a fifth of the time free."""
+    cores: int
+    """Cores that this process may use."""
+    cores_as_it_is: int
+    """Cores like these with which the scene would keep up as it is."""
+
+    @property
+    def line(self) -> str:
+        """What was found, in words."""
+        measured = f"measured {self.speed:.2g} x real time on {self.cores} cores"
+        if self.rung is None:
+            taken = "the scene as it is"
+        else:
+            error = f"mean range error about {self.rung.error_mm:g} mm in reference_forest"
+            taken = f"{self.rung.name} ({self.rung.options}; {error})"
+        line = f"keep-up: {taken}: {measured}"
+        if not self.enough:
+            line += ", which leaves less than a fifth of the time free: packets may be late"
+        return line if self.rung is None and self.enough else f"{line}; as it is with {self.cores_as_it_is} cores"
+
+
+def keep_up(run: Run, speed: float) -> tuple[Run, KeptUp]:
+    """Measure this machine for some seconds, and return the run on the rung that `choose` takes.
+
+    A run on a rung has the bytes of a recording with its settings.
+
+    Parameters
+    ----------
+    run : with the settings of the user
+    speed : simulated seconds per second asked for
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    on: dict[Rung | None, Run] = {}
+
+    def measured(rung: Rung | None) -> float:
+        on[rung] = run.changed(rung.settings) if rung else run
+        return _speed(on[rung])
+
+    rung, reached, own = choose(run.scenario, speed, measured)
+    needed = speed / (1 - _FREE)
+    return on[rung], KeptUp(rung, reached, reached >= needed, cores, math.ceil(cores * needed / own))
+
+
+def _speed(run: Run) -> float:
+    """Compute a stretch of a run, and return the simulated seconds per second."""
+    engine, (_, stop_s) = replace(run.engine, taps=()), run.scenario.span_s(0.0, None)
+    for _ in engine.packets(0.0, min(_WARM_S, stop_s)):
+        pass
+    stop_s, began_s = min(_MEASURED_S, stop_s), time.perf_counter()
+    for _ in engine.packets(0.0, stop_s):
+        pass
+    return stop_s / (time.perf_counter() - began_s)

@@ -1,0 +1,140 @@
+"""People beside the carrier: a companion who follows, and others who come towards the carrier and pass."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import norm
+from vlp16emu.motion.pose import Motion
+from vlp16emu.random import Purpose, uniform
+from vlp16emu.raycast.beam import LINE, Footprint
+from vlp16emu.raycast.caster import Geometry
+from vlp16emu.types import F8, I8, SURFACE, Firings, HeightField, Hits, Semantic
+from vlp16emu.units import seconds_to_ns
+from vlp16emu.world import People as PeopleSection
+
+_FIRST_INSTANCE = 0xFFFFFFF0
+"""Instance of the companion; that of those who pass is the next. Things of the user are numbered far below."""
+_SHOULDERS = 0.82
+"""Height of the shoulders, as a share of the stature (assumption)."""
+_STATURE_M, _WIDTH_M = 1.74, 0.5
+"""Height, and width of the shoulders with 0.04 m of outdoor clothing; medians of British men (City University of Hong Kong, online
+anthropometry, chapter 2)."""
+_REFLECTANCE = 0.5
+"""Lambertian, at 903 nm (assumption)."""
+_HEAD_M = 0.0975
+"""Radius of the head, half its length of 0.195 m (median British men; City University of Hong Kong, online anthropometry)."""
+
+
+class People:
+    """People who walk where the carrier does: their place is that of the carrier at another time, or behind it.
+
+    Parameters
+    ----------
+    section : of the scene
+    carrier : who walks
+    height_m : height of the ground
+    start_ns : UTC of the first pulse
+    seed : decides when people pass, and on which side
+    """
+
+    def __init__(
+        self, section: PeopleSection, carrier: Motion, height_m: HeightField, *, start_ns: int, seed: int
+    ) -> None:
+        self._section, self._carrier, self._height_m = section, carrier, height_m
+        self._seed, self._start_ns, self._end_ns = seed, start_ns, start_ns + seconds_to_ns(carrier.run_time_s)
+        self._feet = list[Callable[[I8], F8]]()
+        self.surfaces = np.zeros(2, SURFACE)
+        """(2,) rows of the table of surfaces: of the companion, and of those who pass."""
+        self.surfaces["reflectance"], self.surfaces["semantic"] = _REFLECTANCE, Semantic.OTHER
+        self.surfaces["instance"] = _FIRST_INSTANCE + np.arange(2)
+
+    def among(self, geometry: Geometry) -> "Peopled":
+        """Return a window of the world with the people in it."""
+        return Peopled(geometry, self)
+
+    def in_front(self, firings: Firings, hits: Hits, first_surface: int) -> Hits:
+        """Return hits, in which a pulse that meets a person before anything else ends there, with all its sub-rays.
+
+        Parameters
+        ----------
+        first_surface : row of the companion in the table of surfaces
+        """
+        owner, t_ns = np.repeat(np.arange(hits.count.size), hits.count.ravel()), firings.t_ns[:, 0]
+        present = self._section.behind_m, self._section.passes_every_s
+        for number, foot in enumerate((self._companion, self._passer)):
+            if not present[number]:
+                continue
+            range_m, cosine = (of.reshape(-1)[owner] for of in self._met(firings, foot(t_ns)))
+            nearer = range_m < hits.range_m
+            if nearer.any():
+                hits = replace(
+                    hits,
+                    range_m=np.where(nearer, range_m, hits.range_m),
+                    surface=np.where(nearer, np.uint32(first_surface + number), hits.surface),
+                    cos_incidence=np.where(nearer, cosine, hits.cos_incidence),
+                )
+        return hits
+
+    def _companion(self, t_ns: I8) -> F8:
+        """Return the place (k, 3) of who follows, at instants (k,): on the ground, straight behind the carrier."""
+        poses = self._carrier.poses_at(t_ns)
+        return self._beside(
+            poses.world_p_body_m, poses.world_R_body[:, :2, 0], np.full(len(t_ns), -self._section.behind_m)
+        )
+
+    def _passer(self, t_ns: I8) -> F8:
+        """Return the place (k, 3) of who passes: beside the one that the carrier will have, or had, as long after they meet."""
+        every_ns = seconds_to_ns(self._section.passes_every_s)
+        periods, which = np.unique((t_ns - self._start_ns) // every_ns, return_inverse=True)
+        when, side = np.array([uniform(self._seed, Purpose.PASSER, 2 * int(one), 2, 0) for one in periods])[which].T
+        meets_ns = self._start_ns + every_ns * periods[which] + np.rint(every_ns * (0.25 + 0.5 * when)).astype(np.int64)
+        poses = self._carrier.poses_at(np.clip(2 * meets_ns - t_ns, self._start_ns, self._end_ns))
+        aside_m = np.where(side < 0.5, -1.0, 1.0) * self._section.passes_at_m
+        return self._beside(poses.world_p_body_m, poses.world_R_body[:, :2, 1], aside_m)
+
+    def _beside(self, place_m: F8, axis: F8, by_m: F8) -> F8:
+        """Return places (k, 3) on the ground that lie off places (k, 3) along level axes (k, 2) of any length."""
+        level_m = place_m[:, :2] + by_m[:, None] * axis / norm(axis)[:, None]
+        return np.column_stack([level_m, self._height_m(level_m[:, 0].copy(), level_m[:, 1].copy())])
+
+    def _met(self, firings: Firings, foot_m: F8) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return range (k, L) at which pulses meet a person, inf where they do not, and cosine of incidence."""
+        range_m, cosine = np.full(firings.t_ns.shape, np.inf), np.zeros(firings.t_ns.shape)
+        from_foot_m, at_m = firings.origin_m - foot_m[:, None], _SHOULDERS * _STATURE_M
+        for cylinder in ((_WIDTH_M / 2, 0.0, at_m), (_HEAD_M, at_m, _STATURE_M)):
+            for found_m, slope in _cylinder(from_foot_m, firings.direction, *cylinder):
+                nearer = found_m < range_m
+                range_m, cosine = np.where(nearer, found_m, range_m), np.where(nearer, slope, cosine)
+        return range_m.astype(np.float32), cosine.astype(np.float32)
+
+
+def _cylinder(from_foot_m: F8, direction: F8, radius_m: float, low_m: float, high_m: float) -> list[tuple[F8, F8]]:
+    """Return range and cosine of incidence at the side and at the top of an upright cylinder; inf where a ray misses it."""
+    (x, y, z), (dx, dy, dz) = np.moveaxis(from_foot_m, -1, 0), np.moveaxis(direction, -1, 0)
+    level, along, outside = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - radius_m * radius_m
+    square = along * along - level * outside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        side_m = (-along - np.sqrt(np.maximum(square, 0.0))) / level
+        at_m, top_m = z + side_m * dz, (high_m - z) / dz
+        slope = -((x + side_m * dx) * dx + (y + side_m * dy) * dy) / radius_m
+        across, over = x + top_m * dx, y + top_m * dy
+        hits_side = (square > 0) & (side_m > 0) & (at_m >= low_m) & (at_m <= high_m)
+        hits_top = (dz < 0) & (top_m > 0) & (across * across + over * over <= radius_m * radius_m)
+    return [(np.where(hits_side, side_m, np.inf), slope), (np.where(hits_top, top_m, np.inf), -dz)]
+
+
+class Peopled:
+    """A window of the world with people in it; a `Geometry`."""
+
+    def __init__(self, geometry: Geometry, people: People) -> None:
+        self._geometry, self._people = geometry, people
+        self.surfaces = np.concatenate([geometry.surfaces, people.surfaces])
+        """(m,) `SURFACE`, with the rows of people at its end."""
+
+    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
+        """Cast pulses as the window does, and end those that people stand in the way of."""
+        hits = self._geometry.cast(firings, near_m, far_m, beam, as_far=as_far)
+        return self._people.in_front(firings, hits, len(self._geometry.surfaces))

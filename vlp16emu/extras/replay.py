@@ -1,0 +1,177 @@
+"""A capture sent again: its packets at their own pace, from any VLP-16."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from ipaddress import ip_address
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.extras.bench.retime import moved
+from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, CapturedUnit, Link, units_in
+from vlp16emu.packets.frames import POSITION_PORT
+from vlp16emu.run.options import ReplayOptions
+from vlp16emu.run.report import OfUnits, UnitSent
+from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, free_ports, stream
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import S_NS
+
+_KINDS = {DATA_BYTES: PacketKind.DATA, POSITION_BYTES: PacketKind.POSITION}
+_LONGEST_GAP_NS = 60 * S_NS
+"""A rotor that spins up again takes some seconds; a longer gap is a suspended host or a clock that was set."""
+
+
+class Replay:
+    """Data and position packets of a capture, due at the stamps of their frames; an iterable.
+
+    Parameters
+    ----------
+    path : of the capture
+    loop : begin again and again; each pass is later than the one before it by a whole number of seconds, in stamps and
+        sentences too, so that the sensor's time goes on
+    keep_gaps : wait through gaps of more than a minute; else they are shortened to one or two seconds, and what packets
+        say of their time stays
+
+    Raises
+    ------
+    CaptureError
+        If the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged
+    """
+
+    def __init__(self, path: Path, *, loop: bool = False, keep_gaps: bool = False) -> None:
+        if path.is_fifo():
+            raise CaptureError(str(path), "a pipe", "a file, which can be read twice")
+        self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
+        self.units = units_in(path, required=True)
+        """In order of address, then of port."""
+        self.links = [_link(unit) for unit in self.units]
+        """Where the packets of each are sent."""
+        self.passes = 0
+        """Begun so far."""
+        self.left_out = 0
+        """Datagrams of the first pass that are no whole packets of a unit."""
+        self.gaps_s = list[float]()
+        """Gaps of the first pass that were shortened."""
+
+    def __iter__(self) -> Iterator[Packet]:
+        later_ns = cut_ns = 0
+        while True:
+            self.passes += 1
+            begin_ns = end_ns = None
+            for captured in self._packets():
+                begin_ns = captured.due_ns if begin_ns is None else begin_ns
+                gap_ns = captured.due_ns - (captured.due_ns if end_ns is None else end_ns)
+                if gap_ns > _LONGEST_GAP_NS and not self._keeps_gaps:
+                    self.gaps_s += [gap_ns / S_NS] * (self.passes == 1)
+                    cut_ns += (gap_ns // S_NS - 1) * S_NS
+                end_ns = captured.due_ns + max(-gap_ns, 0)  # stamps of some captures go back
+                packet = replace(captured, due_ns=end_ns + later_ns - cut_ns)
+                yield moved(packet, later_ns // S_NS) if later_ns else packet
+            if not self._loop or begin_ns is None or end_ns is None:
+                return
+            later_ns += ((end_ns - begin_ns) // S_NS + 1) * S_NS
+
+    def _packets(self) -> Iterator[Packet]:
+        """Read all packets once."""
+        numbers = dict[tuple[bytes, int, bytes], int]()
+        for datagram in Capture(self.path):
+            key = datagram.source, datagram.destination_port, datagram.mac
+            if key not in numbers:
+                owners = (number for number, unit in enumerate(self.units) if unit.owns(datagram))
+                numbers[key] = next(owners, -1)
+            kind = _KINDS.get(len(datagram.payload))
+            if kind is None or numbers[key] < 0:
+                self.left_out += self.passes == 1
+            else:
+                yield Packet(kind, datagram.stamp_ns, datagram.payload, numbers[key])
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed(OfUnits):
+    """Result of a replay: packets sent, and how punctual they were."""
+
+    file: str
+    to: str
+    units: tuple[UnitSent, ...]
+    """Address of each sensor in the capture, and the ports that its packets were sent to."""
+    left_out: int
+    """Datagrams of the file that are no packets of a VLP-16."""
+    passes: int
+    gaps_s: tuple[float, ...]
+    """Gaps of more than a minute that were shortened."""
+    sent: StreamReport
+
+    @property
+    def interrupted(self) -> bool:
+        """True if the stop event or Ctrl-C ended it."""
+        return self.sent.interrupted
+
+
+def replay(
+    path: str | Path,
+    *,
+    opened: Callable[[Replay], None] = lambda _: None,
+    progress: Callable[[float], None] = lambda _: None,
+    notify: Callable[[FellBehind], None] = lambda _: None,
+    stop: Event | None = None,
+    **options: Any,
+) -> Replayed:
+    """Send the packets of a capture over UDP at their own pace; nothing leaves this machine unless `to` names another.
+
+    Parameters
+    ----------
+    path : capture of any VLP-16
+    opened : called once before the first packet, when `links` of the replay have the ports
+    progress : called with the seconds of the capture so far, packet by packet
+    notify : called each time that the packets fall behind
+    stop : ends it from another thread
+    options : fields of `ReplayOptions`
+
+    Raises
+    ------
+    InputError
+        If an option is not right, ports are given for several sensors, or the present is wanted at another speed than its own
+    CaptureError
+        As `Replay`
+    OutputError, RunError
+        As `Emulator.stream`
+    """
+    asked = ReplayOptions(**options)
+    to, data_port = asked.receiver
+    given = data_port, asked.position_port
+    packets = Replay(Path(path), loop=asked.loop, keep_gaps=asked.keep_gaps)
+    if len(packets.units) > 1 and given != (None, None):
+        raise InputError(str(path), f"{len(packets.units)} sensors", "one, where ports are given")
+    first = list[int]()
+
+    def sent(due_ns: int) -> None:
+        first.append(due_ns) if not first else None
+        progress((due_ns - first[0]) / S_NS)
+
+    with ExitStack() as stack:
+        free = iter(stack.enter_context(free_ports(given.count(0))))
+        data_port, position_port = (next(free) if port == 0 else port for port in given)
+        links = packets.links = [
+            replace(link, data_port=data_port or link.data_port, position_port=position_port or link.position_port)
+            for link in packets.links
+        ]
+        udp = UdpSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
+        stack.enter_context(udp)
+        opened(packets)
+        report = stream(
+            packets, udp, Pacer(asked.speed), late=Late(asked.late), notify=notify, now=asked.now, stop=stop
+        )
+    counts = ((of[PacketKind.DATA], of[PacketKind.POSITION]) for of in udp.sent)
+    units = tuple(
+        UnitSent(number, str(unit), link.source, link.data_port, link.position_port, *of)
+        for number, (unit, link, of) in enumerate(zip(packets.units, links, counts, strict=True), start=1)
+    )
+    return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), report)
+
+
+def _link(unit: CapturedUnit) -> Link:
+    position_port = next(iter(unit.position_ports), POSITION_PORT)
+    source = str(ip_address(unit.source))
+    return replace(FACTORY_LINK, source=source, data_port=unit.data_port, position_port=position_port)
