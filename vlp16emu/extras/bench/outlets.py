@@ -1,4 +1,4 @@
-"""What leaves beside the packets of the sensors: sentences and pulses of the GPS receiver, samples of the inertial unit; and by which way."""
+"""What leaves beside the packets of the sensors: sentences and pulses of a receiver, inertial samples; serial ports."""
 
 import errno
 import heapq

@@ -1,4 +1,4 @@
-"""The rules of VLP-16 traffic, and those of frames: ports and headers, order, and time stamps that keep pace with the capture's clock.
+"""The rules of VLP-16 traffic, and those of frames: ports, headers, order, and time stamps that keep pace.
 
 The header fields were measured on frames of two real units, see `vlp16emu.packets.frames`.
 """
