@@ -11,7 +11,7 @@ import pytest
 
 from vlp16emu.errors import RunError
 from vlp16emu.sinks import MemorySink, Pacer, stream
-from vlp16emu.sinks.pacing import prompt_sleeps
+from vlp16emu.sinks.pacing import prompt
 from vlp16emu.sinks.stream import LookAhead
 from vlp16emu.types import Packet, PacketKind
 
@@ -255,6 +255,6 @@ def test_the_timer_slack_is_put_back():
     slack_ns = Path(f"/proc/self/task/{threading.get_native_id()}/timerslack_ns")
     slack_ns = slack_ns if slack_ns.exists() else Path("/proc/self/timerslack_ns")
     before = slack_ns.read_text()
-    with prompt_sleeps():
+    with prompt():
         assert slack_ns.read_text() == "1\n"
     assert slack_ns.read_text() == before

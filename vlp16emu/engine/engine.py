@@ -143,10 +143,6 @@ class Engine:
         scenario = self.scenario.model_copy(update={"events": list(events)})
         return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
 
-    def with_new_receiver(self) -> Self:
-        """Return an engine whose GPS receiver has seen nothing yet."""
-        return replace(self, receiver=make_receiver(self.scenario, self.parts, self.windows))
-
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span of the run and convert it to nanoseconds since the first pulse; without an end it is the scene's.
 

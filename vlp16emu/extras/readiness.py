@@ -11,7 +11,7 @@ import numpy as np
 
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
 from vlp16emu.sinks import LOOPBACK, TOLERANCE_NS, Pacer, UdpSink, stream
-from vlp16emu.sinks.pacing import prompt_sleeps
+from vlp16emu.sinks.pacing import prompt
 from vlp16emu.types import Packet
 
 _SLEEPS = 200
@@ -105,7 +105,7 @@ def _clock() -> Check:
 def _wake_ups() -> Check:
     """Measure how late sleeps end, as streams sleep."""
     late_ns = []
-    with prompt_sleeps():
+    with prompt():
         for _ in range(_SLEEPS):
             until_ns = time.monotonic_ns() + round(_SLEEP_S * 1e9)
             time.sleep(_SLEEP_S)

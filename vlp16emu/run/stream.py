@@ -25,7 +25,6 @@ from vlp16emu.sinks import (
     PacketSink,
     StreamReport,
     UdpSink,
-    UnderWay,
     free_ports,
     stream,
 )
@@ -89,7 +88,7 @@ def stream_run(
             packets,
             way,
             pacer,
-            begun=lambda now: _serve(http, feed, udp, now, stack),
+            begun=lambda now: http and stack.enter_context(door("web")(feed, udp, now, http)),
             late=policy,
             notify=notify,
             go_on_from=None if options.prepare else flight.going_on(feed.go_on_from) if flight else feed.go_on_from,
@@ -145,12 +144,6 @@ def _udp(run: Run, options: StreamOptions, host: str, progress: Callable[[float]
         interface=options.interface,
         sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
     )
-
-
-def _serve(http: Any, feed: "PacketFeed", udp: UdpSink, now: UnderWay, until: ExitStack) -> None:
-    """Serve the web interfaces of the sensors until the stream ends, if they are wanted."""
-    if http is not None:
-        until.enter_context(door("web")(feed, udp, now, http))
 
 
 def _streamed(run: Run, options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any) -> Streamed:
