@@ -3,6 +3,7 @@
 import os
 import sys
 import tempfile
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
@@ -32,6 +33,8 @@ ALLOWED_SKIPS = {
 
 WOODS = "VLP16EMU_TEST_WOODS"
 """Variable that names the folder of `kept_woods` to workers."""
+GROWN = deque(maxlen=4)
+"""Engines whose worlds `kept_woods` lends to others of the same way through the same world."""
 
 
 def pytest_configure(config):
@@ -83,11 +86,22 @@ def tool_named():
 
 @pytest.fixture(scope="module")
 def kept_woods():
-    """Keep what grows from test to test, where they are about what is seen of it and not about how it grows."""
+    """Keep what grows from test to test, on disk and built, where they are about what is seen of it and not about how it grows."""
+    from vlp16emu.engine import Engine, in_one_world
     from vlp16emu.store import user_store
+
+    of = Engine.of.__func__
+
+    def kept(cls, scenario, *, like=None, **options):
+        like = like or next((engine for engine in GROWN if in_one_world(scenario, engine.scenario)), None)
+        engine = of(cls, scenario, like=like, **options)
+        if like is None and scenario.world.kind != "hall":
+            GROWN.appendleft(engine)
+        return engine
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VLP16EMU_CACHE_DIR", os.environ[WOODS])
+        patch.setattr(Engine, "of", classmethod(kept))
         user_store.cache_clear()
         yield
         user_store().flush()

@@ -28,7 +28,6 @@ FLOORS = (
     {"packets"},
     {"motion", "sensor", "world"},
     {
-        "checked",
         "doors",
         "elementary",
         "errors",
@@ -50,7 +49,7 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("presets", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {

@@ -1,16 +1,11 @@
 """`tools/same_bytes`: what it compares, and what it says of a difference."""
 
-import os
 import subprocess
-import sys
 
 import numpy as np
 import pytest
-import same_stages
 
-from vlp16emu.raycast import build
-
-MANY = ("world/shape.vertices_m", "poses/world_p_body_m", "firings/direction", "hits/range_m", "returns/distance_m")
+from vlp16emu.raycast import build, embree
 
 
 @pytest.fixture(scope="module")
@@ -18,15 +13,10 @@ def same_bytes(tool_named):
     return tool_named("same_bytes")
 
 
-def run(threads=1, pieces=1):
-    """Arrays of the hall."""
-    ((_, arrays),) = same_stages.made(["hall"], threads, pieces)
-    return arrays
-
-
 @pytest.fixture(scope="module")
-def hall():
-    return run()
+def hall(same_bytes):
+    """Arrays of the hall."""
+    return dict(same_bytes.made(["hall"], 1, 1))["hall"]
 
 
 def nudged(arrays, name):
@@ -38,16 +28,14 @@ def nudged(arrays, name):
 
 
 @pytest.fixture
-def check(same_bytes, hall, monkeypatch, capsys, tmp_path):
+def check(same_bytes, hall, monkeypatch, capsys):
     """Let the tool run with workers of our own, which give arrays for the environment that they are called with."""
 
     def call(work, *arguments):
         def _run(self, environment, folder):
             folder.mkdir(exist_ok=True)
-            arrays = hall if environment is same_bytes.USUAL else work(environment)
-            np.savez(folder / "hall.npz", **arrays)
-            probes = dict.fromkeys(("libm", "numpy", "blas", "numba", "triangles"), np.zeros(3))
-            np.savez(folder / "probes.npz", **probes)
+            np.savez(folder / "hall.npz", **(hall if environment is same_bytes.USUAL else work(environment)))
+            np.savez(folder / "probes.npz", **dict.fromkeys(("libm", "numpy", "blas", "triangles"), np.zeros(3)))
             return ""
 
         monkeypatch.setattr(same_bytes.Check, "_run", _run)
@@ -57,7 +45,9 @@ def check(same_bytes, hall, monkeypatch, capsys, tmp_path):
     return call
 
 
-@pytest.mark.parametrize("name", [*MANY, "packets/payload"])
+@pytest.mark.parametrize(
+    "name", ["world/shape.vertices_m", "firings/direction", "returns/distance_m", "packets/payload"]
+)
 def test_a_planted_difference_is_found_at_its_stage(check, hall, name):
     """One number that is one step greater gives exit code 1, and the stage, the count, the size and the place."""
     code, out = check(lambda _: nudged(hall, name), "--only", "one thread")
@@ -74,16 +64,16 @@ def test_the_same_arrays_pass(check, hall):
     """Arrays that are the same give exit code 0, and an environment that changes no answer is said to have no effect."""
     code, out = check(lambda _: hall)
     assert code == 0
-    assert "Prescott; numpy without dispatch; one thread | none here, none here, none here | same |" in out
+    assert "numpy without dispatch; one thread; in three pieces | none here, none here, none here | same |" in out
     assert out.endswith("different: none\n")
 
 
 def test_a_difference_among_environments_that_share_a_process_is_traced_to_one(check, hall):
     """Where a process differs, each of its environments runs alone, and the one that differs is named."""
-    code, out = check(lambda environment: nudged(hall, MANY[0]) if "one thread" in environment.name else hall)
+    code, out = check(lambda environment: nudged(hall, "hits/range_m") if "pieces" in environment.name else hall)
     assert code == 1
     assert "| OpenBLAS Prescott | none here | same |" in out
-    assert out.endswith("; one thread, one thread\n")
+    assert out.endswith("; in three pieces, in three pieces\n")
 
 
 def test_a_worker_that_fails_is_shown(check):
@@ -99,19 +89,19 @@ def test_a_worker_that_fails_is_shown(check):
 
 def test_neither_threads_nor_pieces_change_what_is_kept(same_bytes, hall):
     """Arrays are put together in the order of time, however a run is cut and whichever thread computes a block."""
-    other = run(threads=2, pieces=3)
+    other = dict(same_bytes.made(["hall"], 2, 3))["hall"]
     assert hall.keys() == other.keys()
     assert [name for name in hall if same_bytes.difference(name, hall[name], other[name])] == []
 
 
-def test_disturbed_triangles_are_a_little_off(monkeypatch):
+def test_disturbed_triangles_are_a_little_off(same_bytes, monkeypatch):
     """`--disturbed` moves every coordinate of what Embree is given by up to 1 um, and in every process alike."""
     arguments = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32)
     true, given = build.widened(*arguments), []
     for _ in range(2):
         with monkeypatch.context() as patch:
             patch.setattr(build, "widened", build.widened)  # so that it is put back
-            same_stages.disturb()
+            same_bytes.disturb()
             given.append(build.widened(*arguments))
     off_m = np.abs(given[0] - true)
     assert given[0].dtype == true.dtype
@@ -128,16 +118,10 @@ def test_steps_count_the_numbers_between(same_bytes):
     assert same_bytes.steps(np.array([3], np.uint8), np.array([250], np.uint8)) == ", 2.5e+02"
 
 
-def test_embree_takes_the_configuration_of_the_environment():
-    """`VLP16EMU_EMBREE` limits the instruction set of the one device of a process."""
-    program = "from vlp16emu.raycast.embree import device; device()"
-    out = subprocess.run(
-        [sys.executable, "-c", program],
-        env=os.environ | {"VLP16EMU_EMBREE": "isa=sse4.2,verbose=1"},
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout
-    chosen = out.partition("Config\n")[2].partition("Features")[0]
+def test_embree_takes_the_configuration_of_the_environment(monkeypatch, capfd):
+    """`VLP16EMU_EMBREE` limits the instruction set of a device."""
+    monkeypatch.setenv("VLP16EMU_EMBREE", "isa=sse4.2,verbose=1")
+    embree._new_device.__wrapped__()
+    chosen = capfd.readouterr().out.partition("Config\n")[2].partition("Features")[0]
     assert "SSE4.2" in chosen.split("(supported)")[0]
     assert "AVX" not in chosen.split("(supported)")[0]

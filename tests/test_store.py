@@ -1,6 +1,8 @@
-"""What is kept on disk from run to run."""
+"""Files that are kept from run to run: whole or as good as none, where only the user can write."""
 
 import hashlib
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,53 +12,168 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.engine import assemble
 from vlp16emu.foliage.tiles import STEM
 from vlp16emu.scenario import load
-from vlp16emu.store import Store, recalled, user_store
+from vlp16emu.store import Store, digest_of, recalled, user_store
 
-BUNDLE = {
-    "numbers": np.arange(12, dtype=np.float32).reshape(3, 4),
-    "none": np.zeros((0, 4, 3), np.uint8),
-    "one": np.array(2.5),
-    "rows": np.zeros(3, STEM),
-}
+ABROAD = 4711
+"""A user that is not us."""
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """Where a store puts its files."""
-    return tmp_path / "cache" / "world"
+    """Where the files go."""
+    return tmp_path / "cache" / "files"
 
 
 @pytest.fixture
 def kept(folder):
-    """A store with one bundle."""
-    store = Store(folder, 10_000_000)
-    store.put("trees of tile 1", BUNDLE)
+    """A folder of one file."""
+    kept = Store(folder, ".thing", 10_000_000)
+    kept.write("a.thing", b"one two")
+    return kept
+
+
+def is_kept(folder):
+    """Whether what is written to a folder is there, and whether it comes back."""
+    kept = Store(folder, ".thing", 1000)
+    kept.write("b.thing", b"x")
+    return kept.read("b.thing") == b"x"
+
+
+def test_what_was_written_comes_back(kept):
+    """Content comes back under its name, and nothing under another name."""
+    assert kept.read("a.thing") == b"one two"
+    assert kept.read("b.thing") is None
+
+
+def test_damage_is_as_good_as_nothing(kept, folder):
+    """A file that is cut, or of which any byte changed, is not read, and is written anew."""
+    path = folder / "a.thing"
+    whole = path.read_bytes()
+    for at in range(len(whole)):
+        path.write_bytes(whole[:at])
+        assert kept.read("a.thing") is None
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        assert kept.read("a.thing") is None
+    kept.write("a.thing", b"one two")
+    assert path.read_bytes() == whole
+
+
+def test_a_file_of_another_name_is_not_taken(kept, folder):
+    """A file under the name of another one is not read."""
+    (folder / "a.thing").rename(folder / "b.thing")
+    assert kept.read("b.thing") is None
+
+
+def test_the_folder_is_the_users_alone(folder):
+    """Neither the folder nor the one above may be entered by others, whatever the user's umask."""
+    before = os.umask(0o002)
+    try:
+        assert is_kept(folder)
+    finally:
+        os.umask(before)
+    assert [level.stat().st_mode & 0o777 for level in (folder, folder.parent)] == [0o700, 0o700]
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o707])
+@pytest.mark.parametrize("level", [0, 1])
+def test_where_others_can_write_nothing_is_kept(kept, folder, level, mode):
+    """Neither the folder nor its parent may be writable for others, who could put something in its place."""
+    (folder, folder.parent)[level].chmod(mode)
+    assert not is_kept(folder)
+    assert [path.name for path in folder.iterdir()] == ["a.thing"]
+
+
+def test_below_a_folder_for_all_a_folder_is_safe(kept, folder):
+    """In a folder like /tmp, where each removes only what is one's own, files are kept."""
+    folder.parent.chmod(0o1777)
+    assert is_kept(folder)
+
+
+def test_a_link_is_not_followed(kept, folder, tmp_path):
+    """A folder that is a symbolic link, to wherever, is refused."""
+    (tmp_path / "link").symlink_to(folder)
+    assert not is_kept(tmp_path / "link")
+
+
+@pytest.mark.parametrize(("owner", "is_taken"), [(ABROAD, False), (0, True)])
+def test_only_our_own_folders_and_those_of_root_are_taken(monkeypatch, folder, owner, is_taken):
+    """A folder of another user is refused, as that user can write in it; root can write everywhere."""
+
+    def of_owner(path):
+        state = os.lstat(path)
+        return os.stat_result([*state[:4], owner, *state[5:10]])
+
+    monkeypatch.setattr(Path, "lstat", of_owner)
+    monkeypatch.setattr(os, "getuid", lambda: ABROAD + 1)
+    assert is_kept(folder) is is_taken
+
+
+def test_where_nothing_can_be_written_all_goes_on(monkeypatch, kept, folder, tmp_path):
+    """No folder, a file in its place and a full disk keep nothing and do no harm."""
+    (tmp_path / "file").write_text("in the way")
+    for place in (None, tmp_path / "file", tmp_path / "file" / "below"):
+        assert not is_kept(place)
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", fail)
+    assert not is_kept(folder)
+    assert [path.name for path in folder.iterdir()] == ["a.thing"]
+
+
+def test_what_was_not_used_for_longest_goes_first(folder):
+    """The files stay within their size, and reading counts as use."""
+    kept = Store(folder, ".thing", 100_000)
+    for number in range(3):
+        kept.write(f"{number}.thing", bytes(30_000))
+        os.utime(folder / f"{number}.thing", (1000.0 + number,) * 2)
+    assert kept.read("0.thing") is not None
+    kept.write("3.thing", bytes(30_000))
+    assert [kept.read(f"{number}.thing") is not None for number in range(4)] == [True, False, True, True]
+    assert kept.kept()[1] <= 100_000
+
+
+def test_foreign_files_stay(kept, folder):
+    """Only files with our name and our first bytes are counted and removed, one not written to its end among them."""
+    foreign = [folder / "b.thing", folder / "notes.txt"]
+    for path in foreign:
+        path.write_text("mine")
+    (folder / "a.thing").rename(folder / "a.thing.7.part")
+    assert kept.kept() == (1, 71)
+    assert kept.clear() == (1, 71)
+    assert sorted(folder.iterdir()) == foreign
+
+
+def test_a_change_of_any_file_is_another_state(monkeypatch, tmp_path):
+    """Each file of the sources counts, also one in a folder of theirs, and so does what else is named."""
+    files = [tmp_path / "world" / "one.py", tmp_path / "world" / "stand" / "two.toml"]
+    files[1].parent.mkdir(parents=True)
+    monkeypatch.setattr(module, "PACKAGE", tmp_path)
+    states = [digest_of(["world"]), digest_of(["world"], "1.0")]
+    for file in files:
+        file.write_text("x = 1")
+        states.append(digest_of(["world"]))
+    assert len(set(states)) == 4
+
+
+def test_a_thing_is_kept_as_it_was(use, tmp_path):
+    """Arrays have their values, types and shapes; what other files of the package made is not taken."""
+    thing = {
+        "numbers": np.arange(12, dtype=np.float32).reshape(3, 4),
+        "none": np.zeros((0, 4, 3), np.uint8),
+        "rows": np.zeros(3, STEM),
+    }
+    store = use(tmp_path / "cache" / "world")
+    recalled("trees of tile 1", lambda: thing)
     store.flush()
-    return store
-
-
-def test_what_was_put_comes_back(kept):
-    """Arrays have their values, types and shapes, and may be written to."""
-    bundle = kept.get("trees of tile 1")
-    assert bundle.keys() == BUNDLE.keys()
-    for key, array in BUNDLE.items():
-        np.testing.assert_array_equal(bundle[key], array, strict=True)
-        assert bundle[key].flags.writeable
-        assert bundle[key].flags.aligned == array.flags.aligned
-    assert kept.get("trees of tile 2") is None
-
-
-def test_no_objects_are_read():
-    """A file that asks for Python objects is refused: reading runs no code."""
-    for kind in ("|O", [["a", "<f8"], ["b", "|O"]]):
-        with pytest.raises(ValueError, match="O"):
-            module._dtype(kind)
-
-
-def test_another_state_of_the_program_has_names_of_its_own(kept, monkeypatch):
-    """What other files of the package made is not taken."""
-    monkeypatch.setattr(module, "_state", lambda: "other")
-    assert kept.get("trees of tile 1") is None
+    again = recalled("trees of tile 1", lambda: None)
+    for key, array in thing.items():
+        np.testing.assert_array_equal(again[key], array, strict=True)
+    assert recalled("trees of tile 2", lambda: 2) == 2
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_state", lambda: "other")
+        assert recalled("trees of tile 1", lambda: 1) == 1
 
 
 def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
@@ -76,7 +193,7 @@ def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
 
 def test_a_thing_without_a_name_is_made_each_time():
     """An empty name keeps nothing."""
-    assert recalled("", lambda: 5, None, None) == 5
+    assert recalled("", lambda: 5) == 5
 
 
 @pytest.fixture

@@ -62,8 +62,7 @@ _MODULES = {
     "scan": "Labels Scan decode",
     "scenario": "Scenario load",
 }
-_PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}
-"""Module of each public name."""
+_PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}  # module of each public name
 
 keep_compiled()
 

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-DOORS: dict[str, dict[str, str]] = {
+DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its object as module:name
     "worlds": {
-        "forest": "vlp16emu.forest.stand.settings:Forest",
+        "forest": "vlp16emu.forest.settings:Forest",
         "hall": "vlp16emu.world.settings:Hall",
-        "plot": "vlp16emu.forest.stand.settings:Plot",
+        "plot": "vlp16emu.forest.settings:Plot",
     },
     "motions": {
-        "live": "vlp16emu.motion.live_settings:Live",
+        "live": "vlp16emu.motion.settings:Live",
         "recorded": "vlp16emu.extras.recorded.settings:Recorded",
         "static": "vlp16emu.motion.settings:Static",
         "walk": "vlp16emu.motion.settings:Walk",
@@ -90,7 +90,6 @@ DOORS: dict[str, dict[str, str]] = {
         "web": "vlp16emu.extras.bench.control:web_interfaces",
     },
 }
-"""Groups of names, each name with its object as module:name."""
 
 
 def door(name: str, group: str = "parts") -> Any:

@@ -22,10 +22,8 @@ from numpy.typing import NDArray
 
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.floating[Any]]
-_WHOLE = 6755399441055744.0
-"""1.5 * 2**52: a sum with it is rounded to a whole number, which its lowest bits hold."""
-_TINY = 2.0**-1022
-"""Smallest normal number."""
+_WHOLE = 6755399441055744.0  # 1.5 * 2**52: a sum with it is rounded to a whole number, which its lowest bits hold
+_TINY = 2.0**-1022  # smallest normal number
 _HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
 """pi / 2: three times 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
 _LARGEST_RAD = 1e12

@@ -19,10 +19,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-LARGEST_BYTES = 1_000_000_000
-"""Largest mesh or grid of heights: some 20 million triangles, 250 million cells."""
-LARGEST_TEXT_BYTES = 100_000_000
-"""Largest scene, list or table: a million lines."""
+LARGEST_BYTES = 1_000_000_000  # largest mesh or grid of heights: some 20 million triangles, 250 million cells
+LARGEST_TEXT_BYTES = 100_000_000  # largest scene, list or table: a million lines
 _KINDS = {
     stat.S_IFDIR: "is a directory",
     stat.S_IFIFO: "is a FIFO",

@@ -15,10 +15,8 @@ Node = dict[str, Any]
 _MISSING = "missing"
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 """Pydantic's names of the error "unknown key" of a model and of a dataclass."""
-_MOST_PLACES = 3
-"""Most tables with a key that one line names: beyond, it says too little where the key belongs."""
-_MOST_KEYS = 8
-"""Most keys of another kind of table that one line names."""
+_MOST_PLACES = 3  # most tables with a key that one line names: beyond, it says too little where the key belongs
+_MOST_KEYS = 8  # most keys of another kind of table that one line names
 
 
 def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
@@ -127,8 +125,7 @@ def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
     return f"{near[0]}, the nearest known one" if near else f"one of {', '.join(parent['properties'])}"
 
 
-Tag = tuple[str, str, list[str]]
-"""Key and value by which a table is one of several kinds, and its keys."""
+Tag = tuple[str, str, list[str]]  # key and value by which a table is one of several kinds, and its keys
 
 
 def _all_keys(

@@ -81,12 +81,9 @@ class Declared(NamedTuple):
     """A field that is an option."""
 
     field: str
-    name: str
-    """On the command line: with dashes, or the word of an argument."""
-    kind: type
-    """Of the value, without None; `list` if the option can be repeated."""
-    default: Any
-    """MISSING if there is none."""
+    name: str  # on the command line: with dashes, or the word of an argument
+    kind: type  # of the value, without None; `list` if the option can be repeated
+    default: Any  # MISSING if there is none
     option: Option
 
 

@@ -17,16 +17,13 @@ from typing import Any, BinaryIO, Self
 
 from vlp16emu.errors import OutputError, RunError
 
-STDOUT = Path("-")
-"""Stands for standard output, as for tcpdump and tshark."""
+STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
 
-_LONGEST_NAME_BYTES = 240
-"""Of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added."""
+_LONGEST_NAME_BYTES = 240  # of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added
 _RIGHTS = 0o777
 _MARK, _MARK_WITHIN = b"vlp16emu", 4096
 """What the files of a report name as their writer, and in how many of their first bytes."""
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
-"""Arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h."""
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
 _log = logging.getLogger(__name__)
 

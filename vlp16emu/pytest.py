@@ -13,10 +13,8 @@ if TYPE_CHECKING:
 
 _LOOK_AHEAD = 128
 """Packets that are computed before the first one leaves, 0.17 s: a hall is made several times as fast as it is sent."""
-_LONGEST_S = 7 * 86_400.0
-"""Longest run of a scene."""
-_LAST = pytest.StashKey[Any]()
-"""The engine of the test before, whose world is used again."""
+_LONGEST_S = 7 * 86_400.0  # longest run of a scene
+_LAST = pytest.StashKey[Any]()  # the engine of the test before, whose world is used again
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -26,8 +26,7 @@ from pydantic_core.core_schema import tagged_union_schema, with_info_plain_valid
 
 from vlp16emu.doors import DOORS, added, door, has_door
 
-DEEPEST = 100
-"""Tables and lists in one another; of a key, the names between its dots."""
+DEEPEST = 100  # tables and lists in one another; of a key, the names between its dots
 _DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII)
 """A dotted key too deep to be read: the time for one grows with the square of its names."""
 
@@ -149,15 +148,12 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Place = Annotated[float, Field(ge=-2e7, le=2e7)]
 """A coordinate in the world, in m; those of maps are no larger than half the earth's circumference."""
-MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]
-"""Easting, northing and height, in m."""
-Size = Annotated[float, Field(ge=1e-3, le=1e4)]
-"""An extent of something in the world, in m."""
+MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]  # easting, northing and height, in m
+Size = Annotated[float, Field(ge=1e-3, le=1e4)]  # an extent of something in the world, in m
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
-Table = Mapping[str, Any]
-"""A table of a scene file."""
+Table = Mapping[str, Any]  # a table of a scene file
 
 
 def merged(base: Table, own: Table) -> dict[str, Any]:

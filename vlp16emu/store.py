@@ -1,34 +1,29 @@
-"""Costly parts of a world, kept on disk from run to run.
+"""Files kept from run to run, compiled kernels and parts of worlds: whole or as good as none, where nobody but the user writes.
 
-A file holds a bundle of arrays under a name, which says all that decides them; the files of the package that make them
-are part of every name. Files are plain numbers behind a JSON header: no copy is made, and reading one runs no code.
+The name of a file says all that decides its content, and so which files of the package and which libraries made it. A file is
+a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs code when it is read. So a
+folder that others can write in is not used.
 """
 
 import hashlib
-import json
 import os
+import pickle
+import stat
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
-from vlp16emu.checked import CheckedFolder, digest_of
-
 T = TypeVar("T")
-
-Bundle = Mapping[str, NDArray[np.generic]]
-"""Arrays by name."""
-
-MAKERS = (
-    "checked.py",
+PACKAGE = Path(__file__).parent
+MAKERS = (  # files and folders of the package that decide what worlds consist of
     "elementary.py",
     "engine",
     "foliage",
@@ -42,109 +37,175 @@ MAKERS = (
     "types.py",
     "world",
 )
-"""Files and folders of the package that decide what is kept."""
+_OURS = b"vlp16emu store "
+_MAGIC = (_OURS + b"2").ljust(32)
+_BEGIN = len(_MAGIC) + 32
 _MB = 1_000_000
 _DEFAULT_MB = 1_000.0
-_ALIGN = 64
-"""Arrays begin at cache lines."""
 
 
-class Store(CheckedFolder):
-    """Bundles in a folder of the user's own; without a folder nothing is kept."""
+class Store:
+    """Files in a folder of the user's own, which is made when it is first needed.
 
-    def __init__(self, folder: Path | None, most_bytes: int) -> None:
-        super().__init__(folder, ".world", most_bytes)
+    Parameters
+    ----------
+    folder : None keeps nothing, as does one in which others can write
+    suffix : of the names of the files
+    most_bytes : the least recently used files beyond it are removed
+    """
+
+    def __init__(self, folder: Path | None, suffix: str, most_bytes: int) -> None:
+        self.folder, self.suffix, self.most_bytes = folder, suffix, most_bytes
+        self._unlooked = most_bytes  # bytes written since sizes were last added up; at first those of other runs count
         self._writer: ThreadPoolExecutor | None = None
 
-    def get(self, name: str) -> dict[str, NDArray[np.generic]] | None:
-        """Read a bundle, as arrays of the caller's own; None if there is none that is whole."""
-        content = self.read(_file(name)) if self.folder else None
-        return None if content is None else _unpacked(content)
-
-    def put(self, name: str, bundle: Bundle) -> None:
-        """Write a bundle, soon: on a thread of its own, so nobody may change the arrays any more."""
+    @cached_property
+    def own(self) -> Path | None:
+        """The folder, if nobody but the user, or root, can write in it or put another one in its place."""
         if self.folder is None:
+            return None
+        with suppress(OSError):
+            for level in (self.folder.parent, self.folder):
+                level.mkdir(0o700, parents=True, exist_ok=True)
+            above, state = self.folder.parent.stat().st_mode, self.folder.lstat()
+            is_ours = stat.S_ISDIR(state.st_mode) and state.st_uid in (0, os.getuid())
+            if is_ours and not state.st_mode & 0o022 and (not above & 0o022 or above & stat.S_ISVTX):
+                return self.folder
+        return None
+
+    def read(self, name: str) -> memoryview | None:
+        """Read a file; None if it is not there or is not what was written."""
+        if self.own is None or (content := read_checked(self.own / name)) is None:
+            return None
+        with suppress(OSError):
+            os.utime(self.own / name)  # used now
+        return content
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file; a full disk, or a folder of root's, is no error."""
+        if self.own is None:
             return
+        path = self.own / name
+        aside = path.with_name(f"{name}.{os.getpid()}.part")  # programs may share the folder
+        try:
+            with aside.open("wb") as file:
+                self._unlooked += file.write(_begin(path, content)) + file.write(content)
+            aside.replace(path)
+        except OSError:
+            with suppress(OSError):
+                aside.unlink()
+        if self._unlooked > self.most_bytes / 16:
+            self._unlooked = 0
+            files = sorted(self._files(), key=lambda file: file[1].st_mtime, reverse=True)
+            totals = np.cumsum([state.st_size for _, state in files])
+            _remove(files[np.searchsorted(totals, self.most_bytes, "right") :])
+
+    def keep(self, name: str, thing: object) -> None:
+        """Pickle a thing into a file, soon: on a thread of its own, so nobody may change it any more."""
         if self._writer is None:
             self._writer = ThreadPoolExecutor(1, "keep")
         with suppress(RuntimeError):  # the program ends
-            self._writer.submit(lambda: self.write(_file(name), *_packed(bundle)))
+            self._writer.submit(lambda: self.write(name, pickle.dumps(thing, protocol=5)))
 
     def flush(self) -> None:
         """Wait until all is written."""
         if self._writer is not None:
             self._writer.submit(int).result()
 
+    def kept(self) -> tuple[int, int]:
+        """Count files and bytes."""
+        sizes = [state.st_size for _, state in self._files()]
+        return len(sizes), sum(sizes)
+
+    def clear(self) -> tuple[int, int]:
+        """Remove all files, which are known by name and first bytes; say how many and how many bytes went."""
+        return _remove(self._files())
+
+    def _files(self) -> Iterator[tuple[Path, os.stat_result]]:
+        for path in self.folder.glob(f"*{self.suffix}*") if self.folder else ():
+            with suppress(OSError):
+                if path.suffix in (self.suffix, ".part") and path.is_file() and not path.is_symlink():
+                    with path.open("rb") as file:
+                        if file.read(len(_OURS)) == _OURS:  # also one of an earlier version
+                            yield path, path.stat()
+
+
+def read_checked(path: Path) -> memoryview | None:
+    """Read the content of a file; None if it is not there or is not what was written."""
+    try:
+        data = memoryview(path.read_bytes())
+    except OSError:
+        return None
+    return data[_BEGIN:] if data[:_BEGIN] == _begin(path, data[_BEGIN:]) else None
+
+
+def _begin(path: Path, content: bytes | memoryview) -> bytes:
+    digest = hashlib.sha256(path.name.encode())
+    digest.update(content)
+    return _MAGIC + digest.digest()
+
+
+def _remove(files: Iterable[tuple[Path, os.stat_result]]) -> tuple[int, int]:
+    gone = []
+    for path, state in files:
+        with suppress(OSError):
+            path.unlink()
+            gone.append(state.st_size)
+    return len(gone), sum(gone)
+
+
+def digest_of(sources: Iterable[str], *more: object) -> str:
+    """Name the state of files and folders of the package, whatever their place and time stamps, and of what else decides."""
+    digest = hashlib.sha256(repr(more).encode())
+    for source in sources:
+        path = PACKAGE / source
+        for file in [path] if path.is_file() else sorted(path.rglob("*")):
+            if file.suffix in (".py", ".toml"):
+                content = hashlib.sha256(file.read_bytes()).digest()
+                digest.update(f"\n{file.relative_to(PACKAGE).as_posix()} ".encode() + content)
+    return digest.hexdigest()
+
 
 @cache
 def user_store() -> Store:
-    """Store of the user: in `VLP16EMU_CACHE_DIR`, of `VLP16EMU_CACHE_MB`, or else in the user's cache, of 1 GB."""
+    """Return the user's parts of worlds: in `VLP16EMU_CACHE_DIR`, of `VLP16EMU_CACHE_MB`, or else in the user's cache, of 1 GB."""
     try:
         most_mb = float(os.environ.get("VLP16EMU_CACHE_MB", ""))
     except ValueError:
         most_mb = _DEFAULT_MB
     chosen = os.environ.get("VLP16EMU_CACHE_DIR")
-    if chosen in ("", "off") or most_mb <= 0:
-        return Store(None, int(max(most_mb, 0.0) * _MB))
-    return Store(Path(chosen) if chosen else user_cache_path("vlp16emu", appauthor=False) / "world", int(most_mb * _MB))
+    folder = Path(chosen) if chosen else user_cache_path("vlp16emu", appauthor=False) / "world"
+    is_off = chosen in ("", "off") or most_mb <= 0
+    return Store(None if is_off else folder, ".world", int(max(most_mb, 0.0) * _MB))
 
 
-def recalled(name: str, make: Callable[[], T], pack: Callable[[T], Bundle], unpack: Callable[[Bundle], T]) -> T:
+def recalled(
+    name: str,
+    make: Callable[[], T],
+    pack: Callable[[T], Any] = lambda thing: thing,
+    unpack: Callable[[Any], T] = lambda thing: thing,
+) -> T:
     """Take a thing from the user's store, or make it and keep it there.
 
     Parameters
     ----------
     name : states all that decides it; empty if it is not kept
     make : makes it
-    pack, unpack : put it into arrays, and take it out of them
+    pack, unpack : turn it into what can be pickled, and back
     """
-    if not name:
+    if not name or (store := user_store()).folder is None:
         return make()
-    store = user_store()
-    if (bundle := store.get(name)) is not None:
-        return unpack(bundle)
+    file = hashlib.sha256(f"{_state()}\n{name}".encode()).hexdigest()[:40] + ".world"
+    if (kept := store.read(file)) is not None:
+        return unpack(pickle.loads(kept))  # noqa: S301  # ours, by its folder and sum
     thing = make()
-    store.put(name, pack(thing))
+    store.keep(file, pack(thing))
     return thing
-
-
-def _file(name: str) -> str:
-    return hashlib.sha256(f"{_state()}\n{name}".encode()).hexdigest()[:40] + ".world"
 
 
 @cache
 def _state() -> str:
-    """Name the state of the files that decide what is kept, of libraries that draw and round, and of the machine."""
-    return digest_of(MAKERS, np.__version__, version("scipy"), os.uname().machine, sys.byteorder)
-
-
-# Not np.savez: its reader parses Python on several threads at once, which CPython before 3.11.5 cannot (gh-106905).
-def _packed(bundle: Bundle) -> list[bytes | memoryview]:
-    parts, rows = list[bytes | memoryview](), []
-    for key, array in bundle.items():
-        # A view of the bytes; arrays without elements have none.
-        raw = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data if array.size else b""
-        rows.append([key, np.lib.format.dtype_to_descr(array.dtype), array.shape, len(raw)])
-        parts += [raw, bytes(-len(raw) % _ALIGN)]
-    header = json.dumps(rows).encode()
-    header += b" " * (-(len(header) + 8) % _ALIGN)
-    return [len(header).to_bytes(8), header, *parts]
-
-
-def _unpacked(content: memoryview) -> dict[str, NDArray[np.generic]]:
-    at = 8 + int.from_bytes(content[:8])
-    bundle = {}
-    for key, kind, shape, size in json.loads(bytes(content[8:at])):
-        bundle[key] = np.frombuffer(content[at : at + size], _dtype(kind)).reshape(shape)
-        at += size + -size % _ALIGN
-    return bundle
-
-
-def _dtype(description: Any) -> np.dtype[np.generic]:
-    """Return a type of numbers; no file of ours asks for objects, which would run code."""
-    if isinstance(description, list):  # fields, whose tuples JSON has as lists
-        description = [(name, _dtype(kind), *map(tuple, shape)) for name, kind, *shape in description]
-    kind: np.dtype[np.generic] = np.dtype(description)
-    if kind.hasobject:
-        raise ValueError(description)
-    return kind
+    """Name the state of the files that decide worlds, of libraries that draw and round, and of the machine."""
+    return digest_of(
+        MAKERS, np.__version__, version("scipy"), os.uname().machine, sys.byteorder, sys.implementation.cache_tag
+    )

@@ -22,12 +22,10 @@ from vlp16emu.units import S_NS
 LARGEST = 1e8
 """No coordinate of a map is larger (EPSG:4647, with the zone in front, has 3.4e7 m), and squares are far from overflow."""
 _LARGEST_NS = 2**62
-_MARKS = (";", "\t", ",", " ")
-"""Between columns; if two of them fit equally well, the first is taken."""
+_MARKS = (";", "\t", ",", " ")  # between columns; if two of them fit equally well, the first is taken
 _MISSING = frozenset(("", "na", "n/a", "#n/a", "<na>", "nan", "null", "none", "#nv"))
 """Cells without a value, in lower case, as R, pandas and Excel write them (`#NV` in German)."""
-_ALIKE = 0.8
-"""From this ratio of `difflib` on, an unknown name is taken for a slip of a known one."""
+_ALIKE = 0.8  # from this ratio of `difflib` on, an unknown name is taken for a slip of a known one
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +37,8 @@ class Column:
     low: float = -LARGEST
     high: float = LARGEST
     """Limits in the unit of what is returned: beyond them a value is more likely a slip of the unit."""
-    is_needed: bool = True
-    """True if the table must have it."""
-    is_filled: bool = True
-    """True if each row must have a value."""
+    is_needed: bool = True  # true if the table must have it
+    is_filled: bool = True  # true if each row must have a value
 
 
 def optional(*names: str) -> Column:

@@ -12,8 +12,7 @@ import numpy as np
 
 from vlp16emu.elementary import around_zero
 
-ZERO = cast("int", np.int64(0))
-"""A zero that is no literal: numba compiles a function once more for the literal 0."""
+ZERO = cast("int", np.int64(0))  # a zero that is no literal: numba compiles a function once more for the literal 0
 
 _HALF_PI = 1.57079632673412561417, 6.07710050650619224932e-11
 """pi / 2: its first 33 bits, so that products with whole numbers below 2**20 are exact, and the rest."""

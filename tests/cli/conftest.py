@@ -1,5 +1,6 @@
 """Command lines carried out in this process, and one short recording for all to read."""
 
+import gc
 import json
 import signal
 import subprocess
@@ -9,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.cli.app import run
+from vlp16emu.cli.app import main, run
+from vlp16emu.cli.terminal import ENDINGS
 from vlp16emu.kernels.compiler import _is_kept, table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,6 +46,27 @@ def cli(capsys):
         capsys.readouterr()
         code = run([str(argument) for argument in arguments])
         return Outcome(code, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def main_here(monkeypatch, capsys):
+    """Carry out the whole program here, its standard output a file; gives the exit code and what is said on stderr."""
+
+    def call(*arguments, stdout):
+        before = {number: signal.getsignal(number) for number in ENDINGS}
+        try:
+            with monkeypatch.context() as patch, pytest.raises(SystemExit) as end:
+                patch.setattr(sys, "argv", ["vlp16emu", *map(str, arguments)])
+                patch.setattr(sys, "stdout", stdout)
+                patch.setattr(gc, "freeze", gc.collect)
+                main()
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            gc.set_threshold(700)
+        return end.value.code or 0, capsys.readouterr().err
 
     return call
 

@@ -14,7 +14,7 @@ def folders(tmp_path, monkeypatch):
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     user_store.cache_clear()
-    user_store().put("a", {"a": np.zeros(10)})
+    user_store().keep("a.world", np.zeros(10))
     user_store().flush()
     user_kernels.cache_clear()
     for name in ("one.kernel", "two.kernel.7.part"):

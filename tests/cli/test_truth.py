@@ -120,19 +120,6 @@ def test_bad_folders_are_reported_before_anything_is_written(cli, tmp_path):
         assert not (tmp_path / "x.pcap").exists()
 
 
-def test_ctrl_c_leaves_whole_truth(program, tmp_path):
-    """After Ctrl-C the trajectory ends with a whole line, at or after the last packet that was written."""
-    process = program("record", "static_bench", tmp_path / "x.pcap", "--duration", "3600", "--truth", tmp_path / "t")
-    path = tmp_path / "t" / "trajectory.tum"
-    wait_for_growth(tmp_path, 1000)
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=100)
-    assert process.returncode == 130
-    text = path.read_text()
-    assert text.endswith("\n")
-    assert {len(line.split()) for line in rows(path)} == {8}
-
-
 @pytest.mark.parametrize("verb", ["record", "stream"])
 def test_poses_of_packets_want_a_folder(cli, tmp_path, verb):
     """--truth-packets alone says that --truth is missing, and nothing is written."""

@@ -3,49 +3,32 @@
 import numpy as np
 import pytest
 
-from vlp16emu.forest.ground.settings import Terrain
+from vlp16emu.forest import settings
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.settings import (
-    Clusters,
-    DwarfShrubs,
-    Ferns,
-    Forest,
-    Grass,
-    Herbs,
-    Litter,
-    Logs,
-    Moss,
-    Regeneration,
-    Scattered,
-    Shrubs,
-    SpeciesShare,
-    Stones,
-    Stumps,
-)
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.world.polyline import Corridor
 
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
-BIRCH = SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)
-SPRUCE = SpeciesShare(species="norway_spruce", share=0.6, dbh_cm=24.0, height_m=21.0)
-YOUNG = Clusters(kind="clusters", per_cluster=12.0, sigma_m=3.0)
+BIRCH = settings.SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)
+SPRUCE = settings.SpeciesShare(species="norway_spruce", share=0.6, dbh_cm=24.0, height_m=21.0)
+YOUNG = settings.Clusters(kind="clusters", per_cluster=12.0, sigma_m=3.0)
 TREES = {"kind": "forest", "stems_per_ha": 700.0, "species": [BIRCH, SPRUCE], "texture": 0.0}
-BARE = Forest(**TREES)
-FULL = Forest(
+BARE = settings.Forest(**TREES)
+FULL = settings.Forest(
     **TREES,
-    regeneration=Regeneration(stems_per_ha=900.0, pattern=YOUNG),
-    shrubs=Shrubs(per_ha=200.0, species=["hazel", "elder"], pattern=Scattered(kind="random")),
-    stones=Stones(cover=0.05),
-    logs=Logs(per_ha=150.0, species=["norway_spruce"], diameter_m=(0.2, 0.5), length_m=(3.0, 12.0)),
-    stumps=Stumps(per_ha=150.0, species=["silver_birch"], diameter_m=(0.2, 0.5)),
-    grass=Grass(tufts_per_m2=0.5),
-    herbs=Herbs(cover=0.05),
-    ferns=Ferns(cover=0.03),
-    dwarf_shrubs=DwarfShrubs(cover=0.03),
-    moss=Moss(cover=0.1),
-    litter=Litter(cover=0.1),
+    regeneration=settings.Regeneration(stems_per_ha=900.0, pattern=YOUNG),
+    shrubs=settings.Shrubs(per_ha=200.0, species=["hazel", "elder"], pattern=settings.Scattered(kind="random")),
+    stones=settings.Stones(cover=0.05),
+    logs=settings.Logs(per_ha=150.0, species=["norway_spruce"], diameter_m=(0.2, 0.5), length_m=(3.0, 12.0)),
+    stumps=settings.Stumps(per_ha=150.0, species=["silver_birch"], diameter_m=(0.2, 0.5)),
+    grass=settings.Grass(tufts_per_m2=0.5),
+    herbs=settings.Herbs(cover=0.05),
+    ferns=settings.Ferns(cover=0.03),
+    dwarf_shrubs=settings.DwarfShrubs(cover=0.03),
+    moss=settings.Moss(cover=0.1),
+    litter=settings.Litter(cover=0.1),
 )
 """Trees with one of each kind of thing that grows or lies under them."""
 
@@ -61,7 +44,9 @@ def rootless():
 
 @pytest.fixture(scope="session")
 def terrain():
-    return TerrainHeights(Terrain(hill_rms_m=1.5, rough_rms_m=0.08, slope_deg=6.0, slope_towards_deg=60.0), seed=5)
+    return TerrainHeights(
+        settings.Terrain(hill_rms_m=1.5, rough_rms_m=0.08, slope_deg=6.0, slope_towards_deg=60.0), seed=5
+    )
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from llvmlite import binding
 from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
 
-from vlp16emu import checked
+from vlp16emu import store
 from vlp16emu.kernels import cache, hook
 from vlp16emu.kernels.cache import KernelCache, user_kernels
 from vlp16emu.kernels.compiler import KernelDispatcher
@@ -36,7 +36,7 @@ def package(tmp_path, monkeypatch):
     for name in ("__init__.py", "room/caller.py", "room/callee.py", "cli/verb.py"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text("x = 1\n")
-    monkeypatch.setattr(checked, "PACKAGE", folder)
+    monkeypatch.setattr(store, "PACKAGE", folder)
     monkeypatch.setattr(cache, "SOURCES", ("room",))
     return folder
 
@@ -78,7 +78,7 @@ def test_time_and_place_change_nothing(package, tmp_path):
     for path in package.rglob("*.py"):
         os.utime(path, (1.0, 1.0))
     assert cache._state() == before
-    checked.PACKAGE = shutil.copytree(package, tmp_path / "second")
+    store.PACKAGE = shutil.copytree(package, tmp_path / "second")
     assert cache._state() == before
 
 
@@ -129,7 +129,7 @@ def test_two_processes_may_fill_one_folder(folder):
     assert [process.wait() for process in both] == [0, 0]
     files = list(folder.iterdir())
     assert files
-    assert all("-trig." in path.name and checked.read_checked(path) for path in files)
+    assert all("-trig." in path.name and store.read_checked(path) for path in files)
 
 
 class Planted:

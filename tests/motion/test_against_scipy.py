@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.motion.harness import KNOTS_PER_S, Pack, response
+from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack, response
 from vlp16emu.motion.splines import interpolant
 
 
@@ -90,8 +90,8 @@ def swung(hz, damping, straps):
     """Displacement of one axis; an undamped pack is refused, so there its steps are put in by hand."""
     pack = Pack(bump, straps(hz, damping or 1.0))
     if not damping:
-        pack._steps[:] = [response(hz, 0.0, s) for s in pack._offsets_s]
-        pack._harness = straps(hz, 0.0)
+        pack._steps[:] = [response(hz, 0.0, s / NODES_PER_KNOT / KNOTS_PER_S) for s in range(1, NODES_PER_KNOT + 1)]
+        pack._drag[:] = 0.0
     return pack.nodes(0)[: len(NODES_S), 0, 0]
 
 

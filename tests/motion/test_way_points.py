@@ -5,10 +5,9 @@ import pytest
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Gps, LawnMower, Stop, Walk
-from vlp16emu.motion.detour import around
 from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.path import Path
-from vlp16emu.motion.way_points import WayPoints, lawn_mower, read_way_points, way_points
+from vlp16emu.motion.way_points import WayPoints, around, lawn_mower, read_way_points, way_points
 from vlp16emu.world.polyline import distance_m
 
 ORIGIN = Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=100.0)
@@ -211,7 +210,8 @@ def test_stops_stay_with_their_waypoints():
     assert found.xy_m[2].tolist() == [10, 0]
 
 
-def test_where_there_is_no_way_it_is_named():
-    """A waypoint of the user that is itself too near cannot be led around."""
+def test_where_there_is_no_way_it_is_named(monkeypatch):
+    """A waypoint of the user that is itself too near cannot be led around, however often it is tried."""
+    monkeypatch.setattr("vlp16emu.motion.way_points._TRIES", 20)
     with pytest.raises(TrajectoryError, match=r"no way found around what is at \(10, 0.2\) m; expected another path"):
         around(way([0, 0], [10, 0], [20, 0]), np.array([[10.0, 0.2]]), np.array([1.0]))

@@ -35,7 +35,7 @@ def test_brightness_varies_by_the_texture(places_m):
     """Over a space of many patches the factor has mean 1, and at 60 degrees of incidence 1.5 times the deviation asked for."""
     factor = factors(places_m, 0.03)
     assert factor.mean() == pytest.approx(1.0, abs=0.003)
-    assert factor.std() == pytest.approx(0.045, rel=0.04)
+    assert factor.std() == pytest.approx(0.045, rel=0.07)
 
 
 def test_pieces_of_a_surface_differ_in_their_contrast():

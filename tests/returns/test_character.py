@@ -1,11 +1,13 @@
 """What makes units differ in their returns: beat, odd codes, reflectivity and no-returns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from vlp16emu.returns.detect import detect
-from vlp16emu.returns.noise import code_step, no_return_reflectivity
+from vlp16emu.returns.noise import no_return_reflectivity, sent_codes
 
 
 @pytest.fixture
@@ -14,7 +16,10 @@ def wall(detector, firings, pulses, table):
 
     def see(noise, k=400, *, index=0, range_m=10.0, reflectance=0.7, seed=1):
         unit = detector(noise, seed=seed)
-        return detect(firings(k, index), pulses(k, [range_m]), table(reflectance), unit, truth=False)
+        turning = replace(
+            firings(k, index), azimuth_deg=np.repeat(0.2 * np.arange(index, index + k)[:, None], 16, axis=1)
+        )
+        return detect(turning, pulses(k, [range_m]), table(reflectance), unit, truth=False)
 
     return see
 
@@ -47,12 +52,10 @@ def test_bright_codes_are_coarse_and_dark_ones_sticky(wall):
         wall(noise | {"reflectivity_step": step}, reflectance=0.8).reflectivity[..., 0].astype(int)
         for step in (1.7, 0.0)
     )
-    step = code_step(1.7, 1.0, 10.0)
-    assert 0.85 * 1.7 <= step <= 1.45 * 1.7
-    # A comb with that step, a little blurred by what is rounded and comes later; without it none.
-    comb, none = (abs(np.exp(2j * np.pi * codes / step).mean()) for codes in (bright, even))
-    assert 0.2 < comb < 0.95
-    assert none < 0.05
+    sent = sent_codes(1, 16, 1.7)
+    # A few are not corrected.
+    assert 0.9 < np.mean([np.isin(bright[:, laser], sent[laser]) for laser in range(16)]) < 0.995
+    assert np.mean([np.isin(even[:, laser], sent[laser]) for laser in range(16)]) < 0.8
     assert bright.std() == pytest.approx(0.043 * 80, rel=0.1)
     dark = wall(noise, reflectance=0.02).reflectivity[..., 0].astype(int)
     assert (np.diff(dark, axis=0) == 0).mean() > 0.8
@@ -85,7 +88,7 @@ def test_units_differ_in_their_white_errors(detector):
 
 
 def test_no_returns_wander_through_multiples(wall):
-    """They are the laser's constant or multiples of it, mostly equal to their neighbour, and the same however a run is cut."""
+    """They are the laser's constant or multiples of it, mostly equal to their neighbour, alike over lasers, the same in each revolution."""
     noise = {"no_return_reflectivity": True, "no_return_wander": 10.0}
     codes = wall(noise, 4000, range_m=np.inf).reflectivity[..., 0]
     changes = (np.diff(codes.astype(int), axis=0) != 0).mean()
@@ -95,7 +98,11 @@ def test_no_returns_wander_through_multiples(wall):
     for laser in range(16):
         assert set(codes[:, laser]) <= set(np.floor(times * own[laser]).clip(0, 100).astype(int))
     assert ((codes > np.floor(own)) & (codes < 100)).mean() > 0.02
+    np.testing.assert_array_equal(codes[1800:3600], codes[:1800])
     np.testing.assert_array_equal(codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0])
+    raised = codes[:1800] > 1.5 * np.floor(own)
+    often = np.flatnonzero((raised.mean(axis=0) > 0.1) & (raised.mean(axis=0) < 0.9))
+    assert np.corrcoef(raised[:, often].T)[np.triu_indices(len(often), 1)].mean() > 0.2
 
 
 def test_middles_of_no_returns_are_even_in_their_logarithm():
@@ -105,11 +112,14 @@ def test_middles_of_no_returns_are_even_in_their_logarithm():
     assert stats.kstest(middles, "uniform", args=(low, high - low)).pvalue > 0.01
 
 
-def test_codes_are_apart_by_laser_and_range():
-    """The spacing is constant over a short piece of range, and within 0.85 to 1.45 of the setting everywhere."""
-    steps = np.array([[code_step(2.0, gain, r) / gain for r in np.linspace(1, 30, 500)] for gain in (0.97, 1.02)])
-    assert steps.min() >= 1.7
-    assert steps.max() <= 2.9
-    assert np.ptp(steps) > 0.8
-    assert (steps[0] != steps[1]).mean() > 0.9
-    assert (np.diff(steps) == 0).mean() > 0.8
+def test_each_laser_sends_codes_of_its_own():
+    """All up to 30 and 100; of ten codes in a row 7 to 9.5 at 45 and 3.5 to 6.5 at 90, others on each laser; all without a step."""
+    tables = np.array([sent_codes(seed, 16, 2.0) for seed in range(20)]).reshape(-1, 101)
+    sent = tables == np.arange(101)
+    assert sent[:, :30].all()
+    assert sent[:, 100].all()
+    assert 0.7 < sent[:, 40:50].mean() < 0.95
+    assert 0.35 < sent[:, 85:95].mean() < 0.65
+    assert np.abs(tables - np.arange(101.0)).max() <= 2
+    assert len(np.unique(tables, axis=0)) == len(tables)
+    assert (sent_codes(1, 16, 0.0) == np.arange(101)).all()

@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.lost import loss_rates
-from vlp16emu.types import Hits, PlantPart
+from vlp16emu.types import Hits, PlantPart, Semantic
 
 LOSSES = {"records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
 LASERS = 16
@@ -28,37 +28,56 @@ def lost(out):
 
 
 def test_an_even_wall_is_nearly_whole(detector, firings, table):
-    """Between equal ranges and codes 0.02 to 0.1 % are lost where it is bright, and more where it is black and near."""
+    """Between equal ranges and codes 0.04 to 0.25 % are lost where it is bright, and more where it is black and near."""
     range_m = np.full((4000, LASERS, 1), 3.0)
     bright, black = (
         np.mean([lost(seen(detector, firings, table(one), range_m, 0, seed=seed)).mean() for seed in range(5)])
         for one in (0.7, 0.02)
     )
-    assert 0.0001 < bright < 0.0012
-    assert 0.003 < black < 0.02
+    assert 0.0003 < bright < 0.0025
+    assert 0.005 < black < 0.025
 
 
 def test_a_step_of_brightness_costs_a_record(detector, firings, table):
-    """Of records at a step up of 50 codes 6 % or more are lost, one tenth as many at a step down; the codes of the former are high."""
+    """Of records at a step up by a factor of 11 units lose 1 to 75 %, down fewer, at one of 1.5 hardly any; codes of the former are high."""
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
-    outs = [
-        seen(detector, firings, table(0.1, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(6)
-    ]
-    up, down = (np.concatenate([lost(out)[first::20].ravel() for out in outs]) for first in (10, 20))
-    assert 0.05 < up.mean() < 0.5
-    assert down.mean() < 0.3 * up.mean()
-    codes = np.concatenate([out.reflectivity[10::20, :, 0][lost(out)[10::20]] for out in outs])
+    many, few = (
+        [seen(detector, firings, table(low, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(10)]
+        for low in (0.055, 0.4)
+    )
+    up, down = (np.array([lost(out)[first::20].mean() for out in many]) for first in (10, 20))
+    assert 0.01 < up.min() < 0.1
+    assert 0.3 < up.max() < 0.75
+    assert 0.01 < down.mean() < 0.5 * up.max()
+    assert np.mean([lost(out)[10::20].mean() for out in few]) < 0.01
+    codes = np.concatenate([out.reflectivity[10::20, :, 0][lost(out)[10::20]] for out in many])
     assert 40 < np.median(codes) <= 100
 
 
-@pytest.mark.parametrize(("smooth", "least", "most"), [(False, 0.2, 0.6), (True, 0.0, 0.001)])
-def test_two_surfaces_in_a_pulse_cost_it(detector, firings, table, smooth, least, most):
-    """Half of the light each, half a metre apart, lose 0.2 to 0.6 of the records by unit; the slant of one smooth surface none."""
+@pytest.mark.parametrize(
+    ("sheet", "least", "most"), [("plants", 0.15, 0.6), ("one", 0.0, 0.004), ("ground", 0.0, 0.004)]
+)
+def test_two_surfaces_in_a_pulse_cost_it(detector, firings, table, sheet, least, most):
+    """Half of the light each, half a metre apart, lose 0.15 to 0.6 of the records by unit; a slanted surface none, nor two tiles of the ground."""
     surfaces = table(0.5, 0.5)
-    surfaces["part"] = PlantPart.NONE if smooth else PlantPart.LEAF
+    surfaces["part"] = PlantPart.LEAF if sheet == "plants" else PlantPart.NONE
+    surfaces["semantic"] = Semantic.GROUND if sheet == "ground" else Semantic.OTHER
     range_m = np.broadcast_to(np.repeat([3.0, 3.5], 4), (500, LASERS, 8))
-    rates = [lost(seen(detector, firings, surfaces, range_m, 0, seed=seed)).mean() for seed in range(12)]
+    met = np.repeat([0, int(sheet == "ground")], 4)
+    rates = [lost(seen(detector, firings, surfaces, range_m, met, seed=seed)).mean() for seed in range(12)]
     assert least - 0.02 <= min(rates) <= max(rates) <= most + 0.02
+
+
+def test_rough_places_lose_less(detector, firings, table):
+    """Where ranges jump from pulse to pulse, as in trees, two surfaces in a pulse cost a fifth of what they do at an edge, as on real units."""
+    surfaces = table(0.2, 0.2)
+    surfaces["part"] = PlantPart.LEAF
+    near_m = 20.0 + np.random.default_rng(1).uniform(0, 1.5, (2000, LASERS, 1))
+    shares = []
+    for first_m in (np.full_like(near_m, 20.0), near_m):
+        range_m = np.concatenate([first_m, first_m, first_m, first_m + 0.6, first_m + 0.6], axis=2)
+        shares.append([lost(seen(detector, firings, surfaces, range_m, 0, seed=seed)).mean() for seed in range(8)])
+    assert 0.1 < np.mean(shares[1]) / np.mean(shares[0]) < 0.35
 
 
 def test_blocks_make_the_whole(detector, firings, table):

@@ -6,8 +6,7 @@ import pytest
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
-from vlp16emu.world.mesh_settings import MeshPart
-from vlp16emu.world.settings import HallBox
+from vlp16emu.world.settings import HallBox, MeshPart
 
 
 def box(finish):

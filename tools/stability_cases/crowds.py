@@ -16,8 +16,7 @@ from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings, Mesh
 from vlp16emu.world.furnished import Furnished, Furniture
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
-from vlp16emu.world.settings import Hall
+from vlp16emu.world.settings import Hall, MeshFile, MeshPlace
 from vlp16emu.world.user_mesh import PartMesh, UserMesh
 
 Array = NDArray[np.float64]

@@ -1,5 +1,6 @@
 """The program: its verbs, and the one place where errors become lines and exit codes."""
 
+import errno
 import gc
 import io
 import logging
@@ -22,6 +23,9 @@ from vlp16emu.errors import InputError, Vlp16emuError
 
 _LEFT_S = 0.8
 """How long a command that is interrupted may take to remove what it has not finished."""
+
+_OF_WRITING = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
+"""Errors of a write; those to files have names, as `output.py` opens them."""
 
 _was_interrupted = threading.Event()
 
@@ -183,6 +187,8 @@ def _code_of(error: OSError, code: int | None) -> int:
     """Complain of an error that no verb expects, and return the exit code; `code` is that of a verb that came to its end."""
     try:
         print(end="", flush=True)
+        if error.filename is None and error.errno in _OF_WRITING:  # of a long text nothing is left to be flushed
+            raise error
     except OSError:  # it is standard output that cannot be written
         _drop_output()
     else:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson
-from vlp16emu.cli.printer import print_json, print_rows
+from vlp16emu.cli.printer import print_json, print_rows, tree_of
 from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.options import Option
 
@@ -28,8 +28,7 @@ def score(
     Scores what is given, from files of any tool. Exit code 1 if a threshold is missed.
     """
     from vlp16emu.extras.plots import check_matplotlib
-    from vlp16emu.extras.score.card import limits_of, make_card
-    from vlp16emu.extras.score.page import page
+    from vlp16emu.extras.score.card import limits_of, make_card, page
     from vlp16emu.output import report
 
     limits = limits_of(require or ())
@@ -38,7 +37,8 @@ def score(
     with report(out, ("score.json", "score.html")) if out else nullcontext() as files:
         card = make_card(inputs)
         missed = card.missed(limits)
-        tree = {"written_by": f"vlp16emu {version('vlp16emu')}", **card.tree(), "missed": missed}
+        tree = {"written_by": f"vlp16emu {version('vlp16emu')}", "inputs": card.inputs, "scores": card.scores}
+        tree = tree_of({**tree, "notes": card.notes, "trees": card.trees, "missed": missed})
         if files:
             files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
             files[1].write(page(card, missed).encode())

@@ -145,7 +145,7 @@ def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: fl
 
 def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
     """Return the options of a live scene, whose late packets are dropped; InputError if nothing says where its poses come in."""
-    from vlp16emu.motion.live_settings import takes_poses
+    from vlp16emu.motion.settings import takes_poses
 
     if not takes_poses(scenario.motion):
         return options
@@ -156,7 +156,7 @@ def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
 
 def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | None, is_prepared: bool) -> None:
     """Set the beam and the reach that this machine keeps up with, if that is wanted, and print them."""
-    from vlp16emu.motion.live_settings import takes_poses
+    from vlp16emu.motion.settings import takes_poses
 
     cannot = "--prepare" if is_prepared else ("--pose-in" if takes_poses(emulator.scenario.motion) else None)
     if wanted and cannot:

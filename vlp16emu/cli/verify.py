@@ -81,7 +81,8 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
     else:
         for finding in result.findings:
             print(finding)
-        verdicts = {name: f"{n} findings" if (n := len(result.of(name))) else "fit" for name in result.programs}
+        counts = {name: len(result.of(name)) for name in result.programs}
+        verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
         print_rows(
             f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts
         )

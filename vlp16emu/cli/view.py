@@ -79,7 +79,7 @@ def _show_scene(
     server: "viser.ViserServer", scene: str, settings: list[str] | None, unit: int, radius_m: float, save: Path | None
 ) -> None:
     from vlp16emu.extras.viewer.page import scene_page
-    from vlp16emu.motion.live_settings import takes_poses
+    from vlp16emu.motion.settings import takes_poses
 
     emulator = make_emulator(scene, settings)
     if takes_poses(emulator.scenario.motion):

@@ -14,9 +14,9 @@ from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
-from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
@@ -29,7 +29,7 @@ from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
 from vlp16emu.types import GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
-from vlp16emu.world.site import Sway
+from vlp16emu.world.settings import Sway
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine

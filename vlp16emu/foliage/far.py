@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
-from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +30,7 @@ _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uin
 def _recalled_cloud(world: World, key: ShapeKey, parts: U1) -> Cloud:
     """Return the cloud of a shape, of `PlantPart`s (meshes,), from the store if it has it."""
     name = world.shape_name(key)
-    return recalled(
-        name and f"cloud {name} {parts.tolist()}",
-        lambda: cloud_of(world.shape(key), parts),
-        lambda cloud: {field.name: np.asarray(getattr(cloud, field.name)) for field in fields(cloud)},
-        lambda bundle: Cloud(**{**bundle, "radius_m": float(bundle["radius_m"])}),  # type: ignore[arg-type]
-    )
+    return recalled(name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(world.shape(key), parts))
 
 
 class Far:
@@ -100,7 +94,7 @@ class Far:
             world and f"{world} block {ix} {iy}",
             lambda: block_of(library, place, tiles, ix, iy),
             lambda block: packed_block(block, library, names),
-            lambda bundle: unpacked_block(bundle, library, dict(zip(names, range(len(names)), strict=True))),
+            lambda kept: unpacked_block(kept, library, dict(zip(names, range(len(names)), strict=True))),
         )
 
     def _measure(self, tiles: Iterable[FarTile]) -> None:

@@ -8,12 +8,11 @@ window to window.
 A `Shelf` holds blocks side by side in arrays that windows share: what one has of another is neither copied nor kept twice.
 """
 
-import json
 import math
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,6 @@ from vlp16emu.foliage.filling import filled
 from vlp16emu.foliage.stems import stem_lines
 from vlp16emu.foliage.tiles import FarTile
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
-from vlp16emu.store import Bundle
 from vlp16emu.types import F8, I8, U4, U8
 
 T = TypeVar("T", bound=np.generic)
@@ -93,28 +91,26 @@ def _span(library: Library, which: I8, relative: F8, lines: F8, ground_m: F8) ->
     return float(low.min()), float(high.max())
 
 
-def packed_block(block: Block, library: Library, names: Sequence[str]) -> Bundle:
-    """Put a block into arrays, with its laws by the names of shapes: libraries have them in an order of their own."""
+def packed_block(block: Block, library: Library, names: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a block, with its laws by the names of shapes: libraries have them in an order of their own."""
     laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
     shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
     used, of = np.unique(shape, return_inverse=True)
     return {
-        **{field.name: np.asarray(getattr(block, field.name)) for field in fields(block)},
+        **{field.name: getattr(block, field.name) for field in fields(block)},
         "owner": _with_law(block.owner, law),
         "law_shape": of,
         "law_mesh": laws.astype(np.int64) - library.first_law[shape],
-        "shapes": np.frombuffer(json.dumps([names[i] for i in used.tolist()]).encode(), np.uint8),
+        "shapes": [names[i] for i in used.tolist()],
     }
 
 
-def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -> Block:
-    """Take a block out of arrays, for a library with shapes at these places by name."""
-    rest = dict(bundle)
-    which = np.array([place[name] for name in json.loads(rest.pop("shapes").tobytes())], np.int64)
-    law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")
-    owner = rest["owner"].astype(np.uint64, copy=False)
-    rest["owner"] = _with_law(owner, law[(owner >> LAW_BIT) & LAW_MASK])
-    return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]
+def unpacked_block(kept: dict[str, Any], library: Library, place: Mapping[str, int]) -> Block:
+    """Return the block of such fields, for a library with shapes at these places by name."""
+    which = np.array([place[name] for name in kept.pop("shapes")], np.int64)
+    law = library.first_law[which[kept.pop("law_shape")]] + kept.pop("law_mesh")
+    kept["owner"] = _with_law(kept["owner"], law[(kept["owner"] >> LAW_BIT) & LAW_MASK])
+    return Block(**kept)
 
 
 def _with_law(owner: U8, law: I8) -> U8:

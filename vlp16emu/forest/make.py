@@ -10,8 +10,8 @@ from vlp16emu.forest.given.tree_model import TreeModels
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.settings import Forest, Plot, Woods
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.settings import Forest, Plot, Woods
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.types import Array, World

@@ -9,8 +9,7 @@ from vlp16emu.forest.ground.triangles import ground_triangles
 from vlp16emu.types import Array, HeightField, IntArray, Mesh
 from vlp16emu.world.polyline import Polyline
 
-TILE_M = 20.0
-"""Edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y."""
+TILE_M = 20.0  # edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y.
 _HALF_DIAGONAL_M = TILE_M / 2 * np.sqrt(2.0)
 _SKIRT_M = 0.5  # depth of the hem under a tile's border, which hides the seams that rounding leaves
 

@@ -13,9 +13,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vlp16emu.checked import PACKAGE, CheckedFolder, digest_of, read_checked
+from vlp16emu.store import PACKAGE, Store, digest_of, read_checked
 
-SOURCES = (
+SOURCES = (  # files and folders of kernels, and of what kernels take
     "elementary.py",
     "extras/live",
     "extras/recorded",
@@ -32,11 +32,9 @@ SOURCES = (
     "units.py",
     "world",
 )
-"""Files and folders of kernels, and of what kernels take."""
 _SUFFIX = ".kernel"
 _MOST_BYTES = 100_000_000
-_PACKAGED = PACKAGE / "_kernels"
-"""Kernels that a wheel carries."""
+_PACKAGED = PACKAGE / "_kernels"  # kernels that a wheel carries
 
 
 class KernelCache:
@@ -57,10 +55,6 @@ class KernelCache:
         folders = _PACKAGED, user_kernels().own
         return any(folder and (folder / self._file(signature)).exists() for folder in folders)
 
-    def give_up(self, signature: object) -> None:
-        """Keep nothing in the place of a kernel that cannot be compiled, so that it is not tried at each start."""
-        user_kernels().write(self._file(signature))
-
     def load_overload(self, signature: object, context: Any) -> object:
         """Load a kernel; None if there is none that is whole."""
         from numba.core.compiler import CompileResult
@@ -69,8 +63,8 @@ class KernelCache:
         if not self._is_kept:
             return None
         name = self._file(signature)
-        data = read_checked(_PACKAGED / name) or user_kernels().read(name)
-        return CompileResult._rebuild(context, *pickle.loads(data)) if data else None  # noqa: S301 - from a safe folder
+        content = read_checked(_PACKAGED / name) or user_kernels().read(name)
+        return CompileResult._rebuild(context, *pickle.loads(content)) if content else None  # noqa: S301 - from a safe folder
 
     def save_overload(self, signature: object, result: Any) -> None:
         """Keep a kernel, unless only other kernels can call it or it holds addresses of this process."""
@@ -79,20 +73,24 @@ class KernelCache:
         if self._is_kept and result.entry_point is not None and not result.library.has_dynamic_globals:
             user_kernels().write(self._file(signature), dumps(result._reduce()))
 
+    def give_up(self, signature: object) -> None:
+        """Keep nothing in the place of a kernel that cannot be compiled, so that it is not tried at each start."""
+        user_kernels().write(self._file(signature), b"")
+
     def _file(self, signature: object) -> str:
         types = str(getattr(signature, "args", signature))
         return f"{_state()}-{self._name}-{hashlib.sha256(types.encode()).hexdigest()[:20]}{_SUFFIX}"
 
 
 @cache
-def user_kernels() -> CheckedFolder:
+def user_kernels() -> Store:
     """Folder of the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
     from platformdirs import user_cache_path
 
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     ours = user_cache_path("vlp16emu", appauthor=False)
     folder = Path(chosen).absolute() / "vlp16emu-kernels" if chosen else ours / "kernels"
-    return CheckedFolder(folder, _SUFFIX, _MOST_BYTES)
+    return Store(folder, _SUFFIX, _MOST_BYTES)
 
 
 def kernel_names() -> list[str]:

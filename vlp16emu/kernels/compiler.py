@@ -33,8 +33,7 @@ _TABLE = Path(__file__).with_name("table.json")
 class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     """Dispatcher of a kernel."""
 
-    depth = 0
-    """Depth of kernels that are being compiled, each for the sake of the one before."""
+    depth = 0  # depth of kernels that are being compiled, each for the sake of the one before
 
     @classmethod
     def take_over(cls, dispatcher: CPUDispatcher) -> None:

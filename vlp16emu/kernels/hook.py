@@ -11,11 +11,10 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-_TARGETS = {
+_TARGETS = {  # targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first
     "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
     "x86-64-v2": ("popcnt", "sse4.1", "sse4.2", "ssse3"),
 }
-"""Targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first."""
 
 
 _WITHOUT_KERNELS = {"vlp16emu.pytest", "vlp16emu.kernels", "vlp16emu.kernels.hook"}

@@ -6,13 +6,12 @@ import math
 import numpy as np
 
 from vlp16emu.elementary import norm
-from vlp16emu.motion.detour import around
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.route import Route
 from vlp16emu.motion.settings import Gait, Gps, MotionSection, Static, Walk
 from vlp16emu.motion.walk import WalkMotion
-from vlp16emu.motion.way_points import way_points
+from vlp16emu.motion.way_points import around, way_points
 from vlp16emu.types import Array, HeightField, IntArray, Poses
 
 _log = logging.getLogger(__name__)

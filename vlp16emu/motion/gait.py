@@ -11,8 +11,7 @@ from vlp16emu.random import Purpose, uniform
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array
 
-AXES = 6
-"""Fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)."""
+AXES = 6  # fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)
 _HEEL_SHARPNESS = 20.0
 """A heel strike lasts 40 ms at 1.8 steps per second: assumption, from the look of trunk accelerations."""
 _LINES = 12  # sinusoids of each slow process

@@ -35,20 +35,13 @@ _READINGS_KEPT = 64  # more than `_HELD_S`, so that no second's sky is looked at
 class GnssReading:
     """Measurement of a receiver in one second, beside the ground truth."""
 
-    t_ns: int
-    """UTC, a whole second."""
-    antenna_m: Array
-    """(3,) where it truly is, world."""
-    velocity_m_s: Array
-    """(3,) how it truly moves, world."""
-    measured_m: Array
-    """(3,) where it believes to be, world."""
-    measured_m_s: Array
-    """(2,) how it believes to move, east and north."""
-    cover: float
-    """Share of the sky that is hidden."""
-    valid: bool
-    """True if it has a fix."""
+    t_ns: int  # UTC, a whole second
+    antenna_m: Array  # (3,) where it truly is, world
+    velocity_m_s: Array  # (3,) how it truly moves, world
+    measured_m: Array  # (3,) where it believes to be, world
+    measured_m_s: Array  # (2,) how it believes to move, east and north
+    cover: float  # share of the sky that is hidden
+    valid: bool  # true if it has a fix
 
 
 class Receiver:
@@ -103,6 +96,9 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
     white_m = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 0))
     white_m_s = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 1))
     slow = np.array([wander(seed, lane, second, gps.wander_s) for lane in (_EAST, _NORTH)])
+    # Fixes fail with a probability that is logistic in the cover, in spells of some 10 s.
+    odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
+    lost = _exceeded(wander(seed, _LOSS, second, _LOSS_S)) if sky else 1.0
     measured_m = antenna_m.copy()
     measured_m[:2] += grown * (gps.position_noise_m * white_m + gps.wander_m * slow)
     return GnssReading(
@@ -112,15 +108,8 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
         measured_m=measured_m,
         measured_m_s=velocity_m_s[:2] + grown * gps.velocity_noise_m_s * white_m_s,
         cover=cover,
-        valid=sky is None or not _lost(gps, seed, second, cover),
+        valid=sky is None or lost >= 0.5 + 0.5 * tanh(0.5 * odds),
     )
-
-
-def _lost(gps: Gps, seed: int, second: int, cover: float) -> bool:
-    """Return True if a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
-    odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
-    probability = 0.5 + 0.5 * tanh(0.5 * odds)
-    return _exceeded(wander(seed, _LOSS, second, _LOSS_S)) < probability
 
 
 def _exceeded(z: float) -> float:

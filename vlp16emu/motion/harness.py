@@ -20,10 +20,8 @@ from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.settings import Harness
 from vlp16emu.types import Array
 
-KNOTS_PER_S = 200
-"""Heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre."""
-NODES_PER_KNOT = 5
-"""Instants per knot at which the pack's motion is handed out: one per millisecond."""
+KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
+NODES_PER_KNOT = 5  # instants per knot at which the pack's motion is handed out: one per millisecond
 _REACH = 4  # samples needed before the first knot and after the last one of a second
 _FORGOTTEN = 39.14394658089878
 """Logarithm of 1e17. A swing that has decayed by this is under the last bit of what it was."""
@@ -73,12 +71,13 @@ class Pack:
             swing = f"swings for {_FORGOTTEN / slowest:.0f} s after a push" if slowest else "swings for ever"
             raise TrajectoryError("harness", swing, f"at most {_LONGEST_S} s: more damping or stiffer straps")
         self._memory_s = math.ceil(_FORGOTTEN / slowest)
-        self._offsets_s = np.arange(1, NODES_PER_KNOT + 1) / (NODES_PER_KNOT * KNOTS_PER_S)
+        offsets_s = np.arange(1, NODES_PER_KNOT + 1) / (NODES_PER_KNOT * KNOTS_PER_S)
         # (6, 5, 2, 6): by axis and node, stretch and its rate from their values at the knot and the forcing.
-        self._steps = np.array([[response(hz, z, s) for s in self._offsets_s] for hz in frequency_hz])
+        self._steps = np.array([[response(hz, z, s) for s in offsets_s] for hz in frequency_hz])
         # (6, 2, 2): the free swing over a second.
         self._second = np.array([response(hz, z, 1.0)[:, :2] for hz in frequency_hz])
-        self._omega = 2.0 * math.pi * np.array(frequency_hz)
+        omega = 2.0 * math.pi * np.array(frequency_hz)
+        self._stiffness, self._drag = omega * omega, 2.0 * harness.damping_ratio * omega
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
     def nodes(self, second: int) -> Array:
@@ -87,20 +86,23 @@ class Pack:
         The second of the first step is 0. The same for whatever was asked before.
         """
         pieces = self._pieces(second)
-        out = np.empty((NODES_PER_KNOT * KNOTS_PER_S + 1, AXES, 3))
-        _follow(pieces, NODES_PER_KNOT, 1.0 / (NODES_PER_KNOT * KNOTS_PER_S), out)
+        node = np.arange(NODES_PER_KNOT * KNOTS_PER_S + 1)
+        k = np.minimum(node // NODES_PER_KNOT, KNOTS_PER_S - 1)
+        s = ((node - k * NODES_PER_KNOT) * (1.0 / (NODES_PER_KNOT * KNOTS_PER_S)))[:, None]
+        a = np.moveaxis(pieces[k], -1, 0)
+        value = a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * (a[4] + s * a[5]))))
+        rate = a[1] + s * (2 * a[2] + s * (3 * a[3] + s * (4 * a[4] + s * 5 * a[5])))
+        out = np.stack([value, rate, 2 * a[2] + s * (6 * a[3] + s * (12 * a[4] + s * 20 * a[5]))], axis=-1)
         if self._harness is not None:
-            omega = self._omega
-            drag = 2.0 * self._harness.damping_ratio * omega
-            _swing(pieces, self._steps, self._state(second), omega * omega, drag, out)
+            _swing(pieces, self._steps, self._state(second), self._stiffness, self._drag, out)
         return out
 
     def _pieces(self, second: int) -> Array:
         """Trunk as polynomials (200, 6, 6) of the seconds since each knot of a second, lowest power first."""
-        samples = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1)
-        pieces = np.empty((KNOTS_PER_S, AXES, 6))
-        _interpolate(samples, _QUASI, _QUINTIC, float(KNOTS_PER_S), pieces)
-        return pieces
+        samples, n = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1), KNOTS_PER_S
+        spline = sum(share * samples[j : j + n + 5] for j, share in enumerate(_QUASI))
+        powers = [sum(share * spline[j : j + n] for j, share in enumerate(row)) for row in _QUINTIC]
+        return np.stack([KNOTS_PER_S**power * each for power, each in enumerate(powers)], axis=-1)
 
     def _state(self, second: int) -> Array:
         """Stretch and its rate (6, 2) when a second begins, at rest until the first step.
@@ -113,41 +115,10 @@ class Pack:
         return state
 
     def _push(self, second: int) -> Array:
-        state = np.zeros((AXES, 2))
-        _advance(self._pieces(second), self._steps[:, -1], state)
+        state, out = np.zeros((AXES, 2)), np.zeros((KNOTS_PER_S + 1, AXES, 3))
+        whole = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
+        _swing(self._pieces(second), whole, state, self._stiffness, self._drag, out)
         return state
-
-
-@numba.njit(cache=True, nogil=True)
-def _interpolate(samples: Array, quasi: Array, quintic: Array, per_s: float, pieces: Array) -> None:
-    """Fill pieces (n, 6, 6) of the quintic spline through samples (n + 9, 6)."""
-    coefficients = np.zeros(len(pieces) + 5)
-    for axis in range(AXES):
-        for k in range(len(coefficients)):
-            coefficients[k] = 0.0
-            for j in range(5):
-                coefficients[k] += quasi[j] * samples[k + j, axis]
-        for k in range(len(pieces)):
-            scale = 1.0
-            for p in range(6):
-                total = 0.0
-                for j in range(6):
-                    total += quintic[p, j] * coefficients[k + j]
-                pieces[k, axis, p] = total * scale
-                scale *= per_s
-
-
-@numba.njit(cache=True, nogil=True)
-def _follow(pieces: Array, per_knot: int, node_s: float, out: Array) -> None:
-    """Evaluate value and two derivatives of the pieces at the nodes (m, 6, 3)."""
-    for n in range(len(out)):
-        k = min(n // per_knot, len(pieces) - 1)
-        s = (n - k * per_knot) * node_s
-        for axis in range(AXES):
-            a = pieces[k, axis]
-            out[n, axis, 0] = a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * (a[4] + s * a[5]))))
-            out[n, axis, 1] = a[1] + s * (2 * a[2] + s * (3 * a[3] + s * (4 * a[4] + s * 5 * a[5])))
-            out[n, axis, 2] = 2 * a[2] + s * (6 * a[3] + s * (12 * a[4] + s * 20 * a[5]))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -158,17 +129,8 @@ def _stretch(step: Array, state: Array, a: Array, row: int) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _advance(pieces: Array, step: Array, state: Array) -> None:
-    for k in range(len(pieces)):
-        for axis in range(AXES):
-            y = _stretch(step[axis], state[axis], pieces[k, axis], 0)
-            v = _stretch(step[axis], state[axis], pieces[k, axis], 1)
-            state[axis, 0], state[axis, 1] = y, v
-
-
-@numba.njit(cache=True, nogil=True)
 def _swing(pieces: Array, steps: Array, state: Array, stiffness: Array, drag: Array, out: Array) -> None:
-    """Add the stretch, from its state at the first node on, to the trunk's motion (m, 6, 3)."""
+    """Add the stretch to the trunk's motion (m, 6, 3) at nodes, and bring its state from the first of them to the last."""
     per_knot = steps.shape[1]
     for axis in range(AXES):
         for n in range(len(out)):

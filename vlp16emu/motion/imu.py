@@ -13,8 +13,7 @@ from vlp16emu.random import Purpose, normal, normal_pair, uniform
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
 
-GRAVITY_M_S2 = 9.80665
-"""Standard gravity, downwards (3rd CGPM, 1901)."""
+GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
 _CHUNK = 4096  # samples of a random walk that are drawn together
 _HORIZON = 1 << 32  # chunks that the walk is long: centuries
 _WARM_UP_S = 200.0  # in which 63 % of the change by warming up is done (assumption)
@@ -25,22 +24,17 @@ _HEADING = 6  # lane of the heading's random walk, behind those of the six axes
 class Inertial:
     """Readings at n instants, in the unit's own axes."""
 
-    t_ns: IntArray
-    """(n,) UTC."""
-    angular_rate_rad_s: Array
-    """(n, 3)."""
-    specific_force_m_s2: Array
-    """(n, 3) acceleration less gravity: at rest it points up."""
-    true_angular_rate_rad_s: Array
-    """(n, 3) without errors, as the next."""
+    t_ns: IntArray  # (n,) UTC
+    angular_rate_rad_s: Array  # (n, 3)
+    specific_force_m_s2: Array  # (n, 3) acceleration less gravity: at rest it points up
+    true_angular_rate_rad_s: Array  # (n, 3) without errors, as the next
     true_specific_force_m_s2: Array
     gyro_bias_rad_s: Array
     """(n, 3) at switch-on, with what it has wandered since, as the next; what is left of an error is white noise."""
     accel_bias_m_s2: Array
     world_R_imu: Array | None = None
     """(n, 3, 3) the attitude that the unit reports, with its drift; None without `attitude`."""
-    stamp_ns: IntArray | None = None
-    """(n,) UTC by the unit's time stamps; None if that is `t_ns`."""
+    stamp_ns: IntArray | None = None  # (n,) UTC by the unit's time stamps; None if that is `t_ns`
 
 
 class ImuSampler:
@@ -48,15 +42,10 @@ class ImuSampler:
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
         self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
-        self._responses = [self._response(lane) for lane in range(2)]
-
-    def _response(self, lane: int) -> Array | None:
-        """Draw what the axes of gyroscopes (lane 0) or accelerometers show of a rate or a force (3, 3); None for that alone."""
-        scale, cross = self._imu.scale_error, self._imu.cross_axis
-        if not (scale or cross):
-            return None
-        drawn = normal(self._seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3)
-        return np.eye(3) + (cross + (scale - cross) * np.eye(3)) * drawn
+        scale, cross = imu.scale_error, imu.cross_axis
+        drawn = (normal(seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3) for lane in range(2))
+        # What the axes of gyroscopes, and of accelerometers, show of a rate or a force (3, 3).
+        self._responses = [np.eye(3) + (cross + (scale - cross) * np.eye(3)) * each for each in drawn]
 
     def late_ns(self, first: int, count: int) -> IntArray:
         """Return how long after samples first .. first + count - 1 their time stamps are: (count,)."""
@@ -79,10 +68,8 @@ class ImuSampler:
         w_errors, w_bias = self._errors_of(gyro, first, count, 0)
         force_errors, force_bias = self._errors_of(accel, first, count, 3)
         attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
-        seen_w, seen_force = (
-            true if response is None else matvec(response, true)
-            for response, true in zip(self._responses, (w, force), strict=True)
-        )
+        is_true = not (e.scale_error or e.cross_axis)
+        seen_w, seen_force = (w, force) if is_true else map(matvec, self._responses, (w, force))
         late_ns = self.late_ns(first, count)
         stamp_ns = t_ns + late_ns if late_ns.any() else None
         read = seen_w + w_errors, seen_force + force_errors

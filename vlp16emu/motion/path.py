@@ -2,16 +2,14 @@
 
 import hashlib
 import math
-from collections.abc import Mapping
-from typing import Any
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.splines import Spline, interpolant
+from vlp16emu.motion.splines import Spline, interpolant, polynomial
 from vlp16emu.store import recalled
 from vlp16emu.types import Array, HeightField, IntArray
 
@@ -24,8 +22,7 @@ _STEEPEST_DEG, _STEEPEST = 60.0, 1.7320508075688772
 """Slope of the ground along the path, and its tangent; steeper is climbed by hand (assumption)."""
 _KNOT_M = 0.25  # greatest distance between knots: resolves the ground under a walker, smoothed over a pace
 _KNOT_RAD = 0.125  # greatest turn between knots: keeps the parameter an arc length within 1e-4
-_KNOT_GROWTH = 0.2
-"""Growth of the distance between knots per metre: neighbours stay within a factor of about 1.2."""
+_KNOT_GROWTH = 0.2  # growth of the distance between knots per metre: neighbours stay within a factor of about 1.2
 _SAMPLE_M = 0.05
 _FEWEST_SAMPLES = 16  # between two waypoints: fine enough that no turn below the smallest radius hides between samples
 _PACE_M = 0.7  # length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
@@ -36,8 +33,17 @@ _GAUSS = (
     (0.0, 0.5688888888888889),
     (0.5384693101056831, 0.47862867049936647),
     (0.906179845938664, 0.23692688505618908),
-)
-"""Places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)."""
+)  # places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)
+
+
+class _Laid(NamedTuple):
+    """What decides a path."""
+
+    curve: Spline  # by arc length
+    heading_rad: Array  # (m,) at its knots, continuous
+    closed: bool  # whether the path goes on at its start; then arc lengths may go on beyond the length
+    way_points_at_m: Array  # (n,) arc length of each waypoint
+    xy_m: Array  # (m, 2) points of the path 0.25 m apart at most
 
 
 class Path:
@@ -59,16 +65,10 @@ class Path:
 
     def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
         name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
-        laid = recalled(name, lambda: _curve_through(way_points_m, height_m), lambda kept: kept, lambda kept: kept)
-        self._knots_m, self._coefficients = laid["knots_m"], laid["coefficients"]
-        self._heading_rad = laid["heading_rad"]
-        self.length_m = float(self._knots_m[-1])
-        self.closed = bool(laid["closed"])
-        """True if the path goes on at its start; then arc lengths may go on beyond the length."""
-        self.way_points_at_m = laid["way_points_at_m"]
-        """(n,) arc length of each waypoint."""
-        self.xy_m = laid["xy_m"]
-        """(m, 2) float64, points of the path 0.25 m apart at most."""
+        laid = recalled(name, lambda: _curve_through(way_points_m, height_m))
+        self._curve, self._heading_rad = laid.curve, laid.heading_rad
+        self.length_m = float(self._curve.breaks[-1])
+        self.closed, self.way_points_at_m, self.xy_m = laid.closed, laid.way_points_at_m, laid.xy_m
 
     def at(self, s_m: Array) -> tuple[Array, Array]:
         """Ground points (n, 3) in metres and headings (n,) in radians from east at arc lengths (n,).
@@ -83,10 +83,29 @@ class Path:
 
         The middle axis of the points is the order of the derivative. Headings are continuous, in radians.
         """
-        point_m, heading_rad = np.empty((len(s_m), 3, 3)), np.empty((len(s_m), 3))
-        curve = self._knots_m, self._coefficients, self._heading_rad, self.closed
-        _evaluate(*curve, np.ascontiguousarray(s_m), point_m, heading_rad)
-        return point_m, heading_rad
+        lap, s_m = self._on_lap(s_m)
+        powers, since_m = self._curve.within(s_m)
+        *point_m, third = (polynomial(powers, since_m, order) for order in range(4))
+        (x0, y0, _), (x1, y1, _), (x2, y2, _), (x3, y3, _) = powers[1], *point_m[1:], third
+        piece, heading_rad = self._curve.piece(s_m), np.empty((len(s_m), 3))
+        # From the knot's own heading, so that it stays continuous where atan2 does not.
+        turn = atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
+        heading_rad[:, 0] = self._heading_rad[piece] + turn + lap * (self._heading_rad[-1] - self._heading_rad[0])
+        run2 = x1 * x1 + y1 * y1
+        heading_rad[:, 1] = rate = (x1 * y2 - y1 * x2) / run2
+        heading_rad[:, 2] = (x1 * y3 - y1 * x3 - 2.0 * (x1 * x2 + y1 * y2) * rate) / run2
+        return np.ascontiguousarray(np.stack(point_m).transpose(2, 0, 1)), heading_rad
+
+    def turn_rad_m(self, s_m: Array) -> Array:
+        """Return the turn of the heading per metre (n,), the first derivative of `derivatives_at` alone."""
+        _, s_m = self._on_lap(s_m)
+        powers, since_m = self._curve.within(s_m)
+        (x1, y1), (x2, y2) = (polynomial(powers[:, :2], since_m, order) for order in (1, 2))
+        return np.asarray((x1 * y2 - y1 * x2) / (x1 * x1 + y1 * y1))
+
+    def _on_lap(self, s_m: Array) -> tuple[Array, Array]:
+        lap = np.floor(s_m / self.length_m) if self.closed else np.zeros(len(s_m))
+        return lap, np.clip(s_m - lap * self.length_m, 0.0, self.length_m)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -103,8 +122,8 @@ def limit_slope(values: Array, step: Array) -> None:
         values[i] = min(values[i], values[i + 1] + step[i])
 
 
-def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, NDArray[Any]]:
-    """Curve through waypoints (w, 2) over the ground, as arrays; closed where the last waypoint is the first.
+def _curve_through(way_points_m: Array, height_m: HeightField) -> _Laid:
+    """Curve through waypoints (w, 2) over the ground; closed where the last waypoint is the first.
 
     The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
     quintic, since the second time derivative of the heading takes three derivatives of the position.
@@ -127,17 +146,10 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
     solid = _spline(along_m, np.column_stack([plan(along_m), z_m(along_m)]), closed)
     _check_slope(solid, along_m, origin_m)
     spline, knots_m = _by_length(solid, along_m, closed)
-    coefficients, tangent = spline.powers.copy(), spline(knots_m, 1)
-    coefficients[0] += origin_m
-    return {
-        "knots_m": knots_m,
-        # (6, pieces, 3): powers of the distance into the piece, lowest first.
-        "coefficients": np.ascontiguousarray(coefficients),
-        "heading_rad": np.unwrap(atan2(tangent[:, 1], tangent[:, 0])),
-        "closed": np.array(closed),
-        "way_points_at_m": knots_m[at_way_points],
-        "xy_m": np.ascontiguousarray((spline(knots_m) + origin_m)[:, :2]),
-    }
+    xy_m = np.ascontiguousarray((spline(knots_m) + origin_m)[:, :2])
+    spline.powers[0] += origin_m
+    east, north, _ = spline(knots_m, 1).T
+    return _Laid(spline, np.unwrap(atan2(north, east)), closed, knots_m[at_way_points], xy_m)
 
 
 def _check_way_points(way_points_m: Array) -> None:
@@ -265,37 +277,3 @@ def _check_slope(solid: Spline, along_m: Array, origin_m: Array) -> None:
             f"at most {_STEEPEST_DEG:g} degrees",
             at_m=(float(x_m), float(y_m)),
         )
-
-
-@numba.njit(cache=True, nogil=True)
-def _evaluate(
-    knots_m: Array,
-    coefficients: Array,
-    heading_at_knot: Array,
-    closed: bool,
-    s_m: Array,
-    point_m: Array,
-    heading_rad: Array,
-) -> None:
-    length_m, last = knots_m[-1], knots_m.size - 2
-    for i in range(s_m.size):
-        lap = math.floor(s_m[i] / length_m) if closed else 0.0
-        s = min(max(s_m[i] - lap * length_m, 0.0), length_m)
-        piece = min(np.searchsorted(knots_m, s, side="right") - 1, last)
-        d = s - knots_m[piece]
-        c = coefficients[:, piece, :]
-        for a in range(3):
-            point_m[i, 0, a] = (((((c[5, a] * d + c[4, a]) * d + c[3, a]) * d + c[2, a]) * d + c[1, a]) * d) + c[0, a]
-            slope = ((5.0 * c[5, a] * d + 4.0 * c[4, a]) * d + 3.0 * c[3, a]) * d + 2.0 * c[2, a]
-            point_m[i, 1, a] = slope * d + c[1, a]
-            point_m[i, 2, a] = ((20.0 * c[5, a] * d + 12.0 * c[4, a]) * d + 6.0 * c[3, a]) * d + 2.0 * c[2, a]
-        x3 = (60.0 * c[5, 0] * d + 24.0 * c[4, 0]) * d + 6.0 * c[3, 0]
-        y3 = (60.0 * c[5, 1] * d + 24.0 * c[4, 1]) * d + 6.0 * c[3, 1]
-        x1, y1, x2, y2 = point_m[i, 1, 0], point_m[i, 1, 1], point_m[i, 2, 0], point_m[i, 2, 1]
-        # From the knot's own heading, so that it stays continuous where atan2 does not.
-        turn = atan2(c[1, 0] * y1 - c[1, 1] * x1, c[1, 0] * x1 + c[1, 1] * y1)
-        heading_rad[i, 0] = heading_at_knot[piece] + turn + lap * (heading_at_knot[-1] - heading_at_knot[0])
-        run2 = x1 * x1 + y1 * y1
-        rate = (x1 * y2 - y1 * x2) / run2
-        heading_rad[i, 1] = rate
-        heading_rad[i, 2] = (x1 * y3 - y1 * x3 - 2.0 * (x1 * x2 + y1 * y2) * rate) / run2

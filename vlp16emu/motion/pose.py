@@ -15,14 +15,10 @@ from vlp16emu.types import Array, IntArray, Poses
 class Kinematics(Poses):
     """Poses of a body at n instants with the exact derivatives of the same function."""
 
-    world_v_body_m_s: Array
-    """(n, 3) its velocity."""
-    world_a_body_m_s2: Array
-    """(n, 3) its acceleration, without gravity."""
-    body_w_rad_s: Array
-    """(n, 3) angular rate of the body, in body axes."""
-    body_alpha_rad_s2: Array
-    """(n, 3) time derivative of `body_w_rad_s`."""
+    world_v_body_m_s: Array  # (n, 3) its velocity
+    world_a_body_m_s2: Array  # (n, 3) its acceleration, without gravity
+    body_w_rad_s: Array  # (n, 3) angular rate of the body, in body axes
+    body_alpha_rad_s2: Array  # (n, 3) time derivative of `body_w_rad_s`
 
 
 class Motion(Protocol):

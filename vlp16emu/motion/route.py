@@ -4,14 +4,13 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
-import numba
 import numpy as np
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.path import Path, limit_slope
 from vlp16emu.motion.settings import Walk
-from vlp16emu.motion.splines import powers
+from vlp16emu.motion.splines import Spline, powers
 from vlp16emu.types import Array
 
 Stops = Sequence[tuple[float, float]]
@@ -22,6 +21,7 @@ _DEGREE = 5
 _REACH = 3  # knots to either side over which a quintic B-spline takes its mean
 _CELL_M = 0.02
 _LOOKS = 4  # length over which acceleration is constant before smoothing, and how often turns are looked up in it
+_BLOCK = 16_384
 _LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together
 _HALVINGS = 24  # of the range of cruise speeds, when the run time is given
 
@@ -44,8 +44,7 @@ class Route:
             found = f"found {walk.laps} on an open path"
             raise TrajectoryError("laps", found, "1, back_and_forth = true, or a last waypoint on the first")
         self._path = path
-        self.length_m = walk.laps * path.length_m
-        """Length of all laps."""
+        self.length_m = walk.laps * path.length_m  # length of all laps
         stops = list(zip(path.way_points_at_m.tolist(), pause_s.tolist(), strict=True))
         stops = [stop for stop in stops if stop[1] > 0.0]
         stops += [(stop.at_m, stop.pause_s) for stop in walk.stops if stop.at_m is not None]
@@ -53,12 +52,10 @@ class Route:
         laps = [
             ((lap + at_m / path.length_m) * path.length_m, stop_s) for lap in range(walk.laps) for at_m, stop_s in stops
         ]
-        self._profile = Profile(self.length_m, lambda s_m: path.derivatives_at(s_m)[1][:, 1], walk, laps)
+        self._profile = Profile(self.length_m, path.turn_rad_m, walk, laps)
         self._stand_s = walk.stand_s
-        self.run_time_s = walk.stand_s + self._profile.run_time_s
-        """Time from the start to the last motion."""
-        self.speed_m_s = self._profile.speed_m_s
-        """Cruise speed."""
+        self.run_time_s = walk.stand_s + self._profile.run_time_s  # time from the start to the last motion
+        self.speed_m_s = self._profile.speed_m_s  # cruise speed
 
     def at(self, elapsed_s: Array) -> tuple[Array, Array]:
         """Foot point at times (n,) since the start, before any gait; before the first step and after the run time at rest.
@@ -101,8 +98,7 @@ class Profile:
         bounds_m, pauses_s = _rests(stops, length_m)
         legs = [_Leg(start_m, end_m, turn_rad_m, walk) for start_m, end_m in pairwise(bounds_m.tolist())]
         self._step_s, run_time_s = _KNOT_S, walk.run_time_s
-        self.speed_m_s = walk.speed_m_s
-        """Cruise speed."""
+        self.speed_m_s = walk.speed_m_s  # cruise speed
         if run_time_s is not None:
             self.speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), length_m)
         at_s, control_m = _sampled(legs, pauses_s, self.speed_m_s)
@@ -111,14 +107,16 @@ class Profile:
             # The search ends a hair below the time given; stretched, no limit is passed.
             self._step_s *= run_time_s / self.run_time_s
             self.run_time_s = run_time_s
-        self._coefficients = _pieces(control_m)
+        knots = np.arange(len(control_m) + _DEGREE + 1.0) - _DEGREE  # in steps
+        at = knots[_DEGREE:-_DEGREE]
+        self._along_m = Spline(at, powers(at, knots, control_m[:, None], _DEGREE))
 
     def at(self, elapsed_s: Array) -> tuple[Array, Array, Array]:
         """Arc lengths in m, speeds in m/s and accelerations in m/s^2, each (n,), at times (n,) since the start."""
-        along_m, speed_m_s, acceleration_m_s2 = (np.empty(len(elapsed_s)) for _ in range(3))
-        steps = self._coefficients, self._step_s, self.run_time_s, np.ascontiguousarray(elapsed_s)
-        _evaluate(*steps, along_m, speed_m_s, acceleration_m_s2)
-        return along_m, speed_m_s, acceleration_m_s2
+        steps = np.clip(elapsed_s, 0.0, self.run_time_s) / self._step_s
+        along_m, rate, second = (self._along_m(steps, order)[:, 0] for order in range(3))
+        # Rounding at rest must not walk backwards.
+        return along_m, np.maximum(rate, 0.0) / self._step_s, second / (self._step_s * self._step_s)
 
 
 _PADDING_S = (2 * _REACH - 1) * _KNOT_S
@@ -131,7 +129,8 @@ class _Leg:
     def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
-        turn = -_least_within(-np.abs(turn_rad_m(looked_m)), _LOOKS // 2)[::_LOOKS]
+        blocks = np.array_split(looked_m, 1 + len(looked_m) // _BLOCK)  # a path of 100 km has 20 million places
+        turn = -_least_within(-np.abs(np.concatenate([*map(turn_rad_m, blocks)])), _LOOKS // 2)[::_LOOKS]
         yaw_rate_rad_s = math.radians(walk.yaw_rate_deg_s)
         self._turn_limit_m_s = yaw_rate_rad_s / np.maximum(turn, yaw_rate_rad_s / _MAX_SPEED_M_S)
         self._cell_m = (end_m - start_m) / cells
@@ -156,12 +155,6 @@ class _Leg:
         """Return the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
         with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
-
-
-def _pieces(control_m: Array) -> Array:
-    """Pieces of the quintic B-spline with these control points (c,): (6, c - 5), powers of a step's share, lowest first."""
-    knots = np.arange(len(control_m) + _DEGREE + 1.0) - _DEGREE
-    return np.ascontiguousarray(powers(knots[_DEGREE:-_DEGREE], knots, control_m[:, None], _DEGREE)[..., 0])
 
 
 def _least_within(values: Array, reach: int) -> Array:
@@ -235,25 +228,3 @@ def _sampled(legs: Sequence[_Leg], pauses_s: Array, cruise_m_s: float) -> tuple[
         mean = speeds[cell] + (speeds[cell + 1] - speeds[cell]) * t / dt / 2
         control_m[first:] = np.where(since < times[-1], at_m[cell] + mean * t, at_m[-1])
     return duration_s, control_m
-
-
-@numba.njit(cache=True, nogil=True)
-def _evaluate(
-    coefficients: Array,
-    step_s: float,
-    run_time_s: float,
-    elapsed_s: Array,
-    along_m: Array,
-    speed_m_s: Array,
-    acceleration_m_s2: Array,
-) -> None:
-    last = coefficients.shape[1] - 1
-    for i in range(elapsed_s.size):
-        steps = min(max(elapsed_s[i], 0.0), run_time_s) / step_s
-        piece = min(int(steps), last)
-        d, c = steps - piece, coefficients[:, piece]
-        along_m[i] = ((((c[5] * d + c[4]) * d + c[3]) * d + c[2]) * d + c[1]) * d + c[0]
-        rate = (((5.0 * c[5] * d + 4.0 * c[4]) * d + 3.0 * c[3]) * d + 2.0 * c[2]) * d + c[1]
-        second = ((20.0 * c[5] * d + 12.0 * c[4]) * d + 6.0 * c[3]) * d + 2.0 * c[2]
-        speed_m_s[i] = max(rate, 0.0) / step_s  # rounding at rest must not walk backwards
-        acceleration_m_s2[i] = second / (step_s * step_s)

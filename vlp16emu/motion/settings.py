@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from vlp16emu.doors import door
 from vlp16emu.settings import Angle, Fraction, NonNegative, Place, Preset, SceneFile, Section, Seed, Size
 
 if TYPE_CHECKING:  # scenes are read without numpy
@@ -20,6 +21,7 @@ _Error = Annotated[float, Field(ge=0, le=1000)]
 _Frequency = Annotated[float, Field(ge=0.5, le=1e9)]
 _Offset = Annotated[float, Field(ge=-10, le=10)]
 _Point = Annotated[tuple[float, float], Field(strict=False)]
+_Place = Annotated[tuple[Place, Place], Field(strict=False)]
 _Swing = Annotated[float, Field(ge=0, le=45)]
 
 
@@ -233,19 +235,12 @@ class Mast(Harness):
     """
 
     fore_aft_hz: _Frequency = 8.0
-    """Undamped natural frequency, forwards and backwards."""
     sideways_hz: _Frequency = 8.0
-    """The same to the sides."""
     vertical_hz: _Frequency = 50.0
-    """The same up and down."""
     roll_hz: _Frequency = 8.0
-    """The same about the forward axis."""
     pitch_hz: _Frequency = 8.0
-    """The same about the axis to the left."""
     yaw_hz: _Frequency = 15.0
-    """The same about the vertical axis."""
     damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.05
-    """Share of critical damping, on all axes."""
 
 
 class Walk(MotionSection):
@@ -309,6 +304,32 @@ class Walk(MotionSection):
             return carrier
         bent: Motion = carrier.bent(self.mast)  # type: ignore[attr-defined]  # `WalkMotion`, which this file does not load
         return bent
+
+
+class Live(MotionSection):
+    """Poses that come in while the run is streamed, from a simulator, motion capture or a joystick."""
+
+    kind: Literal["live"]
+    """Selects poses that come in."""
+    path_m: Annotated[list[_Place], Field(min_length=1, default_factory=lambda: [(0.0, 0.0)])]
+    """x and y where the body is expected, one or more; plants keep clear of the line through them, and in a forest the body
+    stays within 35 m of the rectangle around them."""
+    smoothing_s: Annotated[float, Field(ge=0.005, le=1)] = 0.02
+    """Time constant with which the body is led to where poses show it. It lags by its square times the acceleration, and
+    not at all at constant speed."""
+    flown: SceneFile | None = None
+    """Motion that a stream has written by `--flown`: the run is repeated byte for byte, and no poses come in."""
+
+    def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
+        """Return the motion that follows the poses, and `path_m`."""
+        import numpy as np
+
+        return door("live_motion")(self, start_ns), np.array(self.path_m)
+
+
+def takes_poses(motion: Section) -> bool:
+    """Return whether poses come in, and nothing is repeated."""
+    return isinstance(motion, Live) and motion.flown is None
 
 
 class Imu(Preset):

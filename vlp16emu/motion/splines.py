@@ -20,18 +20,29 @@ _WRAPPED = 64
 class Spline:
     """A curve in pieces, each a polynomial of the distance into it."""
 
-    breaks: Array
-    """(n,) where pieces begin, and where the last one ends."""
-    powers: Array
-    """(degree + 1, n - 1, m) coefficients, lowest power first."""
+    breaks: Array  # (n,) where pieces begin, and where the last one ends
+    powers: Array  # (degree + 1, n - 1, m) coefficients, lowest power first
+
+    def piece(self, x: Array) -> IntArray:
+        """Return the pieces in which parameters (k,) lie; the outer ones go on beyond the ends."""
+        return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
+
+    def within(self, x: Array) -> tuple[Array, Array]:
+        """Return the coefficients (degree + 1, m, k) at parameters (k,), and the distances (k,) into their pieces."""
+        piece = self.piece(x)
+        return np.take(np.moveaxis(self.powers, 1, -1), piece, axis=-1), x - self.breaks[piece]
 
     def __call__(self, x: Array, derivative: int = 0) -> Array:
-        """Values (k, m) of the curve or a derivative at (k,) parameters; the outer pieces go on beyond the ends."""
-        piece = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
-        since, out = (x - self.breaks[piece])[:, None], np.zeros((len(x), self.powers.shape[2]))
-        for power in range(len(self.powers) - 1, derivative - 1, -1):
-            out = out * since + self.powers[power, piece] * math.perm(power, derivative)
-        return out
+        """Values (k, m) of the curve or a derivative at (k,) parameters."""
+        return polynomial(*self.within(x), derivative).T
+
+
+def polynomial(powers: Array, x: Array, derivative: int = 0) -> Array:
+    """Values of polynomials with coefficients (degree + 1, m, k), lowest power first, at x (k,), or of a derivative."""
+    value = np.zeros(powers.shape[1:])
+    for power in range(len(powers) - 1, derivative - 1, -1):
+        value = value * x + powers[power] * math.perm(power, derivative)
+    return value
 
 
 def interpolant(

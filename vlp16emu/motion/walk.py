@@ -99,7 +99,7 @@ class WalkMotion:
         return [(int(seconds[part[0]]), part) for part in parts if len(part)]
 
     def _sway(self, first: int, count: int) -> Array:
-        """Sample the trunk's motion (count, 6) at knots from `first` on."""
+        """Sample the trunk's motion (count, 6) as `_pushes` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
         return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))

@@ -1,4 +1,4 @@
-"""Waypoints of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot."""
+"""Waypoints of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot; and those that lead around what is in the way."""
 
 import math
 from collections import Counter
@@ -11,6 +11,7 @@ import numpy as np
 from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.motion.geodesy import to_local
+from vlp16emu.motion.path import Path as Curve
 from vlp16emu.motion.settings import Gps, LawnMower, Walk
 from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import Array
@@ -18,7 +19,11 @@ from vlp16emu.types import Array
 _FARTHEST_M = 100_000.0  # farther from the scene's origin the plane of the map is no picture of the earth
 _POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
 _GEODETIC = {"lat": Column({"lat": 1.0}, -90.0, 90.0), "lon": Column({"lon": 1.0}, -180.0, 180.0)}
-_STOP = Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False)
+_CSV = {
+    "x_m": Column({"x_m": 1.0, "x": 1.0}),
+    "y_m": Column({"y_m": 1.0, "y": 1.0}),
+    "stop_s": Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False),
+}
 _LOOP_RADIUS_M = 0.5  # of the turn behind each end of a way back and forth: a step to the side, and round (assumption)
 _LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from end to end is no way to go back on
 
@@ -27,10 +32,8 @@ _LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from 
 class WayPoints:
     """Places to pass, in order."""
 
-    xy_m: Array
-    """(n, 2) world."""
-    pause_s: Array
-    """(n,) how long the person stops there, 0 where the walk goes on."""
+    xy_m: Array  # (n, 2) world
+    pause_s: Array  # (n,) how long the person stops there, 0 where the walk goes on
 
 
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
@@ -94,20 +97,11 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
     """
     kind = path.suffix.lower()
     if kind == ".csv":
-        return _read_csv(path, origin_m)
-    if kind == ".gpx":
-        return _read_gpx(path, gps)
-    raise TrajectoryError(str(path), f"found the ending {kind!r}", ".csv or .gpx")
-
-
-def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
-    columns = {"x_m": Column({"x_m": 1.0, "x": 1.0}), "y_m": Column({"y_m": 1.0, "y": 1.0}), "stop_s": _STOP}
-    table = read_table(path, columns, "a CSV with the columns x_m, y_m and, if wanted, stop_s", TrajectoryError)
-    return WayPoints(table.numbers("x_m", "y_m") - np.array(origin_m), np.nan_to_num(table.numbers("stop_s")))
-
-
-def _read_gpx(path: Path, gps: Gps) -> WayPoints:
-    """Read a track or route onto the plane at the scene's origin."""
+        expected = "a CSV with the columns x_m, y_m and, if wanted, stop_s"
+        table = read_table(path, _CSV, expected, TrajectoryError)
+        return WayPoints(table.numbers("x_m", "y_m") - np.array(origin_m), np.nan_to_num(table.numbers("stop_s")))
+    if kind != ".gpx":
+        raise TrajectoryError(str(path), f"found the ending {kind!r}", ".csv or .gpx")
     with readable(path, "a GPX file", TrajectoryError):
         points, count = _gpx_points(path)
     tracks, routes = count["trk"], count["rte"]
@@ -200,3 +194,41 @@ def _straight(start_m: Array, end_m: Array, spacing_m: float) -> Array:
     """Points (n, 2) from a start until before an end; none where both are one."""
     count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)
+
+
+_TRIES = 300  # waypoints that are put beside something, or moved farther away from it
+_SPARE_M, _WIDER_M = 0.05, 0.05
+"""Beyond what is asked for, at first and more with each try at the same thing: the curve between waypoints cuts corners."""
+
+
+def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
+    """Put waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), the nearest first; the user's stay.
+
+    Raises TrajectoryError if no way around is found.
+    """
+    beside = dict[int, tuple[int, Array]]()  # tries and waypoint by place
+    for _ in range(_TRIES):
+        path = Curve(points.xy_m, lambda x, _y: np.zeros_like(x))
+        apart_m = np.array([norm(path.xy_m - place_m) for place_m in places_m])
+        short_m = gaps_m - apart_m.min(axis=1)
+        worst = int(short_m.argmax())
+        if short_m[worst] <= 0:
+            return points
+        tries, before = beside.get(worst, (0, None))
+        nearest = int(apart_m[worst].argmin())
+        aside = path.xy_m[nearest] - places_m[worst] if before is None else before - places_m[worst]
+        if norm(aside) < _SPARE_M:  # through its middle: to the left
+            ahead = path.xy_m[min(nearest + 1, len(path.xy_m) - 1)] - path.xy_m[max(nearest - 1, 0)]
+            aside = np.array([-ahead[1], ahead[0]])
+        to_m = places_m[worst] + aside / norm(aside) * (gaps_m[worst] + _SPARE_M + tries * _WIDER_M)
+        beside[worst] = tries + 1, to_m
+        if before is None:
+            along_m = norm(np.diff(path.xy_m[: nearest + 1], axis=0)).sum()
+            place = int(np.clip(np.searchsorted(path.way_points_at_m, along_m), 1, len(points.xy_m) - 1))
+            points = WayPoints(np.insert(points.xy_m, place, to_m, axis=0), np.insert(points.pause_s, place, 0.0))
+        else:
+            xy_m = np.where((points.xy_m == before).all(axis=1)[:, None], to_m, points.xy_m)
+            points = WayPoints(xy_m, points.pause_s)
+    x_m, y_m = places_m[worst]
+    found = f"no way found around what is at ({x_m:g}, {y_m:g}) m"
+    raise TrajectoryError("world.on_conflict", found, 'another path, a smaller path_clearance_m, or "drop"')

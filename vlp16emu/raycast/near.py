@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.batch import PulseBatch, batch_of
 from vlp16emu.raycast.beam import FARTHEST, LINE, Footprint, beam_axis_of
-from vlp16emu.raycast.build import EmbreeMesh, Placed, Shape, shape_of
+from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
 from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.faces import inverses, relative_to_window
 from vlp16emu.raycast.kernel import Cast, cast_lines, cast_pulses
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
-from vlp16emu.store import Bundle, recalled
+from vlp16emu.store import recalled
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
 
@@ -173,15 +173,4 @@ class EmbreeCaster:
 
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
         name, world = self._world.shape_name(key), self._world
-        return EmbreeMesh(recalled(name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed, _unpacked))
-
-
-def _packed(shape: Shape) -> Bundle:
-    named = {f"{i} {j}": array for i, faces in enumerate(shape.faces) for j, array in enumerate(faces)}
-    return {"radius_m": np.array(shape.radius_m), "begin": shape.begin, "boxes_m": shape.boxes_m, **named}
-
-
-def _unpacked(bundle: Bundle) -> Shape:
-    meshes = bundle["begin"].shape[1]
-    faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
-    return Shape(faces, bundle["begin"], bundle["boxes_m"], float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
+        return EmbreeMesh(recalled(name and f"faces {name}", lambda: shape_of(world.shape(key))))

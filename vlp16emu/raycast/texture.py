@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
-from vlp16emu.types import F4, F8, U2, U4, Firings, Hits, PlantPart
+from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart
 
 _GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.4, 0.15, 0.15
 """Sizes of patches, of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are equal as
@@ -21,17 +21,20 @@ _SPREAD = math.sqrt(3.0)
 """Half-width of an even distribution of variance one."""
 _CELL_BITS = 2
 """Four patches across have a contrast of their own: a wall, a floor or bark is made of such surfaces."""
-_LN_STRENGTH = 1.0
+_LN_STRENGTH = 1.2
 """Spread of the logarithm of the contrast over surfaces: the scatter of reflectivity, with white errors, has 0.65 to 0.74 on real units."""
 _NORMAL = np.array([0.078, 0.237, 0.402, 0.579, 0.776, 1.01, 1.318, 1.863])
-_STRENGTH = exp(_LN_STRENGTH * np.concatenate([-_NORMAL, _NORMAL]) - _LN_STRENGTH * _LN_STRENGTH) * 1.2264
+_STRENGTH = exp(_LN_STRENGTH * np.concatenate([-_NORMAL, _NORMAL]) - _LN_STRENGTH * _LN_STRENGTH) * 1.4229
 """Sixteen equal shares of a log-normal distribution by the middle of each, with a mean square of one."""
-_FLATTEST, _DARKEST = 0.15, 0.05
-"""Cosine of incidence at which the contrast no longer grows, as unevenness turns a slanted surface by more of its cosine; and the least
-brightness."""
+_FLATTEST = 0.15
+"""Cosine of incidence at which the contrast no longer grows, as unevenness turns a slanted surface by more of its cosine."""
 _STANDING_OUT = math.sqrt(11.0)
 """Half-width for the fifth power of an even distribution: most of a wall is flat, and little of it stands out far."""
+_RELIEF = 0.5537
+"""Least relief of a surface over that of the settings, and what its contrast adds: surfaces are not equally even, and the mean square is one."""
 _TEXTURE = ZERO + Purpose.TEXTURE
+_Known = tuple[I8, F8]
+"""Cells (4, L, 3) that pulses of each laser met last, and what was drawn for them (4, L): patch and surface, of texture and of relief."""
 
 
 def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> Hits:
@@ -50,8 +53,9 @@ def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int
     out = replace(hits, range_m=hits.range_m.copy(), cos_incidence=hits.cos_incidence.copy())
     columns = [np.ascontiguousarray(surfaces[name]) for name in ("texture", "reflectance", "relief_m")]
     grid_m = np.where(surfaces["part"] == PlantPart.NONE, _GRID_M, _BARK_GRID_M)
-    rays = hits.count, hits.range_m, hits.surface
-    _texture(firings.origin_m, firings.direction, rays, *columns, grid_m, seed, out.range_m, out.cos_incidence)
+    rays, lasers = (hits.count, hits.range_m, hits.surface), hits.count.shape[1]
+    known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
+    _texture(firings.origin_m, firings.direction, rays, *columns, grid_m, seed, known, out.range_m, out.cos_incidence)
     return out
 
 
@@ -65,6 +69,7 @@ def _texture(
     relief_m: F4,
     grid_m: F8,
     seed: int,
+    known: _Known,
     out_m: F4,
     cosine: F4,
 ) -> None:
@@ -81,20 +86,25 @@ def _texture(
                 if texture[row] != 0.0:
                     if abs(range_m[ray] - patch_m) > _SAME_M:
                         patch_m = at_m
-                        drawn, strength = _of_patch(seed, 1.0 / grid_m[row], origin_m, direction, i, j, at_m)
+                        drawn, strength = _of_patch(seed, 1.0 / grid_m[row], origin_m, direction, i, j, at_m, 0, known)
                         patch = _SPREAD * (2.0 * drawn - 1.0) * strength
                     slant = 0.5 + 0.5 / max(np.float64(cosine[ray]), _FLATTEST)
-                    bright = max(1.0 + texture[row] * slant * patch, _DARKEST)
+                    more = texture[row] * slant * patch
+                    bright = 1.0 + more if more >= 0.0 else 1.0 / (1.0 - more)
                     cosine[ray] *= np.float32(min(bright, max(1.0, 1.0 / reflectance[row])))
                 if relief_m[row] > 0.0:
-                    drawn, _ = _of_patch(seed, 1.0 / _RELIEF_GRID_M, origin_m, direction, i, j, at_m)
+                    drawn, strength = _of_patch(seed, 1.0 / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known)
                     even = 2.0 * drawn - 1.0
                     square = even * even
-                    out_m[ray] += relief_m[row] * _STANDING_OUT * (square * square * even)
+                    out_m[ray] += (
+                        relief_m[row] * _STANDING_OUT * (square * square * even) * (_RELIEF + _RELIEF * strength)
+                    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _of_patch(seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float) -> tuple[float, float]:
+def _of_patch(
+    seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, slot: int, known: _Known
+) -> tuple[float, float]:
     """Draw a number in [0, 1) of the patch at a range along a pulse (i, j), and the contrast of the surface that it is part of.
 
     Folds make the borders of a grid's cells crooked.
@@ -102,14 +112,22 @@ def _of_patch(seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: i
     x = per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0])
     y = per_m * (origin_m[i, j, 1] + at_m * direction[i, j, 1])
     z = per_m * (origin_m[i, j, 2] + at_m * direction[i, j, 2])
-    u = math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y))
-    v = math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z))
-    w = math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x))
-    drawn, _ = _of_cell(seed, np.int64(u), np.int64(v), np.int64(w), 0)
-    _, share = _of_cell(seed, np.int64(u) >> _CELL_BITS, np.int64(v) >> _CELL_BITS, np.int64(w) >> _CELL_BITS, 1)
+    u = np.int64(math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y)))
+    v = np.int64(math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z)))
+    w = np.int64(math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x)))
+    drawn = _of_cell(seed, u, v, w, slot, j, known)
+    share = _of_cell(seed, u >> _CELL_BITS, v >> _CELL_BITS, w >> _CELL_BITS, slot + 1, j, known)
     return drawn, _STRENGTH[np.int64(share * len(_STRENGTH))]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _of_cell(seed: int, u: int, v: int, w: int, kind: int) -> tuple[float, float]:
-    return uniform_pair(seed, _TEXTURE, (u & 0xFFFFFFFF) | (v << 32), (w << 1 | kind) & 0xFFFFFFFF)
+def _of_cell(seed: int, u: int, v: int, w: int, slot: int, j: int, known: _Known) -> float:
+    """Draw a number of a cell, unless the last pulse of laser j met it too."""
+    cells, values = known
+    if cells[slot, j, 0] != u or cells[slot, j, 1] != v or cells[slot, j, 2] != w:
+        cells[slot, j, 0], cells[slot, j, 1], cells[slot, j, 2] = u, v, w
+        of_whole = slot & 1
+        lane = (w << 1 | of_whole) & 0xFFFFFFFF
+        first, second = uniform_pair(seed, _TEXTURE, (u & 0xFFFFFFFF) | (v << 32), lane)
+        values[slot, j] = second if of_whole else first
+    return values[slot, j]

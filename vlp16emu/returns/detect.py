@@ -23,21 +23,19 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.lost import lose, raised, two_surfaces
+from vlp16emu.returns.lost import lose, raised
 from vlp16emu.returns.noise import (
-    NO_RETURN_KNOT,
+    NO_RETURN_KNOTS,
     RANGE_TAIL,
     REFLECTIVITY_TAIL,
-    code_step,
     heavier,
-    no_return_multiples,
     range_sigma_m,
     reflectivity_byte,
 )
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
-from vlp16emu.types import F4, F8, I8, U1, Firings, Hits, PlantPart, Returns
+from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
@@ -82,7 +80,7 @@ def detect(
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     exact_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
-    peaks, noise = np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.zeros((3, lasers))
+    peaks, noise = np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.zeros((5, lasers))
     room = np.empty((COLUMNS, most)), peaks, np.empty(3, np.int64), noise
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
@@ -91,20 +89,18 @@ def detect(
         detector.range_beat_m,
         detector.drift_m(firings.t_ns[:, 0]),
         detector.gain,
+        detector.codes,
         firings.azimuth_deg[:, 0] // 45.0 % 2.0,
         np.zeros(lasers) if detector.no_return is None else detector.no_return,
-        surfaces["part"] == PlantPart.NONE,
+        _sheets(surfaces),
     )
     block = block or max(shape[0], 1)
     _detect(constants, first, block, errors, rays, room, distance_m, reflectivity, exact_m)
     if detector.parity is not None:
         _count_unevenly(detector.parity, distance_m)
     if detector.no_return is not None:
-        wander = detector.noise.no_return_wander
-        knots = np.zeros((0, lasers))
-        if wander:
-            knots = no_return_multiples(constants.seed, first, shape[0], detector.no_return, wander)
-        _mark_silent(constants, detector.no_return, knots, first, block, distance_m, reflectivity)
+        place = firings.azimuth_deg[:, 0] % 360.0 * (NO_RETURN_KNOTS / 360.0)
+        _mark_silent(constants, detector.no_return, detector.multiples, place, first, block, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity)
     surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
@@ -112,16 +108,23 @@ def detect(
     return Returns(firings, distance_m, reflectivity, surface, surfaces, exact_m, share)
 
 
+def _sheets(surfaces: NDArray[np.void]) -> U4:
+    """Return numbers of the sheets without gaps (m,): the ground is one, however it is cut into tiles; 0 for plants."""
+    number = np.where(surfaces["semantic"] == Semantic.GROUND, 1, np.arange(2, len(surfaces) + 2))
+    return np.where(surfaces["part"] == PlantPart.NONE, number, 0).astype(np.uint32)
+
+
 class _Errors(NamedTuple):
-    """Properties of a unit, as in `UnitDetector`; `drift_m` and `sector` (k,) at each firing sequence, `smooth` (m,) of surfaces."""
+    """Properties of a unit, as in `UnitDetector`; `drift_m` and `sector` (k,) at each firing sequence, `sheet` (m,) of surfaces."""
 
     bias_m: F8
     beat_m: F8
     drift_m: F8
     gain: F8
+    codes: U1
     sector: F8
     no_return: F8
-    smooth: NDArray[np.bool_]
+    sheet: U4
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -147,13 +150,16 @@ def _detect(
     nodes, peaks, chosen, noise = room
     stop, keeps_exact, lasers = ZERO, exact_m.shape[0] > 0, rays.counts.shape[1]
     columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
-    rates, before = constants.lost, noise[2]
+    rates, before = constants.lost, noise[2:]
     for i in range(rays.counts.shape[0]):
         n = first + i
         slot, sector = 24 * n % 5, np.int64(errors.sector[i])
         if i % block == 0:
-            before[:] = -1.0
-        if constants.range_noise_m > 0.0 or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0:
+            before[0], before[1:] = -1.0, 0.0
+        if (
+            constants.range_noise_m + constants.reflectivity_noise + constants.reflectivity_noise_share + rates.any
+            > 0.0
+        ):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
@@ -166,50 +172,57 @@ def _detect(
                     lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
-                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, error_m, gain)
+                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, error_m, gain, errors.codes[j])
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
                     if keeps_exact:
                         exact_m[i, j, column] = at_m
             elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
-                _write(constants, n, j, (error_m, gain), peaks, chosen, distance_m[i, j], reflectivity[i, j])
+                own = error_m, gain, errors.codes[j]
+                _write(constants, n, j, own, peaks, chosen, distance_m[i, j], reflectivity[i, j])
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
                         exact_m[i, j, column] = peaks[RANGE, chosen[column]]
             if rates.any > 0.0:
-                share = two_surfaces(*rays[1:], errors.smooth, start, stop) if lit > 1 else 0.0
-                key, dual = (constants.seed, n, j), not constants.strongest_only
-                lose(rates, key, share, before, errors.no_return[j], dual, distance_m[i, j], reflectivity[i, j])
+                pulse, dual = (rays, errors.sheet, start, stop), not constants.strongest_only
+                drawn, code = (noise[0, j], noise[1, j]), errors.no_return[j]
+                lose(rates, drawn, pulse, before, j, code, dual, distance_m[i, j], reflectivity[i, j])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _mark_silent(
-    constants: DetectorConstants, no_return: F8, knots: F8, first: int, block: int, distance_m: F4, reflectivity: U1
+    constants: DetectorConstants,
+    no_return: F8,
+    knots: F8,
+    place: F8,
+    first: int,
+    block: int,
+    distance_m: F4,
+    reflectivity: U1,
 ) -> None:
     """Fill in the reflectivity of pulses without any return: a constant of the laser, or a multiple of it.
 
-    Between knots (m, L) that wanders, and within a block it is raised beside a return.
+    Beside a return, within a block, it may be raised; elsewhere it wanders between knots (m, L), at a place (k,) in units of them.
     """
     rates, key = constants.lost, constants.seed
-    origin = first // NO_RETURN_KNOT
     for i in range(distance_m.shape[0]):
-        knot, rest = (first + i) // NO_RETURN_KNOT - origin, (first + i) % NO_RETURN_KNOT / NO_RETURN_KNOT
+        knot, rest = min(np.int64(place[i]), NO_RETURN_KNOTS - 1), place[i] % 1.0
         for j in range(distance_m.shape[1]):
             silent = True
             for column in range(3):
                 silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
             if silent:
-                code = no_return[j]
-                if knots.shape[0] > 0:
+                code, higher, alone = no_return[j], -1.0, False
+                if rates.raise_code > 0.0:
+                    rows = i, i // block * block, min((i // block + 1) * block, distance_m.shape[0])
+                    higher, alone = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
+                if higher < 0.0 and knots.shape[0] > 0:
                     wandered = knots[knot, j] + rest * (knots[knot + 1, j] - knots[knot, j])
                     code = min(code * max(1.0, np.floor(wandered)), _MOST_SILENT)
                 reflectivity[i, j, :_SECOND] = np.uint8(code)
-                if rates.raise_code > 0.0:
-                    rows = i, i // block * block, min((i // block + 1) * block, distance_m.shape[0])
-                    code, alone = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
-                    for column in range(_LAST if alone else _STRONGEST, _SECOND if code > 0.0 else 0):
-                        reflectivity[i, j, column] = np.uint8(code)
+                for column in range(_LAST if alone else _STRONGEST, _SECOND if higher > 0.0 else 0):
+                    reflectivity[i, j, column] = np.uint8(higher)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -285,7 +298,7 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _measure(
-    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, error_m: float, gain: float
+    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, error_m: float, gain: float, codes: U1
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity; distance 0 below the least range, and nothing beyond the greatest."""
     range_noise, other_noise = noise
@@ -302,8 +315,7 @@ def _measure(
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    step = code_step(constants.reflectivity_step, gain, range_m) if constants.reflectivity_step > 0.0 else 0.0
-    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, step)
+    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, codes)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -349,10 +361,17 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _write(
-    constants: DetectorConstants, n: int, j: int, errors: _Pair, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
+    constants: DetectorConstants,
+    n: int,
+    j: int,
+    errors: tuple[float, float, U1],
+    peaks: F8,
+    chosen: I8,
+    distance_m: F4,
+    reflectivity: U1,
 ) -> None:
     """Fill the returns (3,) of a pulse, each chosen peak measured once; none counts that is measured beyond `max_range_m`."""
-    error_m, gain = errors
+    error_m, gain, codes = errors
     for column in range(3):
         peak = chosen[column]
         if peak < 0:
@@ -371,4 +390,4 @@ def _write(
         elif peak >= 0:
             pair = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, error_m, gain)
+            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, error_m, gain, codes)

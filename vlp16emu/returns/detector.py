@@ -8,10 +8,17 @@ import numpy as np
 from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, normal
 from vlp16emu.returns.lost import loss_rates
-from vlp16emu.returns.noise import gain, no_return_reflectivity, range_beat_m, range_bias_m
+from vlp16emu.returns.noise import (
+    gain,
+    no_return_multiples,
+    no_return_reflectivity,
+    range_beat_m,
+    range_bias_m,
+    sent_codes,
+)
 from vlp16emu.returns.settings import Detector, DetectorConstants, LossRates, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
-from vlp16emu.types import F8, I8, ReturnMode
+from vlp16emu.types import F8, I8, U1, ReturnMode
 from vlp16emu.units import INCLUSIVE
 
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
@@ -33,8 +40,12 @@ class UnitDetector:
     """(5,) error of the range by (24 sequence + laser) mod 5."""
     parity: F8 | None
     """(L,) by how much the share of odd distance codes is above one half; None where it is one half."""
+    codes: U1
+    """(L, 101) code that is sent for each whole reflectivity."""
     no_return: F8 | None
     """(L,) reflectivity of records without a return, cut to whole numbers when sent; None where that is 0."""
+    multiples: F8
+    """(m, L) multiples of it by azimuth, as in `no_return_multiples`; empty where it is sent as it is."""
     noise: Noise
     power_up_ns: int
     """UTC, from which warm-up counts."""
@@ -81,20 +92,25 @@ class UnitDetector:
             range_noise_m=noise.range_noise_m * own[0],
             reflectivity_noise=noise.reflectivity_noise * own[1],
             reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
-            reflectivity_step=noise.reflectivity_step,
             heavy_tails=noise.heavy_tails,
             range_walk_m=1e-3 * noise.range_walk_mm * walk,
             lost=loss_rates(seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity),
         )
+        no_return = (
+            no_return_reflectivity(seed, lasers, noise.no_return_level) if noise.no_return_reflectivity else None
+        )
+        multiples = np.zeros((0, lasers))
+        if no_return is not None and noise.no_return_wander:
+            multiples = no_return_multiples(seed, no_return, noise.no_return_wander)
         return cls(
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
             gain=gain(seed, lasers, noise.gain_spread, noise.sector_gain_spread),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
-            no_return=no_return_reflectivity(seed, lasers, noise.no_return_level)
-            if noise.no_return_reflectivity
-            else None,
+            codes=sent_codes(seed, lasers, noise.reflectivity_step),
+            no_return=no_return,
+            multiples=multiples,
             noise=noise,
             power_up_ns=power_up_ns,
         )
@@ -110,7 +126,9 @@ class UnitDetector:
         lost = LossRates(*[0.0] * len(LossRates._fields))
         constants = self.constants._replace(strongest_only=False, lost=lost, **nothing)
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
-        return type(self)(constants, none, one, np.zeros(5), None, None, Noise(preset="ideal"), self.power_up_ns)
+        codes = sent_codes(0, len(none), 0.0)
+        nothing_more = None, codes, None, self.multiples[:0]
+        return type(self)(constants, none, one, np.zeros(5), *nothing_more, Noise(preset="ideal"), self.power_up_ns)
 
     def drift_m(self, t_ns: I8) -> F8:
         """Return the warm-up error of ranges at instants, same shape; fades exponentially from power-up on."""

@@ -1,7 +1,6 @@
 """Errors of range and reflectivity, white ones of each echo and constant ones of a unit; the reflectivity byte."""
 
 import math
-from functools import lru_cache
 
 import numba
 import numpy as np
@@ -9,8 +8,7 @@ import numpy as np
 from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.trig import ZERO, fold
-from vlp16emu.types import F8
+from vlp16emu.types import F8, U1
 
 BIAS_LIMIT_M = 0.03
 """Accuracy of the data sheet, which no laser exceeds."""
@@ -18,14 +16,18 @@ _AT = 0.2
 """Reflectance at which the noise is that of the settings."""
 _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
-_COARSE = 45.0
-"""Reflectivity from which on codes are wider apart."""
-NO_RETURN_KNOT = 32
-"""Firing sequences between two knots of what no-returns carry; assumption, after einride: 78 % of neighbours are equal."""
+_COARSE, _TOP = 30.0, 90.0
+"""Codes from which on some are never sent, and at which the spacing is that of the settings."""
+_SEGMENT, _SLOPES = (7.0, 18.0), (0.75, 1.3)
+"""Codes of a laser at one spacing, and spacings over that of the settings."""
+NO_RETURN_KNOTS = 56
+"""Places around a unit between which what no-returns carry changes; assumption, after einride: 78 % of neighbours are equal."""
+_ALIKE = 0.8, 0.98
+"""Correlation of what the no-returns of a place carry with a part that all lasers share: lasers beside each other are raised together on real
+units, with a correlation of 0.12 to 0.54."""
 _NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (1.5, 20.0), 0.5
 """Middle over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7 on einride,
 1.3 and 1 on the unit of 2014. That middles are even in their logarithm is an assumption."""
-_UNITS_KEPT = 64
 _WANDER_OF_UNITS, _WANDER_OF_LASERS, _WANDER_CODES = 0.7, 0.6, 25.0
 """Spreads of the logarithm; on nebula a laser is at 1 in 39 to 98 % of its records."""
 
@@ -60,11 +62,12 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
     return np.asarray(middle * exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)))
 
 
-def no_return_multiples(seed: int, first: int, count: int, no_return: F8, wander: float) -> F8:
-    """Return multiples of `no_return_reflectivity` that firing sequences first .. first + count - 1 carry.
+def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
+    """Return multiples of `no_return_reflectivity` that no-returns carry at each place around a unit.
 
-    It wanders smoothly and stays at 1 where it would be less: on real units it changes by one step at a time, and a steady
-    unit is at 1 in 98 % of its records (mrpt), a restless one (einride) in 14 to 73 %, and goes through ten multiples.
+    They stay at 1 where they would be less: a steady unit is at 1 in 98 % of its records (mrpt), a restless one (einride) in 14 to
+    73 %, and goes through ten multiples. A picture of a sweep shows patches that all lasers share, in each revolution at the same place;
+    which places they are depends on what stands there, faint light below the threshold probably, and is drawn here.
 
     Parameters
     ----------
@@ -73,19 +76,47 @@ def no_return_multiples(seed: int, first: int, count: int, no_return: F8, wander
 
     Returns
     -------
-    (knots, lasers), one row for each `NO_RETURN_KNOT` sequences, from that of `first` on to one past the last
+    (NO_RETURN_KNOTS + 1, lasers), evenly spaced in azimuth; the last row is the first
     """
     lasers = len(no_return)
-    begin, stop = first // NO_RETURN_KNOT, (first + count - 1) // NO_RETURN_KNOT + 2
-    drawn = [normal(seed, Purpose.NO_RETURN, begin, stop - begin, 1 + laser) for laser in range(lasers)]
-    own = np.minimum(_own_wander(seed, lasers, wander), _WANDER_CODES / no_return)
-    return np.asarray(own * np.abs(np.stack(drawn, axis=1)))
-
-
-@lru_cache(_UNITS_KEPT)
-def _own_wander(seed: int, lasers: int, wander: float) -> F8:
+    *own, shared = (normal(seed, Purpose.NO_RETURN, 0, NO_RETURN_KNOTS, 1 + lane) for lane in range(lasers + 1))
+    low, high = _ALIKE
+    alike = low + (high - low) * float(uniform(seed, Purpose.NO_RETURN, 0, 1, 2 + lasers)[0])
+    drawn = alike * shared[:, None] + math.sqrt(1.0 - alike * alike) * np.stack(own, axis=1)
     *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
-    return wander * exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
+    spread = wander * exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
+    return np.minimum(spread, _WANDER_CODES / no_return) * np.abs(np.concatenate([drawn, drawn[:1]]))
+
+
+def sent_codes(seed: int, lasers: int, step: float) -> U1:
+    """Return the code that a laser sends for each whole reflectivity of a diffuse target, (lasers, 101).
+
+    Bright codes of a real laser are 1.2 to 2.2 apart, the farther the brighter: at 45 to 95 of each ten in a row 8.5, 7, 8, 7, 6.5 and 5 are
+    sent by mrpt, einride and nebula. Those of einride are the same at all ranges and in both kinds of sectors, at one spacing for a dozen
+    codes (laser 7: two of three from 47 to 65, then every second), and have nothing to do with those of another laser: a table of
+    calibration between whole numbers of the receiver and codes.
+
+    Parameters
+    ----------
+    step : spacing at code 90, on average; below 2 at most, and 1 for all codes
+    """
+    out = np.tile(np.arange(101, dtype=np.uint8), (lasers, 1))
+    for laser in range(lasers if step > 1.0 else 0):
+        drawn = iter(uniform(seed, Purpose.REFLECTIVITY, 0, 64, 2 + laser).tolist())
+        at = _COARSE + next(drawn)
+        edges = [0.0]
+        stop = slope = 0.0
+        while at < 100.0:
+            if at >= stop:
+                (short, long), (low, high) = _SEGMENT, _SLOPES
+                stop = at + short + (long - short) * next(drawn)
+                slope = (1.0 + (step - 1.0) * (at - _COARSE) / (_TOP - _COARSE)) * (low + (high - low) * next(drawn))
+            edges.append(math.floor(at))
+            at += max(slope, 1.0)
+        sent = np.array([*range(int(_COARSE)), *edges[1:], 100.0])
+        nearest = np.abs(np.arange(101)[:, None] - sent).argmin(axis=1)
+        out[laser] = sent[nearest]
+    return out
 
 
 def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
@@ -139,12 +170,8 @@ def heavier(z: float, tail: float) -> float:
     return z * (1.0 + tail * z * z) / math.sqrt(1.0 + 6.0 * tail + 15.0 * tail * tail)
 
 
-_BIN_EDGES_M = exp(np.arange(-12.0, 20.0) / 4.0)
-"""Ranges from 0.05 to 116 m at which the step of codes changes."""
-_TURNS_PER_BIN, _TURNS_PER_GAIN = 0.31, 29.0
-"""They spread the steps of codes over lasers and ranges, and are no measurement."""
-_AFTER_STEP = 0.1
-"""Share of the white error that comes after the step: with none the histograms are sharper than real ones."""
+_UNCORRECTED = 0.02
+"""Least distance from a whole number at which a code goes through the table of its laser: some of those between are seen on real units."""
 RETROREFLECTIVE = 100.5
 """Percent from which a target is no white wall any more; what rounds to 100 still is."""
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
@@ -154,27 +181,7 @@ sheeting (about 700). The manual gives the ends of the scale only; that it is lo
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def code_step(step: float, gain: float, range_m: float) -> float:
-    """Return the spacing of bright codes of one laser at one range, in counts.
-
-    As if whole numbers of the receiver were multiplied by a correction: on real units the codes of a laser within 10 % of
-    range are 1.6 to 2.2 apart, 3 at times, and at another range or laser by another step. Which is not known; here it is
-    from 0.85 to 1.45 of the setting, and another one at every 28 % more of range (on einride the histograms of a laser at
-    23 % more correlate by 0.4, on mrpt and nebula by -0.1 and 0.2).
-
-    Parameters
-    ----------
-    gain : of the laser
-    """
-    number = ZERO - 13
-    for edge in range(len(_BIN_EDGES_M)):  # a logarithm costs more
-        number += range_m >= _BIN_EDGES_M[edge]
-    turn = fold(_TURNS_PER_BIN * number + _TURNS_PER_GAIN * gain)
-    return step * gain * (0.85 + 0.6 * turn * turn)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def reflectivity_byte(percent: float, gain: float, noise: float, step: float) -> np.uint8:
+def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> np.uint8:
     """Code a reflectivity: 0..100 percent of a diffuse target, 101..255 of a retroreflector.
 
     Source: 63-9243 Rev D, section 6.1. Neither gain nor noise moves a target from one class to the other,
@@ -185,12 +192,11 @@ def reflectivity_byte(percent: float, gain: float, noise: float, step: float) ->
     percent : brightness, corrected for range, of a white Lambertian surface at right angles
     gain : of the laser
     noise : in counts
-    step : of codes from 45 on, as `code_step` has it; 0 for none
+    codes : (101,) what the laser sends, as `sent_codes` has it
     """
     if percent <= RETROREFLECTIVE:
-        counts = gain * percent + noise
-        if step > 0.0 and counts >= _COARSE:
-            counts = np.rint(counts / step) * step + _AFTER_STEP * noise
-        return np.uint8(min(max(np.rint(counts), 0.0), 100.0))
+        counts = min(max(gain * percent + noise, 0.0), 100.0)
+        whole = np.rint(counts)
+        return np.uint8(whole) if abs(counts - whole) < _UNCORRECTED else codes[np.int64(whole)]
     code = 101.0 + _COUNTS_PER_E_FOLD * log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

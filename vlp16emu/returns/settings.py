@@ -91,8 +91,7 @@ class Noise(Preset):
     reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """The same as a share of the reflectivity, added to it; 0.03 to 0.04 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Spacing of codes from 45 on, before the gain of the laser and by up to 45 % more with range; 1.6 to 2.2 on real units,
-    and 3 at times. 0 sends every code."""
+    """Spacing of codes at 90, less for darker ones; 2 on real units. Up to 1 sends every code."""
     heavy_tails: bool = False
     """Whether white errors of reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real units, instead of
     Gaussian, and those of range a little so, with 3.3."""
@@ -163,6 +162,7 @@ class LossRates(NamedTuple):
     """Rates at which a unit loses records, as `vlp16emu.returns.lost` has them; 0 for none."""
 
     step: float
+    bright: float
     up: float
     down: float
     dark: float
@@ -197,8 +197,6 @@ class DetectorConstants(NamedTuple):
     range_noise_m: float
     reflectivity_noise: float
     reflectivity_noise_share: float
-    reflectivity_step: float
-    """0 where every code is sent."""
     heavy_tails: bool
     range_walk_m: float
     """Per code of reflectivity."""

@@ -9,7 +9,7 @@ from typing import Any, Self
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError
-from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import spare
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.run.report import AuditFinding

@@ -12,7 +12,7 @@ from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.position import number_at
 from vlp16emu.errors import InputError
-from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import write_json
 from vlp16emu.run.options import StreamOptions, TruthTo
 from vlp16emu.run.report import About, Streamed, UnitSent

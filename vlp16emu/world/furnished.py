@@ -12,13 +12,12 @@ import numpy as np
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, Array, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window, World
-from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
 from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.settings import MeshFile, MeshPlace
 from vlp16emu.world.user_mesh import UserMesh, load_mesh
 
 _log = logging.getLogger(__name__)
-FIRST_FREE_INSTANCE = 0xFFFF0000
-"""First instance of the user's things; worlds number theirs below."""
+FIRST_FREE_INSTANCE = 0xFFFF0000  # first instance of the user's things; worlds number theirs below
 
 
 class Furniture:
@@ -35,15 +34,13 @@ class Furniture:
     def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
         self.section, self.mesh = section, mesh
         names = [part.name for part in mesh.parts]
-        self.labels = [f"{mesh.path.name} {name}" for name in names]
-        """(parts,) names of their materials."""
+        self.labels = [f"{mesh.path.name} {name}" for name in names]  # (parts,) names of their materials
         self.things = [mesh.path.name] if section.one_thing else self.labels
         """Names of what is a thing of its own at each place."""
         own = {part.name: part for part in section.parts}
         for name in own.keys() - set(names):
             raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
-        self.surfaces = np.zeros(len(names), SURFACE)
-        """(parts,) `SURFACE`; material and instance still 0."""
+        self.surfaces = np.zeros(len(names), SURFACE)  # (parts,) `SURFACE`; material and instance still 0
         for row, part in zip(self.surfaces, (own.get(name, section) for name in names), strict=True):
             brightness = part.brightness
             row["reflectance"] = section.brightness if brightness is None else brightness
@@ -55,8 +52,7 @@ class Furniture:
 class MeshKey:
     """Name of a mesh's shape."""
 
-    number: int
-    """Among the furniture."""
+    number: int  # among the furniture
     path: Path
 
 
@@ -85,8 +81,7 @@ class Furnished:
     """
 
     def __init__(self, world: BareWorld, *, furniture: Sequence[Furniture], reach_m: float) -> None:
-        self.bare = world
-        """The world without the user's things."""
+        self.bare = world  # the world without the user's things
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
         for name in ("name", "far_tile"):  # nothing of a hall is far
             if hasattr(world, name):
@@ -95,8 +90,7 @@ class Furnished:
         count = sum(len(one.section.places) * len(one.things) for one in furniture)
         if count > 2**32 - FIRST_FREE_INSTANCE:
             raise GeometryError("meshes", f"found {count} things", "at most 65536")
-        self.names = dict[int, str]()
-        """Names of the user's things by instance."""
+        self.names = dict[int, str]()  # names of the user's things by instance
         self._mesh_of, self._keys = dict[MeshKey, UserMesh](), list[MeshKey]()
         materials, placed, radius_m, self._rows = list(world.materials), [], [], []
         for one in furniture:

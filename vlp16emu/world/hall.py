@@ -39,10 +39,8 @@ class HallWorld:
     section : what the user wrote
     """
 
-    materials = ("room", "box", "pole", "sphere")
-    """Names by `SURFACE` material number."""
-    near_m, seed = math.inf, 0
-    """Fields of `World`: all of it is near, nothing random, and nothing kept."""
+    materials = ("room", "box", "pole", "sphere")  # names by `SURFACE` material number
+    near_m, seed = math.inf, 0  # fields of `World`: all of it is near, nothing random, and nothing kept
 
     def __init__(self, section: Hall) -> None:
         room = _Room((section.length_m, section.width_m, section.height_m))
@@ -50,8 +48,7 @@ class HallWorld:
         things: list[Thing] = [*boxes, *poles, *spheres]
         for thing in things:
             _check_inside(thing, room)
-        self.size_m = room.size_m
-        """Along x, y and z; centred on x = y = 0, floor at z = 0."""
+        self.size_m = room.size_m  # along x, y and z; centred on x = y = 0, floor at z = 0
         self._keys = (room, *things)
         self.names = {_WALL_INSTANCE: "walls", **{i + 2: thing.name for i, thing in enumerate(things)}}
         surfaces = np.zeros(2 + len(things), SURFACE)

@@ -1,15 +1,176 @@
-"""A hall of known shapes."""
+"""The tables `[world]` of a hall, `[wind]` and `[people]`, and of meshes that the user brings; and the contract of all worlds with the engine."""
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+import math
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from vlp16emu.doors import door
-from vlp16emu.settings import Fraction, Section, Size
-from vlp16emu.world.mesh_settings import Finish, MeshFile
-from vlp16emu.world.site import Site
+from vlp16emu.settings import Angle, Fraction, Place, SceneFile, Section, Size
+
+if TYPE_CHECKING:  # scenes are read without numpy
+    from vlp16emu.types import Array, Window, World
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
+_KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
+
+LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
+UpAxis = Literal["z", "y"]
+SemanticName = Literal["ground", "tree", "shrub", "stone", "deadwood", "grass", "other"]
+PartName = Literal["none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
+
+
+class PartFinish(Section):
+    """Finish of a part, which is that of the whole unless one of these keys is given."""
+
+    either_or: ClassVar[frozenset[str]] = _KEYS
+
+    reflectance: Fraction | None = None
+    """Lambertian, at 903 nm."""
+    retroreflection_cd_lx_m2: Annotated[float, Field(ge=1, le=1000)] | None = None
+    """Coefficient of retroreflection, instead of `reflectance`: least values of ASTM D4956 for new white sheeting are 70
+    of type I, 250 of type III and 700 of type VIII. Assumptions: at 903 nm it is as in visible light, and it falls with the
+    cosine of incidence."""
+
+    @model_validator(mode="after")
+    def _given_once(self) -> Self:
+        if self.retroreflection_cd_lx_m2 is not None and "reflectance" in self.model_fields_set:
+            raise ValueError("reflectance or retroreflection_cd_lx_m2 in it, not both")
+        return self
+
+    @property
+    def brightness(self) -> float | None:
+        """Reflectance at normal incidence, relative to a white Lambertian surface; None if none is given."""
+        if self.retroreflection_cd_lx_m2 is None:
+            return self.reflectance
+        return math.pi * self.retroreflection_cd_lx_m2  # a white Lambertian surface has 1 / pi
+
+
+class Finish(PartFinish):
+    """Finish of a thing."""
+
+    reflectance: Fraction = 0.5
+    """Lambertian, at 903 nm."""
+
+    @property
+    def brightness(self) -> float:
+        """Reflectance at normal incidence, relative to a white Lambertian surface; above 1 for a retroreflector."""
+        given = super().brightness
+        return self.reflectance if given is None else given
+
+
+class MeshPart(PartFinish):
+    """Labels and finish of one part of a mesh file that differs from the rest."""
+
+    name: str
+    """Name of the object or group (OBJ) or node (GLB)."""
+    semantic: SemanticName | None = None
+    """Class of the points on it, where it differs."""
+    part: PartName | None = None
+    """Part of a plant that it is, where it differs."""
+
+
+class MeshPlace(Section):
+    """Place and pose of a mesh in the world."""
+
+    x_m: Place
+    """Position east."""
+    y_m: Place
+    """Position north."""
+    z_m: Place | None = None
+    """Height of the file's origin in the world; without it the mesh is on the ground."""
+    above_ground_m: Place = 0.0
+    """Height of the file's origin over the ground, where `z_m` is not given."""
+    yaw_deg: Angle = 0.0
+    """Counter-clockwise, seen from above."""
+    scale: Annotated[float, Field(ge=1e-3, le=1000)] = 1.0
+    """Factor on the size."""
+
+
+class MeshSource(Section):
+    """A file of meshes: OBJ, PLY, GLB or STL."""
+
+    file: SceneFile
+    """Path of the file, from the folder of the scene file."""
+    unit: LengthUnit
+    """Unit of the file's coordinates."""
+    up: UpAxis
+    """Axis of the file that points upwards."""
+
+
+class ModelPart(Section):
+    """Label of one part of the file of a tree."""
+
+    name: str
+    """Name of the object or group (OBJ) or node (GLB)."""
+    part: Literal["stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
+    """Part of a tree that it is."""
+
+
+class TreeModelFile(MeshSource):
+    """A tree of the user's own, which takes the place of the grown trees of a species, scaled to the size of each."""
+
+    species: str
+    """Trees that look like it: name in the species table, or scientific name. Of several models of a species each tree has one
+    at random among those that it stretches least."""
+    parts: list[ModelPart] = Field(default_factory=list)
+    """Parts of the file that are no stem."""
+
+
+class MeshFile(Finish, MeshSource):
+    """A mesh of the user's own: OBJ, PLY, GLB or STL."""
+
+    semantic: SemanticName = "other"
+    """Class of the points on it."""
+    part: PartName = "none"
+    """Part of a plant that it is."""
+    one_thing: bool = True
+    """Whether all parts at one place are one instance; otherwise each is one of its own."""
+    parts: list[MeshPart] = Field(default_factory=list)
+    """Parts that differ."""
+    places: Annotated[list[MeshPlace], Field(min_length=1)]
+    """Positions at which the mesh is placed."""
+
+
+class Sway(Protocol):
+    """Moving things of a world."""
+
+    def with_sway(self, window: "Window", track_m: "Array", start_ns: int, stop_ns: int) -> "Window":
+        """Return the window of sensor positions (n, 3) with its sway between two UTC instants."""
+
+
+class Site(Protocol):
+    """The ground of a world, before the path that leads over it is known."""
+
+    @property
+    def name(self) -> str:
+        """Digest of all that decides the ground."""
+
+    @property
+    def origin_m(self) -> tuple[float, float, float]:
+        """Easting, northing and height in maps that are (0, 0, 0) in the world."""
+
+    @property
+    def obstacles(self) -> "tuple[Array, Array] | None":
+        """Places (n, 2) that way points lead around, and how far (n,) from each; None if paths keep their way."""
+
+    def height_m(self, x_m: "Array", y_m: "Array") -> "Array":
+        """Height of the ground over places."""
+
+    def world(
+        self, path_xy_m: "Array", *, reach_m: float, farthest_m: float, wind: "Wind | None", start_ns: int
+    ) -> "tuple[World, Sway | None]":
+        """Return the world around a path, and what moves in it; None in still air.
+
+        Raises GeometryError if the world cannot be made as it is written, or ends within reach.
+
+        Parameters
+        ----------
+        path_xy_m : (n, 2) path of the sensors
+        reach_m : from there, how far they see
+        farthest_m : range of the one that sees farthest
+        start_ns : UTC of the first pulse
+        """
 
 
 class WorldSection(Section):

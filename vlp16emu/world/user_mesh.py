@@ -17,7 +17,7 @@ import numpy as np
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Array, IntArray, Mesh
-from vlp16emu.world.mesh_settings import LengthUnit, UpAxis
+from vlp16emu.world.settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
 Faces = IntArray
@@ -36,8 +36,7 @@ class PartMesh:
     """One geometry of a file."""
 
     name: str
-    mesh: Mesh
-    """In metres from the whole mesh's centre, z up."""
+    mesh: Mesh  # in metres from the whole mesh's centre, z up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,12 +44,9 @@ class UserMesh:
     """A file of meshes, ready to be placed."""
 
     path: Path
-    centre_m: Array
-    """(3,) middle of the bounding box in the file's frame, turned z up."""
-    parts: tuple[PartMesh, ...]
-    """In alphabetical order."""
-    radius_m: float
-    """Radius of a sphere about the centre that holds everything."""
+    centre_m: Array  # (3,) middle of the bounding box in the file's frame, turned z up
+    parts: tuple[PartMesh, ...]  # in alphabetical order
+    radius_m: float  # radius of a sphere about the centre that holds everything
 
 
 def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:

@@ -12,9 +12,17 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.score.card import ScoreCard, limits_of
-from vlp16emu.extras.score.clouds import cloud_distances, density_per_m2, uniformity
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
-from vlp16emu.extras.score.trees import box_scores, instance_scores, leaf_wood_scores, match_stems, stem_scores
+from vlp16emu.extras.score.measures import (
+    box_scores,
+    cloud_distances,
+    density_per_m2,
+    instance_scores,
+    leaf_wood_scores,
+    match_stems,
+    stem_scores,
+    uniformity,
+)
 
 POINTS = "x,y,z,semantic,part,leaf_wood,instance\n"
 

@@ -10,8 +10,7 @@ from vlp16emu.forest.stand.forest import FIRST_FREE_INSTANCE
 from vlp16emu.types import Mesh, PlantPart, Semantic
 from vlp16emu.world.furnished import Furnished, Furniture, MeshKey
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.mesh_settings import MeshFile, MeshPart, MeshPlace
-from vlp16emu.world.settings import Hall
+from vlp16emu.world.settings import Hall, MeshFile, MeshPart, MeshPlace
 from vlp16emu.world.user_mesh import PartMesh, UserMesh
 
 TRACK_M = np.array([[0.0, 0.0, 1.5], [3.0, 0.0, 1.5]])

@@ -6,8 +6,8 @@ import pytest
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.given.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.plants.flora import flora, species_table
+from vlp16emu.forest.settings import Plot
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
-from vlp16emu.forest.stand.settings import Plot
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.world.polyline import Corridor
 
@@ -104,7 +104,7 @@ def test_missing_heights_follow_the_measured_ones(tmp_path):
     trees = read(tmp_path, "\n".join(["x,y,species,dbh_cm,height_m", *rows]))
     birch = species_table()["silver_birch"]
     assert trees["height_m"][:2].tolist() == [18, 22]
-    expected = birch.height_m(np.array([31.0]), np.sqrt((20**2 + 26**2) / 2), 20.0)[0]
+    expected = birch.height_curve(np.array([31.0]), np.sqrt((20**2 + 26**2) / 2), 20.0)[0]
     assert trees["height_m"][2] == pytest.approx(expected, abs=1e-9)
     assert 20.5 < expected < 22
 

@@ -6,7 +6,7 @@ from scipy import interpolate
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.dem import DemHeights, read_grid, write_ascii
-from vlp16emu.forest.ground.settings import Dem
+from vlp16emu.forest.settings import Dem
 
 HEADER = "ncols 4\nnrows 3\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
 ROWS = "1 2 3 4\n5 6 7 8\n9 10 11 12\n"

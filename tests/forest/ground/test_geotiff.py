@@ -7,7 +7,7 @@ import pytest
 
 from vlp16emu.errors import GeometryError, MissingExtraError
 from vlp16emu.forest.ground.dem import DemHeights
-from vlp16emu.forest.ground.settings import Dem
+from vlp16emu.forest.settings import Dem
 
 rasterio = pytest.importorskip("rasterio")
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.ground.triangles import ground_triangles
+from vlp16emu.forest.settings import Terrain
 
 EDGE_M = 20.0
 

@@ -28,7 +28,7 @@ LIVING = [species for species in TABLE.values() if species.foliage]
 def test_uniform_height_curve(name, heights_m):
     """Heights of trees of 10 to 60 cm in a stand of 30 cm and 24 m, worked out from the published curves."""
     dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
-    assert TABLE[name].height_m(dbh_cm, 30.0, 24.0) == pytest.approx(heights_m, abs=0.06)
+    assert TABLE[name].height_curve(dbh_cm, 30.0, 24.0) == pytest.approx(heights_m, abs=0.06)
 
 
 @pytest.mark.parametrize(
@@ -43,14 +43,14 @@ def test_uniform_height_curve(name, heights_m):
 def test_curtis_arney_height_curve(name, heights_m):
     """Where the stand's mean tree lies on the published curve, so do all others, within 1 % of their height."""
     dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
-    assert TABLE[name].height_m(dbh_cm, 30.0, heights_m[2]) == pytest.approx(heights_m, rel=0.01)
+    assert TABLE[name].height_curve(dbh_cm, 30.0, heights_m[2]) == pytest.approx(heights_m, rel=0.01)
 
 
 def test_height_passes_through_the_mean_tree_and_rises():
     """The mean tree has the mean height, thicker trees are taller, and the thinnest reach breast height."""
     for name, species in TABLE.items():
         dbh_cm = np.array([2.0, 6.0, 12.0, 27.0, 60.0, 120.0])
-        height = species.height_m(dbh_cm, 27.0, 22.0)
+        height = species.height_curve(dbh_cm, 27.0, 22.0)
         assert height[3] == pytest.approx(22.0), name
         assert (np.diff(height) > 0).all(), name
         assert height[0] > 1.3, name
@@ -115,7 +115,7 @@ def test_crowns_fit_their_trees():
     """From 5 to 120 cm a crown begins above the ground and below the tip, alone and in a dense stand, and is wider on thicker trees."""
     for name, species in TABLE.items():
         dbh_cm = np.array([5.0, 15.0, 40.0, 80.0, 120.0])
-        height_m = species.height_m(dbh_cm, 30.0, 22.0)
+        height_m = species.height_curve(dbh_cm, 30.0, 22.0)
         alone, crowded = (
             species.crown_base_m(dbh_cm, height_m, (np.full(5, larger), np.full(5, factor)))
             for larger, factor in ((0.0, 10.0), (40.0, 400.0))
@@ -203,7 +203,7 @@ def test_biomass_agrees_with_the_general_equations_of_its_kind():
     """From 10 to 60 cm every species weighs 0.6 to 1.6 times what Jenkins et al. (2003) give spruces or hard maples."""
     for species in LIVING:
         dbh_m = np.array([0.1, 0.2, 0.3, 0.45, 0.6])
-        height_m = species.height_m(100 * dbh_m, 30.0, 24.0)
+        height_m = species.height_curve(100 * dbh_m, 30.0, 24.0)
         mass = species.biomass_kg(dbh_m, height_m, 0.5 * height_m)
         b0, b1 = (-2.0127, 2.4342) if species.foliage.kind == "leaf" else (-2.0773, 2.3323)
         assert (np.abs(np.log(mass / np.exp(b0 + b1 * np.log(100 * dbh_m)))) < np.log(1.6)).all(), species.name

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from vlp16emu.forest.plants.circles import branch_circles
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_branches, crown_meshes, crown_placements
 from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.stand.inventory import branch_circles
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import PlantPart
 

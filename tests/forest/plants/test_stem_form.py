@@ -9,11 +9,11 @@ from scipy import stats
 from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.circles import far_stems
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.species import StemForm
 from vlp16emu.forest.plants.stem import stem_meshes, vertex_angles
 from vlp16emu.forest.plants.stem_rings import axis_m, polygon_m2, second_leaders, stem_forms, stem_rings, tape_m
+from vlp16emu.forest.stand.inventory import far_stems
 from vlp16emu.forest.stand.stand import TREE
 
 TABLE = species_table()

@@ -12,8 +12,8 @@ from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, cr
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.plants.stem import lean_rotation, stem_meshes
 from vlp16emu.forest.plants.stem_rings import axis_m, stem_forms
+from vlp16emu.forest.settings import Forest, SpeciesShare
 from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
-from vlp16emu.forest.stand.settings import Forest, SpeciesShare
 from vlp16emu.forest.stand.stand import TREE, Stand
 from vlp16emu.types import PlantPart
 from vlp16emu.world.polyline import Corridor

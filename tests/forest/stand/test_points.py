@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.points import ClusterPattern, HardCorePattern, PatchyPattern, RowPattern, ScatteredPattern
-from vlp16emu.forest.stand.settings import Clusters, Plantation
+from vlp16emu.forest.settings import Clusters, Plantation
+from vlp16emu.forest.stand import points as module
 from vlp16emu.forest.tiles import TILE_M
 
 ACROSS = 24
@@ -20,23 +20,23 @@ CLUMPS = Clusters(kind="clusters", per_cluster=8.0, sigma_m=3.0)
 
 
 def scattered(per_ha=700.0, seed=9):
-    return ScatteredPattern(seed=seed, purpose=Growth.STONES, per_ha=per_ha)
+    return module.scattered(seed=seed, purpose=Growth.STONES, per_ha=per_ha)
 
 
 def hard_core(per_ha=700.0, seed=9):
-    return HardCorePattern(seed=seed, purpose=Growth.STAND, per_ha=per_ha)
+    return module.hard_core(seed=seed, purpose=Growth.STAND, per_ha=per_ha)
 
 
 def clusters(per_ha=700.0, seed=9):
-    return ClusterPattern(CLUMPS, seed=seed, purpose=Growth.SHRUBS, per_ha=per_ha)
+    return module.clustered(CLUMPS, seed=seed, purpose=Growth.SHRUBS, per_ha=per_ha)
 
 
 def rows(per_ha=1600.0, seed=9):
-    return RowPattern(ROWS, seed=seed, purpose=Growth.STAND, per_ha=per_ha)
+    return module.planted(ROWS, seed=seed, purpose=Growth.STAND, per_ha=per_ha)
 
 
 def patchy(per_ha=700.0, seed=9):
-    return PatchyPattern(seed=seed, purpose=Growth.HERBS, even_per_ha=0.2 * per_ha, patchy_per_ha=0.8 * per_ha)
+    return module.patchy(seed=seed, purpose=Growth.HERBS, even_per_ha=0.2 * per_ha, patchy_per_ha=0.8 * per_ha)
 
 
 def points_of(pattern, across=ACROSS):

@@ -10,25 +10,12 @@ from scipy.spatial import KDTree
 from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.forest import settings
 from vlp16emu.forest.plants.flora import shrub_table, species_table
 from vlp16emu.forest.plants.undergrowth import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
 from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.forest.stand.placed import Site
 from vlp16emu.forest.stand.scatter import layer_of
-from vlp16emu.forest.stand.settings import (
-    DwarfShrubs,
-    Ferns,
-    Grass,
-    Herbs,
-    Litter,
-    Logs,
-    Moss,
-    Regeneration,
-    Scattered,
-    Shrubs,
-    Stones,
-    Stumps,
-)
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor, distance_m
@@ -39,16 +26,16 @@ BUSHES = ["hazel", "hawthorn"]
 KEYS = [SaplingKey(name, 0, height_m, "leaf_on") for name in YOUNG for height_m in (0.6, 3.6)]
 
 
-ANYWHERE = Scattered(kind="random")
+ANYWHERE = settings.Scattered(kind="random")
 
 
 def saplings(*species):
-    section = Regeneration(stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE)
+    section = settings.Regeneration(stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE)
     return layer_of(section, seed=6, season="leaf_on")
 
 
 def shrubs(*species):
-    section = Shrubs(per_ha=1500.0, species=[*species], pattern=ANYWHERE)
+    section = settings.Shrubs(per_ha=1500.0, species=[*species], pattern=ANYWHERE)
     return layer_of(section, seed=6, season="leaf_on")
 
 
@@ -208,7 +195,7 @@ SIZES = {
 
 def log_layer(**shares):
     """Layer of logs that are sound, whole and cut if nothing else is said."""
-    return layer_of(Logs(**SIZES, **{"uprooted": 0.0, "broken": 0.0, "decayed": 0.0, **shares}), seed=6)
+    return layer_of(settings.Logs(**SIZES, **{"uprooted": 0.0, "broken": 0.0, "decayed": 0.0, **shares}), seed=6)
 
 
 def found_of(layer, tiles=TILES, **where):
@@ -222,22 +209,22 @@ def found_of(layer, tiles=TILES, **where):
     return {kind: tuple(map(np.array, zip(*rows, strict=True))) for kind, rows in found.items()}
 
 
-STONES = layer_of(Stones(cover=0.05), seed=6)
+STONES = layer_of(settings.Stones(cover=0.05), seed=6)
 LOGS = log_layer()
-STUMPS = layer_of(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
-GRASS = layer_of(Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
-FERNS = layer_of(Ferns(cover=0.3), seed=6)
+STUMPS = layer_of(settings.Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
+GRASS = layer_of(settings.Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
+FERNS = layer_of(settings.Ferns(cover=0.3), seed=6)
 ALL = pytest.mark.parametrize(
     "layer", [STONES, LOGS, STUMPS, GRASS, FERNS], ids=["stones", "logs", "stumps", "grass", "ferns"]
 )
 COVERS = pytest.mark.parametrize(
     ("section", "reach_m"),
     [
-        (Herbs(cover=0.2), 25),
-        (Ferns(cover=0.1), 25),
-        (DwarfShrubs(cover=0.15), 25),
-        (Moss(cover=0.5), 12),
-        (Litter(cover=0.3), 12),
+        (settings.Herbs(cover=0.2), 25),
+        (settings.Ferns(cover=0.1), 25),
+        (settings.DwarfShrubs(cover=0.15), 25),
+        (settings.Moss(cover=0.5), 12),
+        (settings.Litter(cover=0.3), 12),
     ],
     ids=["herbs", "ferns", "dwarf_shrubs", "moss", "litter"],
 )
@@ -349,11 +336,11 @@ def test_plants_stand_in_patches_and_moss_and_litter_do_not():
     under trees is an estimate.
     """
     for section, least in (
-        (Herbs(cover=0.1), 3.0),
-        (DwarfShrubs(cover=0.04), 2.0),
-        (Ferns(cover=0.03), 1.1),
-        (Moss(cover=0.3), None),
-        (Litter(cover=0.3), None),
+        (settings.Herbs(cover=0.1), 3.0),
+        (settings.DwarfShrubs(cover=0.04), 2.0),
+        (settings.Ferns(cover=0.03), 1.1),
+        (settings.Moss(cover=0.3), None),
+        (settings.Litter(cover=0.3), None),
     ):
         counts = []
         for seed in range(6, 12):
@@ -367,7 +354,7 @@ def test_plants_stand_in_patches_and_moss_and_litter_do_not():
 
 def test_no_tile_has_far_more_small_plants_than_others():
     """Of herbs 3 to 6 cm high, as dense as a forest may be, no tile has over 1.5 times the mean: its numbers do not run out."""
-    pattern = layer_of(Herbs(cover=0.076, height_m=(0.03, 0.06)), seed=6).pattern
+    pattern = layer_of(settings.Herbs(cover=0.076, height_m=(0.03, 0.06)), seed=6).pattern
     assert pattern.per_ha == pytest.approx(120_000, rel=0.05)
     counts = [len(pattern.points(*tile)) for tile in TILES]
     assert np.mean(counts) == pytest.approx(pattern.per_ha / 25, rel=0.1)
@@ -376,7 +363,7 @@ def test_no_tile_has_far_more_small_plants_than_others():
 
 def test_moss_and_litter_are_ground_and_lie_along_it():
     """On a slope their axes are across it; they are on the path too, and labelled as ground."""
-    for section in (Moss(cover=0.3), Litter(cover=0.3)):
+    for section in (settings.Moss(cover=0.3), settings.Litter(cover=0.3)):
         layer = layer_of(section, seed=6)
         placed = [layer.place(plot(*tile, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)) for tile in TILES]
         world = np.concatenate([one.world_T_shape for one in placed])
@@ -526,10 +513,10 @@ def test_plates_and_pieces_keep_off_the_path_and_trunks():
 def test_stumps_are_broken_by_share():
     """Three in ten stumps are jagged, within 3 sigma, and all of them lie where they would without."""
     section = {"per_ha": 200.0, "species": ["silver_birch"]}
-    found = found_of(layer_of(Stumps(**section, broken=0.3), seed=6))
+    found = found_of(layer_of(settings.Stumps(**section, broken=0.3), seed=6))
     (sound,), (broken,) = ([found[kind][0]] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
     n = len(sound) + len(broken)
     assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
-    felled = found_of(layer_of(Stumps(**section, broken=0.0), seed=6))[FloorKind.STUMP][0]
+    felled = found_of(layer_of(settings.Stumps(**section, broken=0.0), seed=6))[FloorKind.STUMP][0]
     rows = {row.tobytes() for row in felled}
     assert {row.tobytes() for row in np.concatenate([sound, broken])} == rows

@@ -6,14 +6,13 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.points import ScatteredPattern
-from vlp16emu.forest.stand.settings import Clusters, Forest, HardCore, Plantation, Scattered, SpeciesShare, Storey
+from vlp16emu.forest.settings import Clusters, Forest, HardCore, Plantation, Scattered, SpeciesShare, Storey, Terrain
+from vlp16emu.forest.stand.points import scattered
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 from vlp16emu.world.polyline import Corridor, distance_m
 
@@ -209,7 +208,7 @@ def test_basal_area_is_as_asked_for():
 
 def test_no_stem_stands_in_another():
     """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles; few do."""
-    anywhere = ScatteredPattern(seed=14, purpose=Growth.STAND, per_ha=1500.0)
+    anywhere = scattered(seed=14, purpose=Growth.STAND, per_ha=1500.0)
     stand = make_stand(stems_per_ha=1500.0, species=[SPRUCE], pattern=Scattered(kind="random"))
     tiles = [(ix, iy) for ix in range(-4, 4) for iy in range(8)]
     discs = foot_discs(np.concatenate([stand.trees(*tile) for tile in tiles]))

@@ -15,7 +15,7 @@ from vlp16emu.engine import assemble
 from vlp16emu.engine.windows import workers
 from vlp16emu.extras.accuracy.curve import LevelOfDetail, Mean
 from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, opened_windows
-from vlp16emu.forest.stand.settings import Woods
+from vlp16emu.forest.settings import Woods
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario

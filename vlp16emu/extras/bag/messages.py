@@ -1,7 +1,7 @@
 """The messages that ROS has of such a sensor, its carrier, an inertial unit and a receiver."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -131,21 +131,16 @@ class TrueMessages:
     ----------
     bag : to be written
     rig : `rig.json`, with the units that are written
+    scenario : `scenario.json`, by whose errors of inertial unit and receiver messages have their covariance
     frames : of these units; the truth is that of the first one's carrier
-    imu, gps : sections of the scene, by whose errors messages have their covariance; None without inertial unit
     tf : `truth` if the true pose moves `base_link` itself, to look at clouds without SLAM
     """
 
     def __init__(
-        self,
-        bag: BagFile,
-        rig: dict[str, Any],
-        frames: Sequence[str],
-        imu: dict[str, Any] | None,
-        gps: dict[str, Any],
-        tf: str = "slam",
+        self, bag: BagFile, rig: Mapping[str, Any], scenario: Mapping[str, Any], frames: Sequence[str], tf: str
     ) -> None:
         self._bag, self._rig, self._frames = bag, rig, frames
+        imu, gps = scenario.get("imu"), scenario["gps"]
         keys = ("gyro_noise_rad_s_sqrt_hz", "accel_noise_m_s2_sqrt_hz")
         self._imu = [np.eye(3).ravel() * imu[key] ** 2 * imu["rate_hz"] for key in keys] if imu else []
         tilt_rad2 = (imu["accel_bias_m_s2"] / GRAVITY_M_S2) ** 2 if imu else 0.0

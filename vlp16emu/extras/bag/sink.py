@@ -2,13 +2,14 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, NamedTuple
 
 from vlp16emu.extras.bag.bag_file import BagFile
-from vlp16emu.extras.bag.messages import UnitMessages
+from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, PacketClock
+from vlp16emu.run.options import BagOptions
 from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
@@ -17,15 +18,17 @@ _OFTEN_NS = S_NS // 10
 """Time whose truth is written together."""
 
 
-class TrueSamples(Protocol):
-    """Something that is true of a run, sample by sample."""
+class Truth(NamedTuple):
+    """Ground truth of a run, from its engine or from its files."""
 
-    def up_to(self, t_ns: int) -> None:
-        """Write all samples until and with an instant that are not written yet."""
-
-
-TruthOf = Callable[[BagFile, Sequence[str], int], Sequence[tuple[TrueSamples, int]]]
-"""Makes the truth from the first pulse on, of a bag, the frames of its units and the first pulse; each with its time after the last packet."""
+    rig: Mapping[str, Any]
+    """`rig.json`, with the units that are written."""
+    scenario: Mapping[str, Any]
+    """`scenario.json`."""
+    feeds: Callable[[TrueMessages, int], Sequence[Callable[[int], None]]]
+    """Opens the samples from the first pulse on; each feed writes those up to and with an instant that are not written yet."""
+    after_ns: int
+    """Time after the last packet that is written too."""
 
 
 class BagSink(PacketSink):
@@ -36,8 +39,9 @@ class BagSink(PacketSink):
     Parameters
     ----------
     path : .mcap, .bag or a folder, as `BagFile` takes it
-    units : number of sensors
+    frames : of the clouds of the units
     clock_of : gives each sensor its clock, by its number from 0 and the stamp of its first data packet
+    options : transforms
     truth : what else is to be in the bag
 
     Raises
@@ -49,26 +53,27 @@ class BagSink(PacketSink):
     """
 
     def __init__(
-        self, path: Path, units: int, clock_of: Callable[[int, int], PacketClock], truth: TruthOf | None = None
+        self,
+        path: Path,
+        frames: Sequence[str],
+        clock_of: Callable[[int, int], PacketClock],
+        options: BagOptions,
+        truth: Truth | None,
     ) -> None:
-        self._frames = frames_of(units)
         self.bag = BagFile(path)
-        self._units, self._clock_of = dict[int, UnitMessages](), clock_of
-        self._truth, self._samples = truth, list[tuple[TrueSamples, int]]()
+        self._frames, self._clock_of, self._tf, self._truth = frames, clock_of, options.tf, truth
+        self._units = dict[int, UnitMessages]()
+        self._feeds: Sequence[Callable[[int], None]] | None = None
         self._sent = Counter[PacketKind]()
         self._seen_ns = self._next_ns = -(2**62)
-        self.first_ns: int | None = None
-        """UTC of the first pulse, by its sensor's clock; None before."""
 
     def __exit__(self, *raised: object) -> None:
-        if raised[1] is not None:
-            self.bag.__exit__(*raised)  # type: ignore[arg-type]  # as `with` calls it
-            return
         with self.bag:
+            if isinstance(raised[1], BaseException):
+                raise raised[1]
             for unit in self._units.values():
                 unit.check()
-            for samples, longer_ns in self._samples:
-                samples.up_to(self._seen_ns + longer_ns)
+            self._write_truth(self._truth.after_ns if self._truth else 0)
 
     def send(self, packet: Packet) -> None:
         """Take one packet, which is due at the stamp of its capture, and numbered as its frame if it has a number.
@@ -78,17 +83,17 @@ class BagSink(PacketSink):
         PacketError
             If it is not a VLP-16's
         """
-        if packet.unit not in self._units:
+        if (unit := self._units.get(packet.unit)) is None:
             clock = self._clock_of(packet.unit, packet.due_ns)
-            self._units[packet.unit] = UnitMessages(self.bag, self._frames[packet.unit], clock)
-        unit = self._units[packet.unit]
+            unit = self._units[packet.unit] = UnitMessages(self.bag, self._frames[packet.unit], clock)
         self._sent[packet.kind] += 1
         stamp_ns = packet.due_ns // US_NS * US_NS  # as captures have it
         if len(packet.payload) == DATA_BYTES:
             t_ns = unit.data(stamp_ns, packet.payload, packet.number or self._sent.total())
-            if self.first_ns is None:
-                self.first_ns = t_ns
-                self._samples += self._truth(self.bag, self._frames, t_ns) if self._truth else []
+            if self._feeds is None and self._truth is not None:
+                to = TrueMessages(self.bag, self._truth.rig, self._truth.scenario, self._frames, self._tf)
+                to.fixed(t_ns)
+                self._feeds = self._truth.feeds(to, t_ns)
         elif len(packet.payload) == POSITION_BYTES:
             t_ns = unit.position(stamp_ns, packet.payload)
         else:
@@ -96,8 +101,11 @@ class BagSink(PacketSink):
         self._seen_ns = max(self._seen_ns, t_ns)
         if t_ns >= self._next_ns:
             self._next_ns = t_ns + _OFTEN_NS
-            for samples, _ in self._samples:
-                samples.up_to(t_ns)
+            self._write_truth(0)
+
+    def _write_truth(self, after_ns: int) -> None:
+        for feed in self._feeds or ():
+            feed(self._seen_ns + after_ns)
 
     @property
     def result(self) -> PcapResult:
@@ -111,11 +119,6 @@ class BagSink(PacketSink):
             sha256=", ".join(map(_sha256, files)),
             messages=dict(sorted(self.bag.counts.items())),
         )
-
-
-def frames_of(units: int) -> list[str]:
-    """Return the frames of the clouds of so many sensors; topics are under the same names."""
-    return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
 
 
 def _sha256(path: Path) -> str:

@@ -23,7 +23,7 @@ from vlp16emu.extras.bench.gps_line import parse_rmc
 from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
-from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario

@@ -64,7 +64,7 @@ class Trajectory:
         self._body_p_sensor_m = np.array([x_m, y_m, z_m])
         self._body_R_sensor = rotation(yaw_deg, pitch_deg, roll_deg)
         self._drift_m, self._drift_deg = np.array(errors.drift[:3]), errors.drift[3]
-        self._pivot_m = poses.position_m[0]
+        self.first_m = poses.position_m[0]
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -86,7 +86,7 @@ class Trajectory:
         if self._drift_deg:
             off = rotations(np.radians(self._drift_deg * minutes), 0.0, 0.0)
             turn = off @ turn
-            place_m = self._pivot_m + np.einsum("nij,nj->ni", off, place_m - self._pivot_m)
+            place_m = self.first_m + np.einsum("nij,nj->ni", off, place_m - self.first_m)
         place_m = place_m + minutes[:, None] * self._drift_m + turn @ self._body_p_sensor_m
         return turn @ self._body_R_sensor, place_m
 

@@ -19,8 +19,8 @@ from vlp16emu.extras.live.cells import LiveWindows
 from vlp16emu.extras.live.flown import FlownMotion, read_flown
 from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
-from vlp16emu.motion.live_settings import Live
 from vlp16emu.motion.pose import Kinematics
+from vlp16emu.motion.settings import Live
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 

@@ -1,32 +1,30 @@
-"""Scores of a pipeline from the files it gives, and the thresholds that they are compared with."""
+"""Scores of a pipeline from the files it gives, the thresholds that they are compared with, and their page of HTML."""
 
+import base64
+import io
 import math
 import operator
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import astuple, dataclass, field
+from html import escape
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.options import ScoreInputs, TrajectoryErrors
-from vlp16emu.extras.score.clouds import cloud_distances, density_per_m2, uniformity
+from vlp16emu.extras.plots import INK, SOFT, plotted
+from vlp16emu.extras.score import measures
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.paths import RPE_DELTA_M, PathScore, score_path
-from vlp16emu.extras.score.trees import (
-    box_scores,
-    boxes_of,
-    instance_scores,
-    leaf_wood_scores,
-    match_stems,
-    stem_scores,
-)
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.types import F8, PlantPart, Semantic
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Cloud = Mapping[str, NDArray[Any]]
 
@@ -42,14 +40,16 @@ _BREAST_M = 0.1
 """Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
+_STYLE = (
+    "body{font:15px/1.45 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
+    "table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:left}"
+    "td.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%}.missed{color:#b00020}"
+)
+_HEAD = ["tree", "list line", "own number", "x m", "y m", "position error m", "DBH m", "DBH error m", "hits"]
+_SIZE_PX = 1100, 460
 
-
-class Limit(NamedTuple):
-    """A threshold; NaN keeps none."""
-
-    name: str
-    sign: str
-    bound: float
+Limit = tuple[str, str, float]
+"""A threshold: the name of a score, the sign, and the bound, which NaN never keeps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,20 +98,14 @@ class ScoreCard:
                 missed.append(f"{name} is {self.scores[name]:.6g}, required {sign} {bound:g}")
         return missed
 
-    def tree(self) -> dict[str, Any]:
-        """Return everything for JSON, in which null is what cannot be computed."""
-        trees = [_plain(asdict(row)) for row in self.trees]
-        inputs, scores = _plain(asdict(self.inputs)), _plain(self.scores)
-        return {"inputs": inputs, "scores": scores, "notes": self.notes, "trees": trees}
-
 
 def limits_of(texts: Sequence[str]) -> list[Limit]:
     """Read thresholds such as `ate_m<0.3`; InputError if one is malformed."""
-    limits = []
+    limits = list[Limit]()
     for text in texts:
         try:
             name, sign, bound = _LIMIT.fullmatch(text).groups()  # type: ignore[union-attr]
-            limits.append(Limit(name, sign, float(bound)))
+            limits.append((name, sign, float(bound)))
         except (AttributeError, ValueError):
             raise InputError("--require", f"found {text}", "NAME<NUMBER, with <, <=, > or >=") from None
     return limits
@@ -142,7 +136,6 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
 
 
 def _check(inputs: ScoreInputs) -> None:
-    """Refuse incomplete inputs before anything is read."""
     if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
         raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
     if inputs.points and not inputs.truth_points:
@@ -161,15 +154,12 @@ def _score_map(card: ScoreCard, found: F8, true: Cloud | None) -> None:
     """Score a map by itself, and against true points if they are given."""
     from vlp16emu.extras.clouds.deskew import Trajectory
 
-    way = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors())
-    first_ns = np.array([math.ceil(way.span_s[0] * 1e9)])
-    first_ns = first_ns if way.has(first_ns).all() else first_ns + 1000  # seconds as floats are good to 0.3 us
-    centre_m = way.poses_at(first_ns)[1][0, :2]
-    card.scores["infra_d_per_m2"] = density_per_m2(found[:, :2], centre_m, REGION_M)
-    card.scores["infra_nuc"] = uniformity(found[:, :2], centre_m, REGION_M)
+    centre_m = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors()).first_m[:2]
+    card.scores["infra_d_per_m2"] = measures.density_per_m2(found[:, :2], centre_m, REGION_M)
+    card.scores["infra_nuc"] = measures.uniformity(found[:, :2], centre_m, REGION_M)
     card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
     if true is not None:
-        card.scores |= cloud_distances(found, true["xyz"], WITHIN_M)
+        card.scores |= measures.cloud_distances(found, true["xyz"], WITHIN_M)
 
 
 def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
@@ -185,14 +175,14 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
     is_tree = true["semantic"] == Semantic.TREE
     if "leaf_wood" in found:
         labels = np.where(away, 0, found["leaf_wood"][nearest])
-        card.scores |= leaf_wood_scores(labels, np.where(is_tree, true["leaf_wood"], 0))
+        card.scores |= measures.leaf_wood_scores(labels, np.where(is_tree, true["leaf_wood"], 0))
     if "instance" in found:
         trees = np.where(is_tree, true["instance"], 0)
-        card.scores |= instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
+        card.scores |= measures.instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
         if "semantic" in found:
             found = {**found, "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0)}
-        boxes, counts = boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
-        card.scores |= box_scores(boxes, counts, boxes_of(true["xyz"], trees, LEAST_POINTS)[0])
+        boxes, counts = measures.boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
+        card.scores |= measures.box_scores(boxes, counts, measures.boxes_of(true["xyz"], trees, LEAST_POINTS)[0])
     card.notes["labels"] = (
         f"a true point has the label of the nearest point within {SAME_POINT_M:g} m; trees alone; boxes of "
         f"{LEAST_POINTS} points or more, their number is the confidence"
@@ -205,8 +195,8 @@ def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ..
     if true is not None:
         hits, points = _hits(trees, true)
         seen = tuple(tree for tree in trees if points[tree.number] >= LEAST_POINTS)
-    pairs = match_stems(found, seen, card.inputs.radius_m)
-    card.scores |= stem_scores(found, seen, pairs)
+    pairs = measures.match_stems(found, seen, card.inputs.radius_m)
+    card.scores |= measures.stem_scores(found, seen, pairs)
     of_true = {j: found[i] for i, j in pairs}
     card.trees += [_row(of_true.get(j), tree, hits.get(tree.number)) for j, tree in enumerate(seen)]
     paired = {i for i, _ in pairs}
@@ -237,8 +227,59 @@ def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[st
     return dict(zip(names, of_stem, strict=True)), dict(zip(names, of_tree, strict=True))
 
 
-def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:
-    plain = {key: str(value) if isinstance(value, Path) else value for key, value in tree.items()}
-    return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in plain.items()
-    }
+def page(card: ScoreCard, missed: Sequence[str]) -> str:
+    """Return a card and the thresholds that it misses as HTML; matplotlib is needed if there is something to draw."""
+    parts = [
+        "<!doctype html><meta charset=utf-8><meta name=generator content=vlp16emu><title>Score card</title>",
+        f"<style>{_STYLE}</style><h1>Score card</h1>",
+        *(f'<p class="missed">missed: {escape(line)}</p>' for line in missed),
+        _table(("score", "value"), list(card.scores.items())),
+        *(f"<p>{escape(group)}: {escape(note)}</p>" for group, note in card.notes.items()),
+    ]
+    if card.path is not None or card.trees:
+        file = io.BytesIO()
+        with plotted(file, _SIZE_PX) as figure:
+            _draw(figure, card)
+        picture = base64.b64encode(file.getvalue()).decode()
+        parts.append(f'<img alt="plots" src="data:image/png;base64,{picture}">')
+    if card.trees:
+        parts += ["<h2>Trees</h2>", _table(_HEAD, [astuple(row) for row in card.trees])]
+    return "\n".join(parts) + "\n"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a table, all but the first column as numbers."""
+    lines = [f"<tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>"]
+    for first, *others in rows:
+        cells = "".join(f'<td class="n">{escape(_text(value))}</td>' for value in others)
+        lines.append(f"<tr><td>{escape(_text(first))}</td>{cells}</tr>")
+    return f"<table>{''.join(lines)}</table>"
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if math.isfinite(value) else ""
+    return "" if value is None else str(value)
+
+
+def _draw(figure: "Figure", card: ScoreCard) -> None:
+    plan, errors = figure.subplots(1, 2)
+    plan.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="plan")
+    if (path := card.path) is not None:
+        plan.plot(*path.true_m[:, :2].T, color=INK, label="true path")
+        plan.plot(*path.found_m[:, :2].T, color="C3", lw=1, label="estimate")
+    for name, colour, marker in (("found", "C2", "o"), ("missed", SOFT, "x"), ("false", "C3", "+")):
+        if of := [row for row in card.trees if row.kind == name]:
+            plan.scatter([r.x_m for r in of], [r.y_m for r in of], c=colour, marker=marker, s=18, label=name)
+    plan.legend()
+    measured = [row for row in card.trees if math.isfinite(row.dbh_error_m)]
+    if measured:
+        errors.axhline(0, color=SOFT, lw=1)
+        both_cm = 100 * np.array([(row.true_dbh_m, row.dbh_error_m) for row in measured])
+        errors.scatter(*both_cm.T, c="C2", s=18)
+        errors.set(xlabel="true DBH, cm", ylabel="DBH error, cm", title="diameters")
+    elif path is not None:
+        errors.plot(path.errors_m, color="C3")
+        errors.set(xlabel="pose", ylabel="position error, m", title="trajectory")
+    else:
+        errors.set_axis_off()

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.extras.sheets.seen import stems_seen, tables_of_returns
-from vlp16emu.forest.plants.circles import branch_circles
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.flora import Flora, flora
 from vlp16emu.forest.plants.stem_rings import stem_circles
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.inventory import INVENTORY, Models, inventory
+from vlp16emu.forest.stand.inventory import INVENTORY, Models, branch_circles, inventory
 from vlp16emu.forest.stand.nearby import Thing, things_near
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.motion.pose import Motion

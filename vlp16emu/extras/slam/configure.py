@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -91,8 +92,9 @@ def configurations(program: Program, rig: Rig) -> dict[str, str]:
     return {file.name: _text(program, file, rig) for file in program.files}
 
 
-def write_beside(bag: Path, name: str, rig: Rig) -> Callable[[], list[Path]]:
-    """Return a function that writes the configuration of a program, or of all, beside a bag: `walk.lio-sam.yaml`.
+@contextmanager
+def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Iterator[None]:
+    """Write the configuration of a program, or of all, beside a bag after the block: `walk.lio-sam.yaml`; None writes none.
 
     Raises
     ------
@@ -102,22 +104,17 @@ def write_beside(bag: Path, name: str, rig: Rig) -> Callable[[], list[Path]]:
         If one of the files is there already, with other values
     """
     texts = {
-        bag.with_name(f"{bag.stem}.{file}"): text
-        for program in chosen(name)
-        for file, text in configurations(program, rig).items()
+        final_name(bag.with_name(f"{bag.stem}.{file}")): text
+        for program in (chosen(name) if name is not None else ())
+        for file, text in configurations(program, rig()).items()
     }
     for path, text in texts.items():
         if path.exists() and not (path.is_file() and path.read_text(encoding="utf-8", errors="replace") == text):
             raise OutputError(str(path), "is there already, with other values", "another name for the bag")
-        final_name(path)
-
-    def write() -> list[Path]:
-        for path, text in texts.items():
-            with OutputFile(path) as output, output.writing() as file:
-                file.write(text.encode())
-        return list(texts)
-
-    return write
+    yield
+    for path, text in texts.items():
+        with OutputFile(path) as output, output.writing() as file:
+            file.write(text.encode())
 
 
 def leaves(file: ConfigFile, rig: Rig) -> Leaves:

@@ -25,40 +25,33 @@ _RESTS_RAD_S, _RESTS_SHARE = 0.15, 0.05
 
 
 @dataclass(slots=True)
-class Clouds:
-    """Columns of the n clouds of the topic that is most like ours."""
+class Facts:
+    """Contents of a bag: the clouds and the samples of the topics that are most like ours, and the transforms."""
 
-    topic: str = ""
+    topic: str
+    imu_topic: str
+    """Empty if there is no inertial unit."""
     frame: str = ""
+    imu_frame: str = ""
     fields: Mapping[str, np.dtype[Any]] = field(default_factory=dict)
-    time_name: str | None = None
-    rows: list[tuple[float, ...]] = field(default_factory=list)
-    """Stamp in s since the first message; first, earliest, latest and last time in the field's own unit; points; NaN or not dense."""
+    time_name: str = ""
+    clouds: list[tuple[float, ...]] = field(default_factory=list)
+    """Stamp in s since the first message; earliest, latest and last time in the field's own unit; points; 1 if NaN or not dense."""
     rings: dict[int, list[float]] = field(default_factory=dict)
     """Sums and numbers of sines of the elevation by ring."""
-
-
-@dataclass(slots=True)
-class Facts:
-    """Contents of a bag."""
-
-    clouds: Clouds
-    imu_topic: str
-    imu_frame: str
-    imu: NDArray[np.float64]
-    """(n, 11): stamp in s as those of clouds, angular rate, acceleration, length of the quaternion, first covariances of
-    attitude, angular rate and acceleration."""
-    fixed: dict[str, tuple[str, NDArray[np.float64]]]
+    samples: list[tuple[float, ...]] = field(default_factory=list)
+    """Stamp as those of clouds, angular rate, acceleration, length of the quaternion, first covariances of attitude, angular rate
+    and acceleration."""
+    fixed: dict[str, tuple[str, NDArray[np.float64]]] = field(default_factory=dict)
     """Parent and pose of each frame of /tf_static."""
-    parents: dict[str, set[str]]
+    parents: dict[str, set[str]] = field(default_factory=dict)
     """All parents of each frame, fixed or moving."""
 
     def pose(self, frame: str, of: str) -> NDArray[np.float64] | None:
         """Return the fixed pose (4, 4) of one frame in another; None if they are not connected."""
         chains = [dict(self.up(name)) for name in (of, frame)]
-        if not (common := [name for name in chains[1] if name in chains[0]]):
-            return None
-        return np.linalg.inv(chains[0][common[0]]) @ chains[1][common[0]]
+        common = next((name for name in chains[1] if name in chains[0]), None)
+        return None if common is None else np.linalg.inv(chains[0][common]) @ chains[1][common]
 
     def up(self, frame: str) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Yield the frame and those above it, with its pose in each."""
@@ -66,24 +59,9 @@ class Facts:
         while frame not in seen:
             yield frame, T
             seen.add(frame)
-            if frame not in self.fixed:
-                return
-            frame, step = self.fixed[frame]
-            T = step @ T
-
-    def rest_s(self) -> float:
-        """Return for how long the unit rests at the start."""
-        if len(self.imu) < 2:
-            return 0.0
-        rate_hz = 1.0 / max(float(np.median(np.diff(self.imu[:, 0]))), 1e-6)
-        block = max(round(rate_hz * _SMOOTHED_S), 1)
-        rows = len(self.imu) // block * block
-        means = self.imu[:rows, 1:7].reshape(-1, block, 6).mean(axis=1)
-        force, usual = np.linalg.norm(means[:, 3:], axis=1), np.median(np.linalg.norm(self.imu[:, 4:7], axis=1))
-        moves = np.abs(means[:, :3]).max(axis=1) > _RESTS_RAD_S
-        moves |= np.abs(force - usual) > _RESTS_SHARE * usual
-        first = int(np.argmax(moves)) if moves.any() else len(moves)
-        return first * block / rate_hz
+            if frame in self.fixed:
+                frame, step = self.fixed[frame]
+                T = step @ T
 
 
 def read_facts(path: Path) -> Facts:
@@ -103,39 +81,22 @@ def read_facts(path: Path) -> Facts:
         raise MissingExtraError("rosbags", "ros", "reading bags") from None
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            return _read(path, reader)
+            facts = Facts(_topic(reader, _CLOUD, "velodyne_points"), _topic(reader, _IMU, "imu/data"))
+            start_s = reader.start_time // S_NS
+            read = {facts.topic: _add_cloud, facts.imu_topic: _add_sample, "/tf": _add_moving, "/tf_static": _add_fixed}
+            for connection, _, raw in reader.messages([one for one in reader.connections if one.topic in read]):
+                read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
     except (AnyReaderError, OSError) as error:
         raise CaptureError(str(path), f"no bag: {error}", "a bag: .mcap, .bag or a folder of ROS 2") from None
-
-
-def _read(path: Path, reader: Any) -> Facts:
-    topics = {kind: [one.topic for one in reader.connections if one.msgtype == kind] for kind in (_CLOUD, _IMU)}
-    topics = {kind: list(dict.fromkeys(names)) for kind, names in topics.items()}
-    if not topics[_CLOUD]:
-        raise CaptureError(str(path), "no point clouds", "messages of sensor_msgs/PointCloud2")
-    cloud, imu = (
-        _likest(names, ours) for names, ours in zip(topics.values(), ("velodyne_points", "imu/data"), strict=True)
-    )
-    facts = Facts(Clouds(topic=cloud), imu, "", np.empty((0, 11)), {}, {})
-    wanted, samples = {cloud, imu, "/tf", "/tf_static"}, []
-    start_s = reader.start_time // S_NS
-    for connection, _, raw in reader.messages([one for one in reader.connections if one.topic in wanted]):
-        message = reader.deserialize(raw, connection.msgtype)
-        if connection.topic == cloud:
-            _add_cloud(facts.clouds, message, start_s)
-        elif connection.topic == imu:
-            facts.imu_frame = message.header.frame_id
-            samples.append(_sample(message, start_s))
-        else:
-            _add_transforms(facts, message, fixed=connection.topic == "/tf_static")
-    if not facts.clouds.rows:
-        raise CaptureError(str(path), f"no point clouds on {cloud}", "messages of sensor_msgs/PointCloud2")
-    facts.imu = np.array(samples) if samples else facts.imu
+    if not facts.clouds:
+        where = f" on {facts.topic}" if facts.topic else ""
+        raise CaptureError(str(path), f"no point clouds{where}", "messages of sensor_msgs/PointCloud2")
     return facts
 
 
-def _likest(names: list[str], ours: str) -> str:
-    """Return the name that ends as ours does, else the first; empty without names."""
+def _topic(reader: Any, kind: str, ours: str) -> str:
+    """Return the topic of a type whose name ends as ours does, else the first; empty without any."""
+    names = [one.topic for one in reader.connections if one.msgtype == kind]
     return next((name for name in names if name.endswith(ours)), names[0] if names else "")
 
 
@@ -143,50 +104,61 @@ def _stamp_s(message: Any, start_s: int) -> float:
     return float(message.header.stamp.sec - start_s + message.header.stamp.nanosec / S_NS)
 
 
-def _sample(message: Any, start_s: int) -> list[float]:
+def _add_sample(facts: Facts, message: Any, start_s: int) -> None:
     w, a, q = message.angular_velocity, message.linear_acceleration, message.orientation
-    covariances = (
-        message.orientation_covariance,
-        message.angular_velocity_covariance,
-        message.linear_acceleration_covariance,
-    )
+    kinds = "orientation", "angular_velocity", "linear_acceleration"
+    covariances = (float(getattr(message, f"{kind}_covariance")[0]) for kind in kinds)
     length = float(np.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2))
-    return [_stamp_s(message, start_s), w.x, w.y, w.z, a.x, a.y, a.z, length, *(float(one[0]) for one in covariances)]
+    facts.imu_frame = message.header.frame_id
+    facts.samples.append((_stamp_s(message, start_s), w.x, w.y, w.z, a.x, a.y, a.z, length, *covariances))
 
 
-def _add_cloud(clouds: Clouds, message: Any, start_s: int) -> None:
+def _add_cloud(facts: Facts, message: Any, start_s: int) -> None:
     names, end = [one.name for one in message.fields], "><"[not message.is_bigendian]
     kinds = [np.dtype(end + _KINDS.get(one.datatype, "u1")) for one in message.fields]
     layout: Any = {"names": names, "formats": kinds, "offsets": [one.offset for one in message.fields]}
     layout["itemsize"] = message.point_step
     points: NDArray[Any] = np.frombuffer(message.data, np.dtype(layout))
-    clouds.frame, clouds.fields = message.header.frame_id, dict(zip(names, kinds, strict=True))
-    clouds.time_name = next((name for name in TIME_NAMES if name in names), None)
+    facts.frame, facts.fields = message.header.frame_id, dict(zip(names, kinds, strict=True))
+    facts.time_name = next((name for name in TIME_NAMES if name in names), "")
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1)
     holes = np.isnan(xyz).any(axis=1)
-    times = np.zeros(4)
-    if len(points) and clouds.time_name:
-        column = points[clouds.time_name].astype(np.float64)
-        times = np.array([column[0], column.min(), column.max(), column[-1]])
+    times = points[facts.time_name].astype(np.float64) if len(points) and facts.time_name else np.zeros(1)
     is_sparse = not message.is_dense or holes.any()
-    clouds.rows.append((_stamp_s(message, start_s), *times.tolist(), float(len(points)), float(is_sparse)))
-    if "ring" in names and len(clouds.rows) <= _RING_SCANS:
+    numbers = _stamp_s(message, start_s), times.min(), times.max(), times[-1], len(points), is_sparse
+    facts.clouds.append(tuple(map(float, numbers)))
+    if "ring" in names and len(facts.clouds) <= _RING_SCANS:
         xyz, ring = xyz[~holes], points["ring"][~holes]
         sine = xyz[:, 2] / np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
         for one in np.unique(ring).tolist():
-            total = clouds.rings.setdefault(int(one), [0.0, 0.0])
+            total = facts.rings.setdefault(int(one), [0.0, 0.0])
             total[0] += float(sine[ring == one].sum())
             total[1] += int((ring == one).sum())
 
 
-def _add_transforms(facts: Facts, message: Any, *, fixed: bool) -> None:
+def _add_moving(facts: Facts, message: Any, _: int) -> None:
+    for one in message.transforms:
+        facts.parents.setdefault(one.child_frame_id.lstrip("/"), set()).add(one.header.frame_id.lstrip("/"))
+
+
+def _add_fixed(facts: Facts, message: Any, start_s: int) -> None:
     from scipy.spatial.transform import Rotation
 
+    _add_moving(facts, message, start_s)
     for one in message.transforms:
-        child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
-        facts.parents.setdefault(child, set()).add(parent)
-        if fixed:
-            p, q = one.transform.translation, one.transform.rotation
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (p.x, p.y, p.z)
-            facts.fixed.setdefault(child, (parent, T))  # a second parent is a finding of its own
+        p, q, T = one.transform.translation, one.transform.rotation, np.eye(4)
+        T[:3, :3], T[:3, 3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (p.x, p.y, p.z)
+        # A second parent is a finding of its own.
+        facts.fixed.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), T))
+
+
+def rest_s(imu: NDArray[np.float64], rate_hz: float) -> float:
+    """Return for how long a unit rests at the start, from its samples (n, 11)."""
+    block = max(round(rate_hz * _SMOOTHED_S), 1)
+    rows = len(imu) // block * block
+    means = imu[:rows, 1:7].reshape(-1, block, 6).mean(axis=1)
+    force, usual = np.linalg.norm(means[:, 3:], axis=1), np.median(np.linalg.norm(imu[:, 4:7], axis=1))
+    moves = np.abs(means[:, :3]).max(axis=1) > _RESTS_RAD_S
+    moves |= np.abs(force - usual) > _RESTS_SHARE * usual
+    first = int(np.argmax(moves)) if moves.any() else len(moves)
+    return first * block / rate_hz

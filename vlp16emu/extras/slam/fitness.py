@@ -1,7 +1,7 @@
 """Whether a bag is fit for a SLAM program, and which parameter to set where it is not."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vlp16emu.extras.slam.configure import pose_names
-from vlp16emu.extras.slam.facts import Facts, read_facts
+from vlp16emu.extras.slam.facts import Facts, read_facts, rest_s
 from vlp16emu.extras.slam.programs import Program, chosen
 
 _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
@@ -57,52 +57,52 @@ class _Row(NamedTuple):
 
     rule: str
     broken: Callable[[Any, Program], Any]
-    """Of the values of `_values`."""
+    """Of the values of `_of_clouds`, `_of_samples` and `_of_frames`."""
     found: str
     """Format of the words, with names of values."""
 
 
 ROWS = (
-    _Row("cloud-topic", lambda v, _: v["topic"] != "/velodyne_points", "clouds are on {topic}"),
-    _Row("imu-topic", lambda v, _: v["imu"] not in ("", "/imu/data"), "the inertial unit is on {imu}"),
-    _Row("no-imu", lambda v, _: not v["samples"], "there is no inertial unit"),
-    _Row("no-time", lambda v, _: not v["name"], "points have no times, but {fields}"),
-    _Row("time-name", lambda v, _: v["name"] not in ("", "time"), "times of points are in `{name}`"),
-    _Row("time-type", lambda v, _: v["name"] and v["time_type"] != "float32", "times of points are {time_type}"),
-    _Row("time-unit", lambda v, _: v["name"] and v["unit"] != "s", "times of points are in {unit}: {span:g} a sweep"),
+    _Row("cloud-topic", lambda v, _: v["topic"] != "/velodyne_points", "point clouds are on {topic}"),
+    _Row("imu-topic", lambda v, _: v["imu"] not in ("", "/imu/data"), "IMU messages are on {imu}"),
+    _Row("no-imu", lambda v, _: not v["samples"], "there are no IMU messages"),
+    _Row("no-time", lambda v, _: not v["name"], "points have no time field, only {fields}"),
+    _Row("time-name", lambda v, _: v["name"] not in ("", "time"), "point times are in the field `{name}`"),
+    _Row("time-type", lambda v, _: v["name"] and v["time_type"] != "float32", "point times are {time_type}"),
+    _Row("time-unit", lambda v, _: v["name"] and v["unit"] != "s", "point times are in {unit}: a sweep spans {span:g}"),
     _Row(
         "time-zero",
         lambda v, _: v["name"] and abs(v["early_s"]) > _EARLY_S,
-        "times begin {early_s:+.4g} s after the stamp instead of 0",
+        "point times begin {early_s:+.4g} s from the stamp instead of at 0",
     ),
     _Row("time-last", lambda v, _: v["name"] and v["late_scans"], "in {late_scans} scans the last point is not the latest"),
     _Row("ring", lambda v, _: v["ring_type"] != "uint16", "`ring` is {ring_type} instead of uint16"),
     _Row("ring-order", lambda v, _: v["misordered"], "ring {misordered}"),
     _Row("beams", lambda v, _: v["rings"] not in (0, _BEAMS), "there are {rings} rings"),
-    _Row("density", lambda v, _: v["sparse"], "{sparse} clouds have NaN, or are not dense"),
-    _Row("sweep", lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05, "a sweep takes {sweep_s:.4g} s"),
+    _Row("density", lambda v, _: v["sparse"], "{sparse} clouds hold NaN, or are not marked as dense"),
+    _Row("sweep", lambda v, _: abs(v["sweep_s"] / _SWEEP_S - 1) > 0.05, "a sweep takes {sweep_s:.4g} s instead of 0.1"),
     _Row("cloud-gaps", lambda v, _: v["gaps"], "{gaps} gaps between scans, up to {gap_s:.3g} s"),
-    _Row("gravity-unit", lambda v, _: v["samples"] and not 8 < v["norm"] < 12, "gravity reads {norm:.3g}"),
-    _Row("gyro-unit", lambda v, _: v["rate_95"] > 12, "angular rates reach {rate_95:.3g}, as degrees per second do"),
+    _Row("gravity-unit", lambda v, _: v["samples"] and not 8 < v["norm"] < 12, "accelerations have the median {norm:.3g} instead of 9.8"),
+    _Row("gyro-unit", lambda v, _: v["rate_95"] > 12, "angular rates reach {rate_95:.3g}, as in degrees per second"),
     _Row("gravity-axis", lambda v, _: v["lean_deg"] > _TILT_DEG, "gravity is {lean_deg:.0f} deg off the body's vertical"),
-    _Row("imu-rate", lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02, "{hz_imu:.1f} samples a second"),
-    _Row("imu-slow", lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98, "{hz_imu:.1f} samples a second"),
+    _Row("imu-rate", lambda v, _: v["samples"] and abs(v["hz_imu"] / _IMU_HZ - 1) > 0.02, "the IMU has {hz_imu:.1f} samples a second"),
+    _Row("imu-slow", lambda v, _: v["samples"] and v["hz_imu"] < _SLOW_HZ * 0.98, "the IMU has {hz_imu:.1f} samples a second"),
     _Row(
         "imu-gaps",
         lambda v, _: v["imu_gaps"] or v["imu_back"],
-        "{imu_gaps} gaps between samples, up to {imu_gap_s:.3g} s, and {imu_back} steps back",
+        "{imu_gaps} gaps between IMU samples, up to {imu_gap_s:.3g} s, and {imu_back} steps back in time",
     ),
-    _Row("attitude", lambda v, _: v["samples"] and v["levelled"] < 1, "samples have no attitude"),
+    _Row("attitude", lambda v, _: v["samples"] and v["levelled"] < 1, "IMU messages have no orientation"),
     _Row("covariance", lambda v, _: v["unknown"], "covariances of rate or acceleration begin with -1"),
     _Row(
         "clock",
         lambda v, _: v["samples"] and (v["inside"] < 0.5 or v["back"]),
-        "{inside:.0%} of the scans are within the samples, which begin {offset_s:+.3f} s after the scans; {back} stamps go back",
+        "{inside:.0%} of the scans lie within the time of the IMU, which begins {offset_s:+.3f} s after them; {back} stamps go back",
     ),
-    _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and unit are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
+    _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and IMU are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
     _Row("frames", lambda v, _: v["tree"], "{tree}"),
-    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the fixed frames hang on {root}"),
-    _Row("tf-map", lambda v, _: v["edge"], "/tf moves {edge}"),
+    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the root of /tf_static is {root} instead of base_link"),
+    _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
     _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
 )  # fmt: skip
 """Rules in the order of findings; a program that does not mind has no text for the rule in `programs.toml`."""
@@ -120,58 +120,45 @@ def fitness(path: Path, name: str) -> Fitness:
     """
     programs = chosen(name)
     facts = read_facts(path)
-    values = _values(facts)
+    values = _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
     keys = ("topic", "clouds", "points", "sweep_s", "imu", "samples", "hz_imu", "norm", "rest_s", "root")
-    summary = {key: values[key] for key in keys}
-    return Fitness(summary, tuple(one.name for one in programs), tuple(_findings(programs, values)))
-
-
-def _findings(programs: Sequence[Program], values: dict[str, Any]) -> Iterator[Unfit]:
-    for program in programs:
-        for row in ROWS:
-            if row.rule in program.needs and row.broken(values, program):
-                text = program.needs[row.rule]
-                named = {**values, "topic": values["imu"]} if row.rule == "imu-topic" else values
-                named = {**named, "period_s": 1 / values["hz_imu"]} if row.rule == "imu-rate" else named
-                yield Unfit(program.name, row.rule, row.found.format_map(values), text.format_map(named))
-
-
-def _values(facts: Facts) -> dict[str, Any]:
-    """Return all that rules and texts name."""
-    return _of_clouds(facts) | _of_samples(facts) | _of_frames(facts)
+    findings = tuple(
+        Unfit(program.name, row.rule, row.found.format_map(values), program.needs[row.rule].format_map(values))
+        for program in programs
+        for row in ROWS
+        if row.rule in program.needs and row.broken(values, program)
+    )
+    return Fitness({key: values[key] for key in keys}, tuple(one.name for one in programs), findings)
 
 
 def _of_clouds(facts: Facts) -> dict[str, Any]:
-    clouds = facts.clouds
-    stamp_s, _, earliest, latest, last, points, sparse = np.array(clouds.rows).T
+    stamp_s, earliest, latest, last, points, sparse = np.array(facts.clouds).T
     steps_s = np.diff(stamp_s)
     sweep_s = float(np.median(steps_s)) if len(steps_s) else _SWEEP_S
     span = float(np.median(latest - earliest))
     unit, scale, code = min(_UNITS, key=lambda one: abs(math.log(max(span, 1e-12) * one[1] / max(sweep_s, 1e-6))))
-    early_s = float(np.median(earliest)) * scale
-    kinds = {name: kind.name for name, kind in clouds.fields.items()}
-    sines = [(ring, total / n) for ring, (total, n) in sorted(clouds.rings.items()) if n]
-    wrong = [f"{a[0]} is above ring {b[0]}" for a, b in pairwise(sines) if a[1] >= b[1]]
+    kinds = {name: kind.name for name, kind in facts.fields.items()}
+    sines = [(ring, total / n) for ring, (total, n) in sorted(facts.rings.items()) if n]
+    wrong = (f"{a[0]} is above ring {b[0]}" for a, b in pairwise(sines) if a[1] >= b[1])
     gaps_s = steps_s[steps_s > 1.5 * sweep_s]
     return {
-        "topic": clouds.topic,
+        "topic": facts.topic,
         "clouds": len(stamp_s),
         "points": float(np.median(points)),
         "fields": ", ".join(kinds),
-        "name": clouds.time_name or "",
-        "time_type": kinds.get(clouds.time_name or "", ""),
+        "name": facts.time_name,
+        "time_type": kinds.get(facts.time_name, ""),
         "ring_type": kinds.get("ring", "missing"),
         "unit": unit,
         "scale": scale,
         "code": code,
         "span": span,
-        "early_s": early_s,
+        "early_s": float(np.median(earliest)) * scale,
         "late_scans": int(((latest - last) * scale > _EARLY_S).sum()),
-        "rings": max(clouds.rings) + 1 if clouds.rings else 0,
-        "misordered": wrong[0] if wrong else "",
+        "rings": max(facts.rings, default=-1) + 1,
+        "misordered": next(wrong, ""),
         "sparse": int(sparse.sum()),
         "sweep_s": sweep_s,
-        "period_s": sweep_s,
         "hz": 1.0 / max(sweep_s, 1e-6),
         "columns": 1800 * sweep_s / _SWEEP_S,
         "gaps": len(gaps_s),
@@ -181,11 +168,12 @@ def _of_clouds(facts: Facts) -> dict[str, Any]:
 
 
 def _of_samples(facts: Facts) -> dict[str, Any]:
-    imu, stamp_s = facts.imu, np.array([row[0] for row in facts.clouds.rows])
-    rest_s, n = facts.rest_s(), len(facts.imu)
+    imu, stamp_s = np.array(facts.samples).reshape(-1, 11), np.array([row[0] for row in facts.clouds])
+    n = len(imu)
     steps_s = np.diff(imu[:, 0]) if n > 1 else np.full(1, 1.0 / _IMU_HZ)
     usual_s = max(float(np.median(steps_s)), 1e-6)
-    quiet = imu[: max(round(rest_s / usual_s), 1)] if rest_s >= 1.0 else imu
+    quiet_s = rest_s(imu, 1.0 / usual_s) if n else 0.0
+    quiet = imu[: max(round(quiet_s / usual_s), 1)] if quiet_s >= 1.0 else imu
     force = quiet[:, 4:7].mean(axis=0) if n else np.array([0.0, 0.0, _GRAVITY_M_S2])
     turn = facts.pose(facts.imu_frame, "base_link")
     up = (force if turn is None else turn[:3, :3] @ force) / max(float(np.linalg.norm(force)), 1e-9)
@@ -194,9 +182,10 @@ def _of_samples(facts: Facts) -> dict[str, Any]:
         "imu": facts.imu_topic,
         "samples": n,
         "hz_imu": 1.0 / usual_s,
+        "imu_s": usual_s,
         "norm": float(np.median(np.linalg.norm(imu[:, 4:7], axis=1))) if n else _GRAVITY_M_S2,
         "rate_95": float(np.quantile(np.abs(imu[:, 1:4]), 0.95)) if n else 0.0,
-        "lean_deg": math.degrees(math.acos(max(-1.0, min(1.0, float(up[2]))))),
+        "lean_deg": math.degrees(math.acos(float(up[2].clip(-1.0, 1.0)))),
         "imu_gaps": int((steps_s > 3 * usual_s).sum()),
         "imu_gap_s": float(steps_s.max()),
         "imu_back": int((steps_s <= 0).sum()),
@@ -204,36 +193,33 @@ def _of_samples(facts: Facts) -> dict[str, Any]:
         "unknown": bool((imu[:, 9:11] == -1).any()),
         "inside": float(inside),
         "offset_s": float(imu[0, 0] - stamp_s[0]) if n else 0.0,
-        "rest_s": rest_s,
+        "rest_s": quiet_s,
     }
 
 
 def _of_frames(facts: Facts) -> dict[str, Any]:
-    lidar, unit = facts.clouds.frame, facts.imu_frame
+    lidar, unit = facts.frame, facts.imu_frame
     roots = [list(facts.up(frame))[-1][0] for frame in (lidar, unit) if frame]
-    twice = {child: parents for child, parents in facts.parents.items() if len(parents) > 1}
-    T = facts.pose(unit, lidar) if unit else None
+    twice = [(child, parents) for child, parents in facts.parents.items() if len(parents) > 1]
     if twice:
-        child, parents = next(iter(twice.items()))
-        tree = f"{child} has the parents {' and '.join(sorted(parents))}"
+        tree = f"{twice[0][0]} has the parents {' and '.join(sorted(twice[0][1]))}"
     elif len(set(roots)) > 1:
         tree = f"{lidar} and {unit} are not connected"
     else:
-        tree = "" if lidar in facts.fixed or lidar == "base_link" else f"nothing says where {lidar} is"
-    taken = ("base_link", *[name for name in (lidar, unit) if name])
-    edges = [
+        tree = "" if lidar in facts.fixed or lidar == "base_link" else f"no transform leads to {lidar}"
+    edges = (
         f"{min(facts.parents[child])} -> {child}"
-        for child in taken
+        for child in ("base_link", lidar, unit)
         if child in facts.parents and child not in facts.fixed
-    ]
+    )
+    T = facts.pose(unit, lidar) if unit else None
     apart = np.eye(4) if T is None else T
-    turned = math.degrees(math.acos(max(-1.0, min(1.0, (float(np.trace(apart[:3, :3])) - 1) / 2))))
-    names = pose_names("lidar", "imu", apart) | pose_names("imu", "lidar", np.linalg.inv(apart))
     return {
         "tree": tree,
         "root": roots[0],
-        "edge": edges[0] if edges else "",
+        "edge": next(edges, ""),
         "apart_m": float(np.linalg.norm(apart[:3, 3])),
-        "turned_deg": turned,
-        **names,
+        "turned_deg": math.degrees(math.acos(((np.trace(apart[:3, :3]) - 1) / 2).clip(-1.0, 1.0))),
+        **pose_names("lidar", "imu", apart),
+        **pose_names("imu", "lidar", np.linalg.inv(apart)),
     }

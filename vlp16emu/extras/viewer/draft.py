@@ -9,7 +9,7 @@ import numpy as np
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.forest.ground.dem import DemHeights
-from vlp16emu.forest.stand.settings import Woods
+from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.stand import foot_discs, path_gap_m
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.route import Route

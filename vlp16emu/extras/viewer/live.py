@@ -21,8 +21,7 @@ from vlp16emu.extras.viewer.layers import MEASURED
 from vlp16emu.extras.viewer.page import SweepView, draw_stand
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
-from vlp16emu.motion.live_settings import Live, takes_poses
-from vlp16emu.motion.settings import Walk
+from vlp16emu.motion.settings import Live, Walk, takes_poses
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.scan import Scan
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink

@@ -14,7 +14,7 @@ from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora, known
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.settings import LEAST_SLENDERNESS, Plot
+from vlp16emu.forest.settings import LEAST_SLENDERNESS, Plot
 from vlp16emu.forest.stand.stand import RIVALS_M, TREE, competition, foot_discs, in_the_way_m, path_gap_m, residuals
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
@@ -83,9 +83,7 @@ def read_stem_list(
     trees["lean_deg"] = np.nan_to_num(table.numbers("lean_deg"))
     towards, azimuth = table.numbers("lean_towards_deg"), table.numbers("lean_azimuth_deg")
     trees["lean_towards_deg"] = np.nan_to_num(np.where(np.isnan(towards), 90.0 - azimuth, towards)) % 360
-    _check_slender(table, trees)
-    _check_crown_bases(table, trees)
-    _check_twice(table, trees)
+    _check(table, trees)
     return trees
 
 
@@ -101,7 +99,7 @@ def _with_heights(table: Table, species: list[Species]) -> Array:
             found = f"no tree of {one.name} has a height"
             raise GeometryError(f"{table.path}: height_m", found, "one at least, to draw its height curve through")
         mean_cm = float(np.sqrt(np.mean(np.square(dbh_cm[measured]))))
-        curve_m = one.height_m(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
+        curve_m = one.height_curve(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
         height_m[missing] = np.maximum(curve_m, _COLUMNS["height_m"].low)
     return height_m
 
@@ -133,27 +131,21 @@ def _set_crowns(trees: Trees, table: Table, species: list[Species], seed: int) -
         trees["crown_width_m"][no_width] = one.crown_width_m(dbh_cm[no_width], wide[no_width])
 
 
-def _check_slender(table: Table, trees: Trees) -> None:
-    """Refuse a list of trees that are far too thick for their height: their DBH is in millimetres."""
+def _check(table: Table, trees: Trees) -> None:
+    """Refuse a list with its DBH in millimetres, crowns that begin above the tip, and trees listed twice."""
+    from scipy.spatial import cKDTree  # here: it takes a while to load
+
     slenderness = trees["height_m"] / trees["dbh_m"]
     if (middle := float(np.median(slenderness))) < LEAST_SLENDERNESS:
         i = int(slenderness.argmin())
         found = f"found {100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m; half of all trees are less than {middle:.0f} times as high as thick"
         expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
         raise GeometryError(table.where(i, "dbh_m"), found, expected)
-
-
-def _check_crown_bases(table: Table, trees: Trees) -> None:
     above = trees["crown_base_m"] >= trees["height_m"]
     if above.any():
         i = int(above.argmax())
         found = f"found {trees['crown_base_m'][i]:g}"
         raise GeometryError(table.where(i, "crown_base_m"), found, f"less than the height, {trees['height_m'][i]:g}")
-
-
-def _check_twice(table: Table, trees: Trees) -> None:
-    from scipy.spatial import cKDTree
-
     places = places_m(trees, "xy")
     pairs = sorted(cKDTree(places).query_pairs(_APART_M))
     if pairs:
@@ -162,8 +154,7 @@ def _check_twice(table: Table, trees: Trees) -> None:
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
-_CROWN_RATIOS = 0.4, 0.6
-"""Between the variants of a class: no crown is stretched much along its stem."""
+_CROWN_RATIOS = 0.4, 0.6  # between the variants of a class: no crown is stretched much along its stem
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 _HA_PER_TILE = TILE_M * TILE_M / 10_000

@@ -13,16 +13,15 @@ from vlp16emu.elementary import atan2, cos, hypot, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
-from vlp16emu.forest.plants.circles import profiles
 from vlp16emu.forest.plants.flora import Flora, Trees, known
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import STEM_PARTS, lean_rotation
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
-from vlp16emu.forest.stand.inventory import Models, hull_m, volume_m3
+from vlp16emu.forest.settings import Season
+from vlp16emu.forest.stand.inventory import Models, hull_m, profiles, volume_m3
 from vlp16emu.forest.stand.placed import turned
 from vlp16emu.types import Array, IntArray, Mesh, PlantPart
-from vlp16emu.world.mesh_settings import TreeModelFile
+from vlp16emu.world.settings import TreeModelFile
 from vlp16emu.world.user_mesh import load_mesh
 from vlp16emu.world.vectors import places_m
 

@@ -18,7 +18,7 @@ import numba
 import numpy as np
 
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
-from vlp16emu.forest.ground.settings import Dem
+from vlp16emu.forest.settings import Dem
 from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import distance_m
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, power, sin, tan
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Terrain
 from vlp16emu.random import generator, philox4x32
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array

@@ -16,10 +16,8 @@ from vlp16emu.types import Array
 
 Coefficients = tuple[float, ...]
 
-BREAST_HEIGHT_M = 1.3
-"""Height of the diameter at breast height above the ground at the stem's axis."""
-US_BREAST_HEIGHT_M = 1.37
-"""The same in North America: 4.5 ft."""
+BREAST_HEIGHT_M = 1.3  # height of the diameter at breast height above the ground at the stem's axis
+US_BREAST_HEIGHT_M = 1.37  # the same in North America: 4.5 ft
 _INCH_CM, _FOOT_M = 2.54, 0.3048
 _TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
 _LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption

@@ -20,8 +20,7 @@ _NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Between successive branches or whorls, so that none stands right above another."""
 _STEEPEST = np.radians(85.0)  # branches hang or rise no steeper; keeps the azimuth of a branch defined
-THINNEST_M = 0.001
-"""Least radius of a branch at its base; assumption."""
+THINNEST_M = 0.001  # least radius of a branch at its base; assumption
 _TIP_SHARE = 0.2  # radius just before the tip over that at the base; assumption
 _BISECTIONS = 16  # enough to find the length of a branch to a millimetre
 

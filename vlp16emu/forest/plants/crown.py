@@ -19,16 +19,15 @@ from vlp16emu.forest.plants.branches import (
 from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import merged
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Season
 from vlp16emu.random import generator
 from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
 
-VARIANTS = 3
-"""Different crowns of the same species and diameter class, of short to long ones."""
+VARIANTS = 3  # different crowns of the same species and diameter class, of short to long ones
 CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
 _SIDES = (6, 4, 3)  # of branches, by order

@@ -14,8 +14,7 @@ def quads(corners: Array) -> Mesh:
     return Mesh(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4))
 
 
-NO_LEAVES = quads(np.zeros((0, 4, 3)))
-"""In the place of leaves that have fallen."""
+NO_LEAVES = quads(np.zeros((0, 4, 3)))  # in the place of leaves that have fallen
 
 
 def merged(*parts: Mesh) -> Mesh:

@@ -6,16 +6,8 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, log
-from vlp16emu.forest.plants.allometry import (
-    Biomass,
-    CrownBase,
-    CrownWidth,
-    HeightCurve,
-    Taper,
-    taper_radius_m,
-    truncated_weibull_cm,
-)
-from vlp16emu.forest.plants.settings import Season
+from vlp16emu.forest.plants.allometry import Biomass, CrownBase, CrownWidth, HeightCurve, Taper, taper_radius_m
+from vlp16emu.forest.settings import Season
 from vlp16emu.settings import Fraction, Section
 from vlp16emu.types import Array
 
@@ -209,14 +201,6 @@ class Species(Plant):
     foliage: Foliage | None = None
     """None on a dead tree."""
     biomass: Biomass | None = None
-
-    def dbh_quantile_cm(self, probability: Array, mean_dbh_cm: float) -> Array:
-        """Quantiles (n,) of a stand's diameters as of `truncated_weibull_cm`."""
-        return truncated_weibull_cm(self.diameters, probability, mean_dbh_cm)
-
-    def height_m(self, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:
-        """Height by the species' curve through (mean_dbh_cm, mean_height_m)."""
-        return self.height_curve(dbh_cm, mean_dbh_cm, mean_height_m)
 
     def crown_width_m(self, dbh_cm: Array, residual: Array | None = None) -> Array:
         """Crown width of forest-grown trees; residuals (n,) are in sigmas, and without them it is the mean."""

@@ -23,8 +23,7 @@ from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m, unit
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
-ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)
-"""Of a root's mesh, and where its rings are as shares of its length."""
+ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)  # of a root's mesh, and where its rings are as shares of its length
 _OLD_M = 0.3  # DBH from which trees have them; assumption
 _MOST = 6  # roots of a tree: one to each lobe of its butt at most
 _LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)  # over the DBH, and on the ground, least and most; assumptions
@@ -92,8 +91,7 @@ def _root_pipes(middle_m: Array, wide_m: Array, high_m: Array) -> Array:
     return np.concatenate([middle_m[:, :1], ring_m, tip_m], axis=1)
 
 
-STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)
-"""Of the meshes of a stem, in order."""
+STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)  # of the meshes of a stem, in order
 _SPLINTER_SHARE = 0.8
 """How far off the axis the tip of a broken stem is, over the radius of the highest ring: a slanting break."""
 _BURIED_M = 0.1  # how far the foot reaches below the lowest ground around it

@@ -39,8 +39,7 @@ class StemForms:
 
     bole_m: Array  # (n,) height of the crown base
     bends: Array  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
-    oval: Array
-    """(n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad."""
+    oval: Array  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
     lobes: Array  # (n, 3) number, amplitude at the ground over the radius, phase
     surface_roots: Array  # (n,) share of the lobes that have one
     bark: Array  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
@@ -156,8 +155,7 @@ def _depth(radius_m: Array, breast_m: Array) -> Array:
     return np.square(thinner) / np.maximum(radius_m, 1e-6)
 
 
-FLARE_TOP_M = 0.5
-"""Where the root flare ends and the stem begins, at a ring that both share; assumption."""
+FLARE_TOP_M = 0.5  # where the root flare ends and the stem begins, at a ring that both share; assumption
 _BURIED_M = 0.1  # how far the foot reaches below level ground
 _SIDES, _THICKER_M = np.array([16, 24, 32, 40]), np.array([0.16, 0.3, 0.45])
 """Of a stem's cross-section, and the DBH over which there are more; they are 30 to 40 mm long on most stems."""
@@ -165,7 +163,7 @@ _BUTT_M = (0.0, 0.12, 0.28, FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)  # heights of ri
 _UPPER = (0.035, 0.1, 0.2, 0.33, 0.48, 0.64, 0.8, 0.93)
 """Rings above, as shares of the way from breast height to the tip."""
 _LEADER_CIRCLES = 9
-STEM_CIRCLE = np.dtype(
+STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
     [
         ("tree", "<u4"),  # instance
         ("leader", "u1"),  # 1 of the stem, 2 of its second leader; branches leave the first
@@ -178,7 +176,6 @@ STEM_CIRCLE = np.dtype(
         ("radius_m", "<f8"),  # of the circle with the section's area, over bark
     ]
 )
-"""One circle of a stem, or of a branch that leaves it."""
 
 
 @dataclass(frozen=True, slots=True)

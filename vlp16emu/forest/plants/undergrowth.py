@@ -11,17 +11,16 @@ from vlp16emu.forest.plants.branches import first_order, ground_stems, side_bran
 from vlp16emu.forest.plants.flora import Table, shrub_table, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import NO_LEAVES
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Habit, Shrub
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Season
 from vlp16emu.random import generator
 from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import closed
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
-SLENDERNESS = 80.0
-"""Height of a sapling over the diameter of its stem at the ground; the stem is a cone; assumptions."""
+SLENDERNESS = 80.0  # height of a sapling over the diameter of its stem at the ground; the stem is a cone; assumptions
 CROWN_BASE_SHARE, CROWN_WIDTH_SHARE = 0.1, 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""
 _LEAF_AREA_INDEX = 2.0  # of a sapling in the shade on the ground under it; assumption

@@ -112,18 +112,15 @@ def _unit(vertices: Array, faces: IntArray) -> Mesh:
 
 
 Mask = NDArray[np.bool_]
-FLOOR_VARIANTS = 6
-"""Different shapes of each kind."""
-STUMP_DEPTH = 0.5
-"""Depth of a stump in the ground over its height above it."""
+FLOOR_VARIANTS = 6  # different shapes of each kind
+STUMP_DEPTH = 0.5  # depth of a stump in the ground over its height above it
 _STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3  # times that the faces of an icosahedron are quartered: 320 and 1280 faces
-_ICOSAHEDRON = (
+_ICOSAHEDRON = (  # faces, counter-clockwise seen from outside; corners as in `_icosphere`
     *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
     *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
     *((10, 7, 1), (5, 7, 10), (11, 7, 5), (5, 2, 11), (3, 7, 11)),
     *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
 )
-"""Faces, counter-clockwise seen from outside; corners as in `_icosphere`."""
 _LOBES, _LOBE_HEIGHT = 6, 0.05  # sines that shape a stone, and the amplitude of each over the radius; assumption
 _ROUND_SIDES = 16  # of logs and stumps
 LOG_TAPER = 0.2
@@ -168,8 +165,7 @@ class FloorKind(StrEnum):
     ROOT_PLATE = "root_plate"
 
 
-GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})
-"""Kinds that are part of the ground."""
+GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})  # kinds that are part of the ground
 
 
 @dataclass(frozen=True, slots=True)

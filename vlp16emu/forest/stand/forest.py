@@ -1,79 +1,31 @@
 """A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and what is kept of it."""
 
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, fields
 from functools import cache, lru_cache
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
 from vlp16emu.forest.ground.terrain import Trails
-from vlp16emu.forest.plants.circles import far_stems
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.forest.plants.flora import Flora, Trees, flora, material_names
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
-from vlp16emu.forest.stand.floor_shapes import FloorKey, FloorKind, floor_meshes
-from vlp16emu.forest.stand.inventory import ModelKey, Models
+from vlp16emu.forest.settings import Woods
+from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
+from vlp16emu.forest.stand.inventory import ModelKey, Models, far_stems
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, Site, Tile, distinct, packed, plant_surfaces
 from vlp16emu.forest.stand.scatter import layers_of
-from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
-from vlp16emu.store import Bundle, recalled
+from vlp16emu.store import recalled
 from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
 from vlp16emu.world.polyline import Corridor
-
-T = TypeVar("T")
-_KINDS: dict[str, Callable[..., ShapeKey]] = {
-    "CrownKey": CrownKey,
-    "IvyKey": lambda tile, number: IvyKey(TileKey(*tile), number),
-    "FloorKey": lambda kind, *rest: FloorKey(FloorKind(kind), *rest),
-    "ModelKey": ModelKey,
-    "SaplingKey": SaplingKey,
-    "ShrubKey": ShrubKey,
-    "StemKey": lambda tile, number: StemKey(TileKey(*tile), number),
-    "TileKey": TileKey,
-}
-"""Constructors of keys from their fields."""
-
-
-def by_tile(kind: type[T], name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
-    """Keep what is made of each tile (ix, iy): a data class of arrays, and of `keys` of shapes.
-
-    `name` is that of all that decides it but the tile; empty where nothing is kept.
-    """
-    if not name:
-        return make
-    return lambda ix, iy: recalled(
-        f"{name} {kind.__name__} {ix} {iy}", lambda: make(ix, iy), _packed, lambda bundle: _unpacked(kind, bundle)
-    )
-
-
-def key_text(key: ShapeKey) -> str:
-    """Write a key of a forest's shape."""
-    return json.dumps(_row(key))
-
-
-def _row(key: Any) -> list[object]:
-    return [type(key).__name__, *astuple(key)]
-
-
-def _packed(thing: Any) -> Bundle:
-    keys = json.dumps([_row(key) for key in thing.keys]).encode()
-    return {field.name: getattr(thing, field.name) for field in fields(thing)} | {"keys": np.frombuffer(keys, np.uint8)}
-
-
-def _unpacked(kind: type[T], bundle: Bundle) -> T:
-    rows = json.loads(bundle["keys"].tobytes())
-    return kind(**{**bundle, "keys": tuple(_KINDS[name](*values) for name, *values in rows)})
-
 
 _NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 _DENSEST_PER_HA = 125_000
@@ -86,6 +38,14 @@ _ASIDE_M = 35.0  # how far a sensor may stray from the path and still see number
 _MARGIN_M = 80.0
 """Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
 and a tile more, since voxels of a tile are made of the tiles around it too."""
+
+
+T = TypeVar("T")
+
+
+def by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
+    """Keep what is made of each tile (ix, iy); `name` is that of all that decides it but the tile, empty where nothing is kept."""
+    return lambda ix, iy: recalled(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
 
 
 class TreeSource(Protocol):
@@ -154,8 +114,8 @@ class ForestWorld:
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
         kept = 2 * across * across
-        self._tile = lru_cache(maxsize=kept)(by_tile(Tile, name, self._grow_tile))
-        self.far_tile = lru_cache(maxsize=kept)(by_tile(FarTile, name, self._far_tile))
+        self._tile = lru_cache(maxsize=kept)(by_tile("Tile", name, self._grow_tile))
+        self.far_tile = lru_cache(maxsize=kept)(by_tile("FarTile", name, self._far_tile))
         self._trees = lru_cache(maxsize=kept)(stems.trees)
         self._crown = cache(stems.crown)
         self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
@@ -209,7 +169,7 @@ class ForestWorld:
         if not self.name:
             return ""
         own = isinstance(key, TileKey | StemKey | IvyKey)
-        return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key_text(key)}"
+        return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key!r}"
 
     def _far_tile(self, ix: int, iy: int) -> FarTile:
         """Describe a tile for the far medium; trees that sway, stems and all, are not in it."""

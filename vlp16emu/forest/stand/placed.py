@@ -15,8 +15,7 @@ from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Sem
 from vlp16emu.world.polyline import Corridor
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
-NO_TREES = np.zeros(0, TREE)
-"""Trees of a layer that has none."""
+NO_TREES = np.zeros(0, TREE)  # trees of a layer that has none
 
 
 @dataclass(frozen=True, slots=True)

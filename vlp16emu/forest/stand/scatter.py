@@ -6,7 +6,7 @@ trunk is left out.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, log1p, matmul, sin
 from vlp16emu.errors import GeometryError
+from vlp16emu.forest import settings
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.forest.plants.crown import VARIANTS
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora, known
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Shrub, Species
 from vlp16emu.forest.plants.undergrowth import (
     CROWN_BASE_SHARE,
@@ -44,22 +44,7 @@ from vlp16emu.forest.stand.placed import (
     together,
     turned,
 )
-from vlp16emu.forest.stand.points import PatchyPattern, PointPattern, ScatteredPattern, pattern_of
-from vlp16emu.forest.stand.settings import (
-    Cover,
-    DwarfShrubs,
-    Ferns,
-    Grass,
-    Herbs,
-    Litter,
-    Logs,
-    Moss,
-    Regeneration,
-    Shrubs,
-    Stones,
-    Stumps,
-    Woods,
-)
+from vlp16emu.forest.stand.points import PointPattern, patchy, pattern_of, scattered
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.random import generator
 from vlp16emu.settings import Section
@@ -98,7 +83,7 @@ class Layer:
     section: Any  # what the user wrote
     kind: LayerKind
     species: Sequence[Any]  # of the plants that they are or were
-    season: Season
+    season: settings.Season
     plants: Flora
     pattern: PointPattern  # their places, before those on the path and in trunks are left out
 
@@ -265,32 +250,19 @@ def _sampled_species(layer: Layer, draws: Array) -> IntArray:
 
 def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) say where, how far apart, and at what angle."""
-    at, gap = between(_BREAK_AT, draws[:, 0]), between(_BREAK_GAP, draws[:, 1])
-    turn = np.where(is_broken, _BREAK_TURN * (2 * draws[:, 2] - 1), 0.0)
-    share = np.where(is_broken, at, 1.0)
-    butt = _piece(whole, -0.5 + share / 2, share, is_broken)
+    log = np.append(whole.log, np.flatnonzero(is_broken))
+    is_top, towards, whole_m = np.arange(len(log)) >= len(whole.log), whole.towards[log], whole.length_m[log]
+    at, gap = between(_BREAK_AT, draws[log, 0]), between(_BREAK_GAP, draws[log, 1])
+    share = np.where(is_top, 1 - at - gap, np.where(is_broken[log], at, 1.0))
+    middle = np.where(is_top, at / 2, -0.5 + share / 2)
+    thick = np.where(is_broken[log], 1 - 2 * LOG_TAPER * middle, 1.0)
+    length_m = share * whole_m
+    xy_m = _line_m(whole.xy_m[log], towards, (np.where(is_top, at + gap - 0.5, middle) * whole_m)[:, None])[:, 0]
     # The upper piece is turned about its lower end.
-    low, length_m = (at + gap - 0.5) * whole.length_m, (1 - at - gap) * whole.length_m
-    end_m = _line_m(whole.xy_m, whole.towards, low[:, None])[:, 0]
-    top = replace(
-        _piece(whole, at / 2, 1 - at - gap, is_broken),
-        xy_m=_line_m(end_m, whole.towards + turn, length_m[:, None] / 2)[:, 0],
-        towards=whole.towards + turn,
-        is_top=is_broken,
-    )
-    both = ((getattr(butt, field.name), getattr(top, field.name)) for field in fields(_Pieces))
-    return _Pieces(*(np.concatenate([lower, upper[is_broken]]) for lower, upper in both))
-
-
-def _piece(whole: _Pieces, middle: Array, share: Array, is_broken: Mask) -> _Pieces:
-    """Cut pieces (n,) out of logs, about middles and of lengths that are shares of theirs; as thick as the logs are there."""
-    thick = np.where(is_broken, 1 - 2 * LOG_TAPER * middle, 1.0)
-    return replace(
-        whole,
-        xy_m=_line_m(whole.xy_m, whole.towards, (middle * whole.length_m)[:, None])[:, 0],
-        length_m=share * whole.length_m,
-        wide_m=thick * whole.wide_m,
-        high_m=thick * whole.high_m,
+    towards = towards + np.where(is_top, _BREAK_TURN * (2 * draws[log, 2] - 1), 0.0)
+    xy_m[is_top] = _line_m(xy_m[is_top], towards[is_top], length_m[is_top, None] / 2)[:, 0]
+    return _Pieces(
+        log, is_top, xy_m, towards, length_m, thick * whole.wide_m[log], thick * whole.high_m[log], whole.sunk[log]
     )
 
 
@@ -388,7 +360,7 @@ def layer_of(
     section: Section,
     *,
     seed: int,
-    season: Season = "leaf_on",
+    season: settings.Season = "leaf_on",
     canopy: Sequence[str] = (),
     plants: Flora | None = None,
     trails: Trails | None = None,
@@ -404,11 +376,11 @@ def layer_of(
 
 
 def layers_of(
-    section: Woods, seed: int, canopy: Sequence[str], plants: Flora, trails: Trails | None = None
+    section: settings.Woods, seed: int, canopy: Sequence[str], plants: Flora, trails: Trails | None = None
 ) -> list[Layer]:
     """All that grows and lies under the trees, in the order of its numbers."""
-    scattered = partial(layer_of, seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails)
-    return [scattered(getattr(section, kind.name)) for kind in _KINDS.values()]
+    made = partial(layer_of, seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails)
+    return [made(getattr(section, kind.name)) for kind in _KINDS.values()]
 
 
 def stones_per_ha(cover: float) -> float:
@@ -421,7 +393,7 @@ def stones_per_ha(cover: float) -> float:
     return -log1p(-cover) / _stone_area_m2() * 10_000
 
 
-def plants_per_ha(section: Cover, spread: float, *, patches: bool) -> tuple[float, float]:
+def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
     """Plants per hectare whose outlines cover a share c of the ground, overlaps counted once as of stones: even ones, those in patches.
 
     Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of exp(-a d n^2) over normal
@@ -438,15 +410,15 @@ def plants_per_ha(section: Cover, spread: float, *, patches: bool) -> tuple[floa
 
 def _species(section: Section, name: str, canopy: Sequence[str], plants: Flora) -> Sequence[Species] | Sequence[Shrub]:
     match section:
-        case Regeneration():
+        case settings.Regeneration():
             names = section.species or [one for one in canopy if plants.trees[one].foliage]
             if section.stems_per_ha and not names:
                 found = "found none, and only dead trees above"
                 raise GeometryError("regeneration.species", found, "names of species")
             return known(names, plants.trees, "regeneration.species")
-        case Shrubs():
+        case settings.Shrubs():
             return known(section.species, plants.shrubs, "shrubs.species")
-        case Logs() | Stumps():
+        case settings.Logs() | settings.Stumps():
             return known(section.species or canopy, plants.trees, f"{name}.species")
     return []
 
@@ -454,19 +426,22 @@ def _species(section: Section, name: str, canopy: Sequence[str], plants: Flora) 
 def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None) -> PointPattern:
     """Make the places of things: herbs, ferns and dwarf shrubs come in patches, stones, wood, tufts, moss and litter anywhere."""
     match section:
-        case Regeneration(stems_per_ha=per_ha, pattern=pattern) | Shrubs(per_ha=per_ha, pattern=pattern):
+        case (
+            settings.Regeneration(stems_per_ha=per_ha, pattern=pattern)
+            | settings.Shrubs(per_ha=per_ha, pattern=pattern)
+        ):
             return pattern_of(pattern, seed=seed, purpose=kind.purpose, per_ha=per_ha, trails=trails)
-        case Cover():
-            even, patchy = plants_per_ha(section, kind.spread, patches=not kind.is_ground)
-            if patchy:
-                return PatchyPattern(seed=seed, purpose=kind.purpose, even_per_ha=even, patchy_per_ha=patchy)
-        case Grass():
+        case settings.Cover():
+            even, in_patches = plants_per_ha(section, kind.spread, patches=not kind.is_ground)
+            if in_patches:
+                return patchy(seed=seed, purpose=kind.purpose, even_per_ha=even, patchy_per_ha=in_patches)
+        case settings.Grass():
             even = 10_000 * section.tufts_per_m2
-        case Stones():
+        case settings.Stones():
             even = stones_per_ha(section.cover)
-        case Logs() | Stumps():
+        case settings.Logs() | settings.Stumps():
             even = section.per_ha
-    return ScatteredPattern(seed=seed, purpose=kind.purpose, per_ha=even)
+    return scattered(seed=seed, purpose=kind.purpose, per_ha=even)
 
 
 @cache
@@ -516,17 +491,18 @@ def _along(height_m: HeightField, xy_m: Array) -> Array:
     return matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
 
 
-_KINDS: dict[type[Section], LayerKind] = {
-    Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), lay_saplings),
-    Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), lay_shrubs),
-    Stones: LayerKind("stones", Growth.STONES, (7,), _lay_stones),
-    Logs: LayerKind("logs", Growth.LOGS, (8, 7), lay_logs),
-    Stumps: LayerKind("stumps", Growth.STUMPS, (8,), lay_stumps),
-    Grass: LayerKind("grass", Growth.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
-    Herbs: LayerKind("herbs", Growth.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
-    Ferns: LayerKind("ferns", Growth.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
-    DwarfShrubs: LayerKind("dwarf_shrubs", Growth.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0),
-    Moss: LayerKind("moss", Growth.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
-    Litter: LayerKind("litter", Growth.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
+_KINDS: dict[type[Section], LayerKind] = {  # kinds of layers by section, in the order of their numbers
+    settings.Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), lay_saplings),
+    settings.Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), lay_shrubs),
+    settings.Stones: LayerKind("stones", Growth.STONES, (7,), _lay_stones),
+    settings.Logs: LayerKind("logs", Growth.LOGS, (8, 7), lay_logs),
+    settings.Stumps: LayerKind("stumps", Growth.STUMPS, (8,), lay_stumps),
+    settings.Grass: LayerKind("grass", Growth.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
+    settings.Herbs: LayerKind("herbs", Growth.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
+    settings.Ferns: LayerKind("ferns", Growth.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
+    settings.DwarfShrubs: LayerKind(
+        "dwarf_shrubs", Growth.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0
+    ),
+    settings.Moss: LayerKind("moss", Growth.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
+    settings.Litter: LayerKind("litter", Growth.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
 }
-"""Kinds of layers by section, in the order of their numbers."""

@@ -2,7 +2,7 @@
 
 import fractions
 import math
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.terrain import Trails
-from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.stand.points import PointPattern, pattern_of
-from vlp16emu.forest.stand.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
 from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
-TREE = np.dtype(
+TREE = np.dtype(  # one tree
     [
         ("id", "<u4"),  # unique in the forest
         ("species", "<u2"),  # number in the species table
@@ -50,9 +50,7 @@ TREE = np.dtype(
         ("form", "<u8"),  # seed of the stem's form; 0 is straight and round
     ]
 )
-"""One tree."""
-REGENERATION = 255
-"""Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
+REGENERATION = 255  # storey of saplings: stems under 5 cm, those under breast height with a DBH of 0
 _CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
 _OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
 RIVALS_M = 10.0
@@ -78,18 +76,17 @@ class _Cohort:
     def __init__(self, share: SpeciesShare, plants: Flora) -> None:
         self.share, self.species = share, known([share.species], plants.trees, "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
-        raw_cm = self.species.dbh_quantile_cm(midpoints, share.dbh_cm)
+        raw_cm = truncated_weibull_cm(self.species.diameters, midpoints, share.dbh_cm)
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
-        dbh_cm = raw_cm * self._scale
-        self.sample_cm = dbh_cm
+        self.sample_cm = raw_cm * self._scale
 
     def dbh_cm(self, probability: Array) -> Array:
         """Quantiles of diameter, scaled to the stand's quadratic mean."""
-        return self.species.dbh_quantile_cm(probability, self.share.dbh_cm) * self._scale
+        return truncated_weibull_cm(self.species.diameters, probability, self.share.dbh_cm) * self._scale
 
     def height_m(self, dbh_cm: Array) -> Array:
         """Mean height of trees of these diameters."""
-        return self.species.height_m(dbh_cm, self.share.dbh_cm, self.share.height_m)
+        return self.species.height_curve(dbh_cm, self.share.dbh_cm, self.share.height_m)
 
     def sized(self, trees: Trees, uniform: Array, residual: Array) -> Trees:
         """Set species, size and brightness of trees (n,), all but the crown base, from (n, 3) uniform numbers and `residuals`."""
@@ -174,10 +171,6 @@ def _stem_m2(storey: Storey) -> float:
     return float(np.average(stem_m2, weights=share))
 
 
-def _basal_area_m2_per_ha(storey: Storey) -> float:
-    return density_per_ha(storey) * _stem_m2(storey)
-
-
 class Stand:
     """A mixed stand on a terrain, without edge, that keeps path and trails free of stems.
 
@@ -205,7 +198,7 @@ class Stand:
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         self.species = [share.species for share in section.species]  # of the canopy
-        basal_m2 = sum(map(_basal_area_m2_per_ha, storeys))
+        basal_m2 = sum(density_per_ha(storey) * _stem_m2(storey) for storey in storeys)
         if basal_m2 > _MOST_BASAL_M2_PER_HA:
             found = f"found a basal area of {basal_m2:.0f} m2 per ha"
             raise GeometryError("stems_per_ha", found, f"at most {_MOST_BASAL_M2_PER_HA:g}: fewer or thinner stems")
@@ -216,7 +209,11 @@ class Stand:
         self._path = path
         self._season, self._dead_branches = section.season, section.dead_branches
         self._crooked = section.crooked_stems
-        self._ratios = cache(self._crown_ratios)
+        self._ratios = cache(
+            lambda *kind: [
+                1 - key.crown_base_m / key.height_m for key in map(partial(self.crown, *kind), range(VARIANTS))
+            ]
+        )
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
@@ -289,27 +286,19 @@ class Stand:
         height_m = own.height_m(dbh_cm)
         width_m = own.species.crown_width_m(dbh_cm)
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
+        larger = self._rivals_cm > dbh_cm[:, None]
+        rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
         return CrownKey(
             species=own.species.name,
             variant=variant,
             dbh_m=float(dbh_cm[0]) / 100,
             height_m=float(height_m[0]),
-            crown_base_m=float(
-                own.species.crown_base_m(dbh_cm, height_m, self._mean_competition(dbh_cm), _LEVELS[variant])[0]
-            ),
+            crown_base_m=float(own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])[0]),
             crown_width_m=float(width_m[0]),
             leaf_area_m2=float(leaf_area_m2[0]),
             season=self._season,
             dead_branches=self._dead_branches,
         )
-
-    def _crown_ratios(self, cohort: int, crown_class: int) -> list[float]:
-        keys = [self.crown(cohort, crown_class, variant) for variant in range(VARIANTS)]
-        return [1 - key.crown_base_m / key.height_m for key in keys]
-
-    def _mean_competition(self, dbh_cm: Array) -> tuple[Array, Array]:
-        larger = self._rivals_cm > dbh_cm[:, None]
-        return competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:

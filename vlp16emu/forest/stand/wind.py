@@ -12,7 +12,7 @@ load at its tip about 3/2 (1.3 m / height)^2. Saplings and all that grows or lie
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numba
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import Flora, tapers
-from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.purpose import Growth
+from vlp16emu.forest.settings import Season
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.random import generator
@@ -31,8 +31,7 @@ from vlp16emu.types import Array, IntArray, Sway, Window
 from vlp16emu.world.settings import Wind
 
 Stand = NDArray[np.void]
-ALONG, ACROSS = 0, 1
-"""Components of the gusts' speed: with the mean wind, and level to the left of it."""
+ALONG, ACROSS = 0, 1  # components of the gusts' speed: with the mean wind, and level to the left of it
 _LINES = 256
 _SLOWEST = 0.003  # frequency times gust length over wind speed under which one line stands for all: 1.2 % of the energy
 _FASTEST_HZ = 5.0  # frequency over which one line stands for all: no tree follows it
@@ -145,16 +144,8 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
                 now[k] += a * cosine[line, k] - b * sine[line, k]
 
 
-@dataclass(frozen=True, slots=True)
-class Mechanics:
-    """Response of n trees to the wind."""
-
-    frequency_hz: Array  # (n,) undamped, of the first swing
-    lean_per_stress: Array  # (n,) lean, as a tangent, for each Pa of the wind's shear stress on the canopy
-
-
-def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
-    """Derive frequency and stiffness of trees from their size.
+def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[Array, Array]:
+    """Return undamped frequencies (n,) in Hz, and leans (n,), as tangents, per Pa of the wind's shear stress on the canopy.
 
     Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
     conifers), lower in leaf. Drag: the canopy takes up the wind's shear stress, each tree on the ground under its
@@ -177,7 +168,7 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
     inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + crown_kg * np.square(middle_m)
     drag_m2 = np.pi / 4 * np.square(trees["crown_width_m"]) * np.where(bare, _BARE, 1.0)
     drag_m2 *= np.where(trees["storey"] > 0, _SHELTERED, 1.0)
-    return Mechanics(frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz)))
+    return frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz))
 
 
 class TreeSway:
@@ -198,13 +189,13 @@ class TreeSway:
 
         Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
         """
-        own = mechanics(trees, self._forest.plants, self._forest.section.season)
+        frequency_hz, lean_per_stress = mechanics(trees, self._forest.plants, self._forest.section.season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
-        swinging = Trees(2.0 * math.pi * own.frequency_hz, self._section.damping_ratio, along_m, across_m)
+        swinging = Trees(2.0 * math.pi * frequency_hz, self._section.damping_ratio, along_m, across_m)
         mean = self._section.speed_m_s
         t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
         along, across = (swings(lines, mean, swinging, t_s) for lines in self._lines)
-        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * own.lean_per_stress
+        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * lean_per_stress
         downwind = per_speed2 * mean * (mean + 2.0 * along)
         aside = per_speed2 * mean * across
         east, north = (downwind * a + aside * b for a, b in self._axes.T)

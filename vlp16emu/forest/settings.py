@@ -1,17 +1,30 @@
-"""A forest that grows itself, or a plot of given trees: how many trees, and what grows and lies under them, their species, size and place."""
+"""A forest that grows itself, or a plot of given trees: its ground, how many trees, and what grows and lies under them."""
 
 import math
+import tomllib
+from functools import cache
+from importlib import resources
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
-from vlp16emu.forest.ground.settings import Dem, Terrain
-from vlp16emu.forest.plants.settings import Season
-from vlp16emu.forest.presets import with_preset
-from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Seed, Size
-from vlp16emu.world.mesh_settings import TreeModelFile
-from vlp16emu.world.settings import Texture, WorldSection
+from vlp16emu.settings import (
+    Fraction,
+    MapPoint,
+    NonNegative,
+    Place,
+    Positive,
+    Preset,
+    SceneFile,
+    Section,
+    Seed,
+    Size,
+    Table,
+    merged,
+)
+from vlp16emu.world.settings import Texture, TreeModelFile, WorldSection
 
+Season = Literal["leaf_on", "leaf_off"]  # with leaves, or as in winter: broadleaves bare, needles on
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
 """Two measures of how dense a storey is; a scene that gives one does not want the other."""
 
@@ -21,8 +34,7 @@ LeMay 1998, "Relationships between tree slenderness coefficients and tree or sta
 
 _SHARE_ERROR = 0.015  # by which shares may fail to sum to 1: three of 0.33 do
 
-MOST_STEMS_PER_HA = 5000
-"""Greatest density of a storey, whichever key gives it."""
+MOST_STEMS_PER_HA = 5000  # greatest density of a storey, whichever key gives it
 
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
@@ -32,6 +44,65 @@ def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 Range = Annotated[tuple[Size, Size], Field(strict=False), AfterValidator(_in_order)]
+
+
+_RELIEFS: dict[str, dict[str, object]] = {
+    # Smooth and rough micro-relief have 0.05 m and 0.25 m rms over wavelengths of 0.3 m to 60 m (assumption);
+    # of a spectrum of the third power, 1 m to 12 m holds sqrt((12 - 1) / (60 - 0.3)) = 0.43 of that.
+    "flat": {"hill_rms_m": 0.0, "rough_rms_m": 0.02},
+    "rolling": {},
+    "hilly": {"hill_rms_m": 4.0, "mounds_per_ha": 100.0},
+    "rough": {"hill_rms_m": 1.5, "rough_rms_m": 0.11, "mounds_per_ha": 800.0},
+}
+"""Keys that each kind of relief gives. Hills and mounds are assumptions: hills of 1 m rms slope by 4 degrees rms,
+of 4 m by 15."""
+
+_NARROWEST_M = 10.0  # least distance between trails
+
+
+def _room_for_trails(spacing_m: float) -> float:
+    if 0 < spacing_m < _NARROWEST_M:
+        raise ValueError(f"0 for none, or {_NARROWEST_M:g} or more")
+    return spacing_m
+
+
+class Terrain(Preset):
+    """Ground with relief: hills, roughness that a foot would feel, and mounds."""
+
+    presets = _RELIEFS
+    preset_key = "relief"
+
+    relief: Literal["flat", "rolling", "hilly", "rough"] = "rolling"
+    """Gives those of the next three keys that are not given beside it; `rolling` is as they are by default."""
+    hill_rms_m: NonNegative = 1.0
+    """Standard deviation of height over wavelengths of 30 m to 300 m."""
+    rough_rms_m: NonNegative = 0.06
+    """Standard deviation of height over wavelengths of 1 m to 12 m."""
+    mounds_per_ha: Annotated[float, Field(ge=0, le=2500)] = 0.0
+    """Mounds and hollows of up to 0.15 m, 1 m to 2 m wide."""
+    pits_per_ha: Annotated[float, Field(ge=0, le=600)] = 0.0
+    """Pits with a mound beside each, as uprooted trees leave them: 0.2 m to 0.4 m deep and high, 2 m to 3 m wide."""
+    trail_spacing_m: Annotated[float, Field(ge=0, le=200), AfterValidator(_room_for_trails)] = 0.0
+    """Distance between the middles of parallel trails of harvesters, each with two ruts, 0.05 m to 0.2 m deep and 0.5 m to 0.7 m
+    wide, 2 m apart; 0 for none, else 10 or more. Trees and shrubs that grow keep 2 m off their middles. Forests of Central Europe have
+    trails every 20 m (PEFC) or 40 m (FSC)."""
+    trail_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction of the trails, counter-clockwise from east."""
+    slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
+    """Slope of the plane under it all, rising towards `slope_towards_deg`."""
+    slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction of that slope, counter-clockwise from east."""
+
+
+class Dem(Section):
+    """Heights of the ground in a file: ESRI ASCII grid (.asc), numpy array (.npy) or GeoTIFF (.tif)."""
+
+    file: SceneFile
+    """Path of the file, from the folder of the scene file."""
+    cell_m: Positive | None = None
+    """Edge of a cell of a .npy, whose rows run from north to south; other files say it themselves."""
+    corner_m: Annotated[tuple[Place, Place], Field(strict=False)] | None = None
+    """Easting and northing of the outer corner of the south-western cell of a .npy."""
 
 
 class SpeciesShare(Section):
@@ -256,13 +327,12 @@ class Ivy(Section):
 
 
 _Near = Annotated[float, Field(ge=5)]
-Near = Annotated[
+Near = Annotated[  # a distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"
     _Near,
     Field(allow_inf_nan=True),
     BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
     PlainSerializer(lambda m: "inf" if math.isinf(m) else m, when_used="json"),
 ]
-"""A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
 
 
 class Woods(WorldSection):
@@ -311,6 +381,22 @@ class Woods(WorldSection):
     site_door = "forest_site"
 
 
+@cache
+def presets() -> Table:
+    """All presets by name, each in the form of a `[world]` table. Sources stand in `presets.toml`."""
+    text = resources.files("vlp16emu.forest").joinpath("presets.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def _with_preset(own: Table) -> Table:
+    """Lay a scene's own `[world]` table over the preset that it names, as `merged` does; an unknown preset changes nothing."""
+    name = own.get("preset")
+    base = presets().get(name, {}) if isinstance(name, str) else {}
+    if own.keys() & DENSITY_KEYS:
+        base = {key: value for key, value in base.items() if key not in DENSITY_KEYS}
+    return merged(base, own)
+
+
 class Forest(Woods, Storey):
     """A stand without edge on a terrain with relief."""
 
@@ -320,7 +406,7 @@ class Forest(Woods, Storey):
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, table: Any) -> Any:
-        return with_preset(table, DENSITY_KEYS) if isinstance(table, dict) else table
+        return _with_preset(table) if isinstance(table, dict) else table
 
     preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = "none"
     """A kind of forest that gives all keys of this table which are not given beside it."""

@@ -1,4 +1,4 @@
-"""A capture, with or without its truth, as a bag."""
+"""A run, or a capture with or without its truth, as a bag."""
 
 import csv
 import json
@@ -12,25 +12,30 @@ from typing import Any
 
 import numpy as np
 
+from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, PacketError, readable
-from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
+from vlp16emu.extras.bag.bag_file import LATEST_NS, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages
-from vlp16emu.extras.bag.sink import BagSink, TrueSamples, frames_of
-from vlp16emu.extras.slam import Rig, write_beside
-from vlp16emu.extras.truth.truth import ATTITUDE, STAMP
+from vlp16emu.extras.bag.sink import BagSink, Truth
+from vlp16emu.extras.slam import Rig, written_beside
+from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
+from vlp16emu.motion.imu import Inertial
+from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
 from vlp16emu.packets import (
     DATA_BYTES,
     Capture,
     CapturedUnit,
     CaptureReader,
+    Clock,
+    PacketClock,
     check_stamps,
     chosen_unit,
     unit_clocks,
     units_in,
 )
 from vlp16emu.run.options import BagOptions
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import S_NS
 
 _TIME = "t_utc_s"
@@ -63,6 +68,65 @@ class BagResult:
     interrupted: bool
 
 
+@contextmanager
+def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None) -> Iterator[list[BagSink]]:
+    """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile` and `written_beside`."""
+    options, scenario, units = options or BagOptions(), engine.scenario, engine.parts.units
+    rig, tree = rig_of(scenario, engine.parts), scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    frames = _frames(len(units))
+
+    def clock_of(number: int, due_ns: int) -> PacketClock:
+        is_locked = units[number].gps.pps_at(due_ns) is PpsState.LOCKED
+        return PacketClock(Clock.SENSOR if is_locked else Clock.HOST)
+
+    truth = Truth(rig, tree, partial(_feeds_of_run, engine, rate_hz), -(-S_NS // rate_hz))
+    with (
+        written_beside(path, options.slam, lambda: Rig.of(rig, tree, frames[0])),
+        BagSink(path, frames, clock_of, options, truth) as sink,
+    ):
+        yield [sink]
+
+
+def _frames(units: int) -> list[str]:
+    """Return the frames of the clouds of so many sensors; topics are under the same names."""
+    return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
+
+
+def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Callable[[int], None]]:
+    parts, start_ns = engine.parts, engine.scenario.start_ns
+    poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
+    feeds = [Samples(partial(_odometry, to), poses, start_ns, rate_hz, begin_ns).up_to]
+    if (imu := engine.scenario.imu) is not None and parts.imu is not None:
+        feeds.append(Samples(partial(_inertial, to), parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
+    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
+        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
+        feeds.append(Samples(partial(_fixes, to, engine), seconds, 0, 1, max(named_ns, begin_ns)).up_to)
+    return feeds
+
+
+def _odometry(to: TrueMessages, true: Kinematics) -> None:
+    from scipy.spatial.transform import Rotation
+
+    quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
+    own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
+    numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
+    for sample in zip(true.t_ns.tolist(), numbers, strict=True):
+        to.odometry(*sample)
+
+
+def _inertial(to: TrueMessages, read: Inertial) -> None:
+    rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
+    stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+    for sample in zip(stamps_ns.tolist(), rates, strict=True):
+        to.inertial(*sample)
+
+
+def _fixes(to: TrueMessages, engine: Engine, seconds: range) -> None:
+    for second in seconds:
+        said = engine.receiver.fix(second * S_NS)
+        to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
+
+
 def write_bag(
     capture: Path,
     out: Path,
@@ -92,22 +156,24 @@ def write_bag(
     InputError
         If the truth cannot be read or is not of as many units, or there is no such unit or clock
     OutputError, MissingExtraError, RunError
-        as `BagFile` and `write_beside`
+        as `BagFile` and `written_beside`
     """
-    options = options or BagOptions()
+    options, stop = options or BagOptions(), stop or Event()
     spare([capture], out)
     check_bag(out)
-    stop, every = stop or Event(), units_in(capture, required=True)
+    every = units_in(capture, required=True)
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
     check_stamps(capture, clocks, LATEST_NS)
-    made = [one.make() for one in clocks]
-    taken = [every.index(one) for one in units], len(every)
-    truth_of = partial(_truth, truth, taken, options.tf) if truth else None
-    write = write_beside(out, options.slam, _rig(capture, units, truth, taken)) if options.slam is not None else None
+    made, frames = [one.make() for one in clocks], _frames(len(units))
+    true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every))
+
+    def rig() -> Rig:
+        return Rig.of(true.rig, true.scenario, frames[0]) if true else _measured(capture, units[0], frames[0])
+
     with (
-        _named(capture),
-        BagSink(out, len(units), lambda number, _: made[number], truth_of) as sink,
+        written_beside(out, options.slam, rig),
+        BagSink(out, frames, lambda number, _: made[number], options, true) as sink,
         Capture(capture) as datagrams,
     ):
         for datagram in datagrams:
@@ -116,9 +182,10 @@ def write_bag(
             of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
             if of is not None:
                 kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
-                sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
-    if write:
-        write()
+                try:
+                    sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
+                except PacketError as error:
+                    raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
     return BagResult(
         file=str(out),
@@ -131,62 +198,32 @@ def write_bag(
     )
 
 
-@contextmanager
-def _named(capture: Path) -> Iterator[None]:
-    """Add the name of the capture to errors of its packets."""
-    try:
-        yield
-    except PacketError as error:
-        raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
-
-
-class _Rows:
-    """Rows of a file in order of time, each written when its time has come."""
-
-    def __init__(self, rows: Iterator[Row], take: Callable[..., None]) -> None:
-        self._rows, self._take = rows, take
-        self._next = next(rows, None)
-
-    def up_to(self, t_ns: int) -> None:
-        while self._next is not None and self._next[0] <= t_ns:
-            self._take(*self._next)
-            self._next = next(self._rows, None)
-
-
-def _rig(capture: Path, units: Sequence[CapturedUnit], truth: Path | None, taken: tuple[Sequence[int], int]) -> Rig:
-    """Return the rig of a capture by its truth, or with the speed of its first packets."""
-    frame = frames_of(len(units))[0]
-    if truth:
-        return Rig.of(*_described(truth, taken), frame)
-    with CaptureReader(capture, units[0]) as reader:
+def _measured(capture: Path, unit: CapturedUnit, frame: str) -> Rig:
+    """Return the rig of a capture without truth, with the speed of its first packets."""
+    with CaptureReader(capture, unit) as reader:
         next(reader.points(), None)
         return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frame)
 
 
-def _described(folder: Path, taken: tuple[Sequence[int], int]) -> tuple[Any, Any]:
-    """Return `rig.json`, with the units `taken` of so many in the capture, and `scenario.json` of a folder of truth."""
+def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
+    """Return the truth in a folder of some of so many units in the capture."""
     rig, scenario = (_json(folder / name) for name in ("rig.json", "scenario.json"))
-    numbers, several = taken
-    if len(rig["units"]) != several:
-        raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{several}, as in the capture")
-    return {**rig, "units": [rig["units"][number] for number in numbers]}, scenario
+    if len(rig["units"]) != units:
+        raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture")
+    rig = {**rig, "units": [rig["units"][number] for number in taken]}
 
+    def feeds(to: TrueMessages, begin_ns: int) -> list[Callable[[int], None]]:
+        imu = scenario.get("imu") or {}
+        read = (*_AXES, *(ATTITUDE if imu.get("attitude") else ()))
+        stamp = STAMP if imu.get("jitter_s") or any(imu.get("delay_s", ())) else _TIME
+        found = [_feed(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
+        for name, columns, take, time in (("imu.csv", read, to.inertial, stamp), ("gnss.csv", _SAID, to.fix, _TIME)):
+            if (folder / name).exists():
+                rows = _table(folder / name, columns, time=time)
+                found.append(_feed((row for row in rows if row[0] >= begin_ns), take))
+        return found
 
-def _truth(
-    folder: Path, taken: tuple[Sequence[int], int], tf: str, bag: BagFile, frames: Sequence[str], begin_ns: int
-) -> list[tuple[TrueSamples, int]]:
-    """Open the files of a folder of truth from an instant UTC on, for the units `taken` of so many in the capture."""
-    rig, scenario = _described(folder, taken)
-    to = TrueMessages(bag, rig, frames, imu := scenario.get("imu"), scenario["gps"], tf)
-    to.fixed(begin_ns)
-    files = [_Rows(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
-    read = (*_AXES, *(ATTITUDE if imu and imu.get("attitude") else ()))
-    stamp = STAMP if imu and (imu.get("jitter_s") or any(imu.get("delay_s", ()))) else _TIME
-    for name, columns, take, time in (("imu.csv", read, to.inertial, stamp), ("gnss.csv", _SAID, to.fix, _TIME)):
-        if (folder / name).exists():
-            rows = (row for row in _table(folder / name, columns, time=time) if row[0] >= begin_ns)
-            files.append(_Rows(rows, take))
-    return [(file, _EVER_NS) for file in files]
+    return Truth(rig, scenario, feeds, _EVER_NS)
 
 
 def _json(path: Path) -> Any:
@@ -195,6 +232,19 @@ def _json(path: Path) -> Any:
             return json.loads(path.read_text(encoding="utf-8"))
         except ValueError:
             raise InputError(str(path), "no JSON", "a file of a --truth folder") from None
+
+
+def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Callable[[int], None]:
+    """Return a function that takes rows in order until and with an instant."""
+    waiting = next(rows, None)
+
+    def up_to(t_ns: int) -> None:
+        nonlocal waiting
+        while waiting is not None and waiting[0] <= t_ns:
+            take(*waiting)
+            waiting = next(rows, None)
+
+    return up_to
 
 
 def _poses(path: Path, begin_ns: int) -> Iterator[Row]:

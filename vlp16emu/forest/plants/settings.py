@@ -1,6 +1,0 @@
-"""What a scene says of plants."""
-
-from typing import Literal
-
-Season = Literal["leaf_on", "leaf_off"]
-"""With leaves, or as in winter: broadleaves bare, needles on."""
