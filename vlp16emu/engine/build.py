@@ -34,12 +34,9 @@ from vlp16emu.world.settings import Sway
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
-_IMU = 1000
-"""Device whose mount is that of the inertial unit, beyond all sensors."""
-_STRAY_M = 1.0
-"""How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
-_LEFT_PPM = 1.0
-"""Rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt."""
+_IMU = 1000  # device whose mount is that of the inertial unit, beyond all sensors
+_STRAY_M = 1.0  # how far the carrier may be from its path over the ground: sway, and lasers off the centre
+_LEFT_PPM = 1.0  # rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt
 
 
 @dataclass(frozen=True)
@@ -104,8 +101,7 @@ class Unit:
 
         Raises
         ------
-        ScenarioError
-            If it has no packets
+        ScenarioError : If it has no packets
         """
         section, counters = on_the_wire(self.section), counters_of(self.section, self.seed, self.number)
         return replace(
@@ -182,8 +178,7 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
 
     Raises
     ------
-    InputError
-        If a part cannot be made of what its section says
+    InputError : If a part cannot be made of what its section says
     """
     if like and in_one_world(scenario, like.scenario):
         carrier, ground_m, world, wind = like.parts.carrier, like.parts.ground_m, like.parts.world, like.parts.wind

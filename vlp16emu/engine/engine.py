@@ -96,8 +96,7 @@ class Engine:
 
         Raises
         ------
-        InputError
-            If a part of the scenario cannot be made
+        InputError : If a part of the scenario cannot be made
         """
         parts, threads = assemble(scenario, like), threads or os.cpu_count() or 1
         batching = Batching.of(parts.head.beams)
@@ -110,10 +109,8 @@ class Engine:
 
         Raises
         ------
-        ScenarioError
-            If the sensor has no packets
-        TrajectoryError
-            If the span begins before the first pulse, or the walk ends before the span does
+        ScenarioError : If the sensor has no packets
+        TrajectoryError : If the span begins before the first pulse, or the walk ends before the span does
         """
         on_the_wire(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
@@ -148,8 +145,7 @@ class Engine:
 
         Raises
         ------
-        TrajectoryError
-            If it begins before the first pulse, ends after the motion, or no poses arrive in a live scene
+        TrajectoryError : If it begins before the first pulse, ends after the motion, or no poses arrive in a live scene
         """
         if isinstance(self.parts.carrier, OwnWindows):
             self.parts.carrier.require_open()

@@ -23,8 +23,7 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 
     Raises
     ------
-    TrajectoryError
-        If the walk is over before the span
+    TrajectoryError : If the walk is over before the span
     """
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)

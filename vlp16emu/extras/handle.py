@@ -28,8 +28,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _HELD = 2048
 """Packets of a sensor and kind that can be asked for: 2.7 s of single return, 50 MB with their ground truth."""
-_AT_ONCE = 16
-"""Packets that are decoded at once for scans, 21 ms."""
+_AT_ONCE = 16  # packets that are decoded at once for scans, 21 ms
 _LABELS = ("semantic", "part", "instance", "species", "range_m")
 RECORD_TRUTH = np.dtype([*SLOT.descr, ("world_T_sensor", "<f8", (4, 4))])
 """Ground truth of one record of a data packet, with the pose of its sensor at the instant of the pulse."""
@@ -155,10 +154,8 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If there is no such unit or kind (data or position), or more than 2048 packets are asked for
-        RunError
-            If they have not left when the stream ends, or when `timeout_s` has passed; errors of the stream
+        InputError : If there is no such unit or kind (data or position), or more than 2048 packets are asked for
+        RunError : If they have not left when the stream ends, or when `timeout_s` has passed; errors of the stream
         """
         lane = self._lane(unit, kind)
         if not 1 <= count <= _HELD:
@@ -183,8 +180,7 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If none of the sensor's last 2048 packets has the stamp, or the stream was begun without truth
+        InputError : If none of the sensor's last 2048 packets has the stamp, or the stream was begun without truth
         """
         lane, stamp = self._lane(unit, "data"), _stamp(payload)
         with self._changed:
@@ -207,10 +203,8 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If there is no such unit
-        Vlp16emuError
-            Errors of the stream
+        InputError : If there is no such unit
+        Vlp16emuError : Errors of the stream
         """
         lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
         return cut_scans(self._chunks(lane), lambda t_ns: world_T_sensor(of, np.array([t_ns]))[0])
@@ -229,8 +223,7 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If it is none, or cannot happen in this scene, or the stream has no web interface
+        InputError : If it is none, or cannot happen in this scene, or the stream has no web interface
         """
         if (control := self._control) is None:
             raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")

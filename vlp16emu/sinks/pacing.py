@@ -20,8 +20,7 @@ from vlp16emu.units import S_NS
 # Numbers of prctl(2). Source: linux/prctl.h.
 _PR_SET_TIMERSLACK = 29
 _PR_GET_TIMERSLACK = 30
-_FINEST_NS = 1
-"""0 would restore the default of 50 us."""
+_FINEST_NS = 1  # 0 would restore the default of 50 us
 
 
 _SWITCH_INTERVAL_S = 0.000_2
@@ -98,8 +97,7 @@ _JITTER_NS = 10_000_000
 other threads before it wakes ours. Where wake-ups come that late each of them sends several packets, 8 at most."""
 _NAP_S = 0.2
 """Longest sleep at once: a signal sets an event, and Python goes on with a sleep that a signal interrupts (PEP 475)."""
-_BIN_BITS = 6
-"""Significant bits that separate the bins of lateness, which gives quantiles within 1.6 %."""
+_BIN_BITS = 6  # significant bits that separate the bins of lateness, which gives quantiles within 1.6 %
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,7 @@ from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-_ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
-"""Endings of classic pcap files; a name may have none."""
+_ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})  # endings of classic pcap files; a name may have none
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
     ".db3": "; a name that ends in / is a bag of ROS 2, a folder with SQLite",

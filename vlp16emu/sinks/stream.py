@@ -27,8 +27,7 @@ _LEAD_NS = 250_000_000
 """First lead of the engine: most engines have ended the blocks under way and begun new ones by then; it doubles for others."""
 _SETTLED_NS = 5 * S_NS
 """Without a packet that is too late for so long, the next one is another time that the stream fell behind."""
-_POLL_S = 0.05
-"""Interval at which a waiting thread looks whether to stop."""
+_POLL_S = 0.05  # interval at which a waiting thread looks whether to stop
 _REFILLS = 8
 """Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
 packet would cost the one that sends as much as the sending."""

@@ -6,6 +6,7 @@ seed and the block, so neither threads nor order matter, and nothing of the run 
 """
 
 import threading
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -16,7 +17,6 @@ from vlp16emu.extras.accuracy.compare import MISTAKES, Tally, compare
 from vlp16emu.extras.accuracy.sample import answer_beam, apart_m, detections_of
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.caster import Geometry
-from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import I8, Firings, Hits
 
@@ -25,6 +25,24 @@ _RAYS, _TIMES = 512, 4
 """Sub-rays of an answer: at least the first, and the second times those of a pulse. With 512, what is left is a fifth of
 the error of pulses of 64, and 1/20 of that of one ray."""
 _SAMPLED = ("fixed", "adaptive")
+
+
+@dataclass(frozen=True, slots=True)
+class AuditFinding:
+    """Error of a run, estimated from pulses that are cast again; shares are of returns, None if not known."""
+
+    exact: bool
+    """A pulse is one ray, by the scene's own choice."""
+    pulses: int
+    """Pulses cast again."""
+    range_rmse_m: float | None
+    range_rmse_low_m: float | None
+    """Lower end of the 95 % confidence interval of the error."""
+    range_rmse_high_m: float | None
+    lost: float | None
+    invented: float | None
+    other_echo: float | None
+    """Share whose strongest return is another echo."""
 
 
 class Audit:

@@ -10,15 +10,12 @@ from vlp16emu.types import GnssFix, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS
 
 _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
-_LONGEST = 256
-"""Bytes without an end of line, after which they are no sentence: twice what a position packet holds."""
+_LONGEST = 256  # bytes without an end of line, after which they are no sentence: twice what a position packet holds
 _STEADY_NS = 5 * MS_NS
 """By which pulses may miss their second and still be steady: what a program that looks at a line every millisecond, beside others,
 makes of a pulse that is exact to a microsecond (assumption)."""
-_LOST_NS = S_NS + S_NS // 2
-"""After so long without a pulse there is none."""
-_STALE_NS = 5 * S_NS
-"""After so long without a good sentence the clock is no longer set by it (assumption)."""
+_LOST_NS = S_NS + S_NS // 2  # after so long without a pulse there is none
+_STALE_NS = 5 * S_NS  # after so long without a good sentence the clock is no longer set by it (assumption)
 _SHARE = 8
 """A pulse moves the clock by this part of the time that it is off, so that the stamps do not show how late a line was looked at."""
 
