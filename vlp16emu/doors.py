@@ -85,6 +85,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "people": "vlp16emu.extras.people:People",
         "prepared": "vlp16emu.extras.prepare:prepared",
         "present": "vlp16emu.extras.bench.retime:NowSink",
+        "scans": "vlp16emu.extras.clouds.scan:scans_of",
         "stream_options": "vlp16emu.extras.bench.options:BenchOptions",
         "truth": "vlp16emu.extras.truth.truth:Truth",
         "truth_of_records": "vlp16emu.extras.truth.behind:slots_of",

@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Engine, Parts
-from vlp16emu.engine.scans import scans_of, world_T_sensor
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.run.options import RecordOptions, stream_options
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
 from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
-from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Packet, Returns
+from vlp16emu.types import Packet, Returns, Scan
 
 
 class Emulator:
@@ -129,11 +127,13 @@ class Emulator:
         InputError : If there is no such unit
         TrajectoryError : If the walk ends before the span does
         """
-        return scans_of(self.engine, self.run.number(unit), self.scenario.span_s(start_s, duration_s), truth=truth)
+        span_s = self.scenario.span_s(start_s, duration_s)
+        scans: Iterator[Scan] = door("scans")(self.engine, self.run.number(unit), span_s, truth=truth)
+        return scans
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
         """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
-        return world_T_sensor(self.parts.units[self.run.number(unit)], t_ns)
+        return self.parts.units[self.run.number(unit)].world_T_sensor(t_ns)
 
     def record(
         self,

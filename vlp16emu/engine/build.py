@@ -27,7 +27,7 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
-from vlp16emu.types import GnssFix, HeightField, PpsState, ReturnMode, World
+from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.settings import Sway
 
@@ -112,6 +112,13 @@ class Unit:
             position_port=section.position_port,
             identification=counters.identification,
         )
+
+    def world_T_sensor(self, t_ns: I8) -> F8:
+        """Return the poses (n, 4, 4) of the sensor in the world, at instants (n,) UTC."""
+        poses, T = self.motion.poses_at(t_ns), np.zeros((len(t_ns), 4, 4))
+        T[:, :3, :3] = poses.world_R_body
+        T[:, :3, 3], T[:, 3, 3] = poses.world_p_body_m, 1.0
+        return T
 
     @property
     def positions_from_ns(self) -> int:

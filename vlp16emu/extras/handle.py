@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
-from vlp16emu.engine.scans import world_T_sensor
 from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.bench.options import BenchOptions, Http
+from vlp16emu.extras.clouds.scan import Chunk, chunk_of, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.report import Streamed
 from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
-from vlp16emu.scan import Chunk, Scan, chunk_of, cut_scans
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import Packet, PacketKind, Scan
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _HELD = 2048
@@ -192,7 +191,7 @@ class Live(PacketSink):
         rows = np.zeros(len(slots), RECORD_TRUTH)
         for name in SLOT.names or ():
             rows[name] = slots[name]
-        rows["world_T_sensor"] = world_T_sensor(self.run.engine.parts.units[unit - 1], rows["t_ns"])
+        rows["world_T_sensor"] = self.run.engine.parts.units[unit - 1].world_T_sensor(rows["t_ns"])
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
@@ -207,7 +206,7 @@ class Live(PacketSink):
         Vlp16emuError : Errors of the stream
         """
         lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
-        return cut_scans(self._chunks(lane), lambda t_ns: world_T_sensor(of, np.array([t_ns]))[0])
+        return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
         """Set a sensor as its web interface would: keys of the event `setting`; as `fault`."""

@@ -9,8 +9,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
 from vlp16emu.extras.clouds.labels import label_scheme
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.scan import Scan
-from vlp16emu.types import F8, U4
+from vlp16emu.types import F8, U4, Scan
 from vlp16emu.units import S_NS
 
 _MOST_INSTANCES = 0xFFFF

@@ -23,9 +23,8 @@ from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
 from vlp16emu.motion.settings import Live, Walk, takes_poses
 from vlp16emu.packets import DATA_BYTES, decode_data
-from vlp16emu.scan import Scan
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
-from vlp16emu.types import F8, I8, HeightField, Packet, PacketKind
+from vlp16emu.types import F8, I8, HeightField, Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
 
 _HOST, _PORT = "127.0.0.1", 8016

@@ -23,9 +23,8 @@ from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Mark, SceneSweeps, Sweep, Sweeps
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.motion.settings import Walk
-from vlp16emu.scan import Scan
 from vlp16emu.sensor.beams import BeamTable
-from vlp16emu.types import F4, F8, U4
+from vlp16emu.types import F4, F8, U4, Scan
 
 _MOST_KEPT = 50
 """Sweeps drawn together: 1.2 million points."""

@@ -16,12 +16,12 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.canvas import Canvas
 from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
 from vlp16emu.output import OutputFile, spare
-from vlp16emu.scan import decode
 from vlp16emu.types import F8, U1
 
 _NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}
