@@ -5,9 +5,8 @@ import pytest
 from raycast.reference import SlowScene
 
 from vlp16emu.engine import Engine, assemble
-from vlp16emu.extras.accuracy.compare import compare, errors_of
-from vlp16emu.extras.accuracy.sample import Bench, apart_m, joined
-from vlp16emu.extras.accuracy.sweep import beam_settings
+from vlp16emu.extras.accuracy.audit import apart_m, compare, errors_of
+from vlp16emu.extras.accuracy.sweep import Bench, beam_settings, joined
 from vlp16emu.scenario import load
 
 

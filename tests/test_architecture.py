@@ -58,18 +58,16 @@ EXTRAS_TAKE = {
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
-    "doctor": {"readiness"},
     "handle": {"bench", "clouds", "truth"},
-    "plan": {"keep_up", "readiness"},
+    "plan": {"doctor", "keep_up"},
     "replay": {"bench", "free_ports"},
-    "canvas": {"camera"},
     "images": {"camera", "options", "palette", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench"},
-    "viewer": {"camera", "canvas", "clouds", "options", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "images", "options", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
@@ -81,14 +79,7 @@ LIBRARIES = {
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
-    "socket": (
-        "sinks/",
-        "extras/bench/",
-        "extras/free_ports.py",
-        "extras/live/",
-        "extras/readiness.py",
-        "extras/viewer/",
-    ),
+    "socket": ("sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py", "extras/viewer/"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }

@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 SETTINGS = {"beam.model": "none", "gps.connected": True, "imu.preset": "consumer"}
 TOPICS = ["/fix", "/ground_truth/odom", "/imu/data", "/nmea_sentence", "/tf", "/tf_static", "/velodyne_packets"]
 KINDS = ("walk.mcap", "walk.bag", "walk")
+WORDS = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}".replace("True", "true"))]
 NUMBER = re.compile(r"-?\d+\.\d*(?:e[-+]?\d+)?")
 
 
@@ -39,6 +40,12 @@ def walk(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module", params=KINDS)
+def bag(request, walk):
+    """Name of a bag, and its messages by topic in the order of the file."""
+    return request.param, messages(walk / request.param)
+
+
 def messages(path: Path) -> dict[str, list]:
     """Messages by topic."""
     found = {}
@@ -49,14 +56,17 @@ def messages(path: Path) -> dict[str, list]:
     return found
 
 
+def values(vector, axes="xyz") -> list[float]:
+    return [getattr(vector, axis) for axis in axes]
+
+
 def stamp_ns(message) -> int:
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_points_and_packets_are_those_of_the_capture(walk, name):
+def test_points_and_packets_are_those_of_the_capture(walk, bag):
     """Packets are the capture's, bit by bit, and points are our decoder's, in the driver's layout and with its times."""
-    found = messages(walk / name)
+    _, found = bag
     assert sorted(found) == [*TOPICS, "/velodyne_points"]
     with CaptureReader(walk / "walk.pcap") as reader:
         (chunk,) = reader.points()
@@ -88,15 +98,12 @@ def test_points_and_packets_are_those_of_the_capture(walk, name):
     assert min(point["time"].min() for point in points) >= 0
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_truth_is_in_the_bag(walk, name):
+def test_truth_is_in_the_bag(walk, bag):
     """Odometry, transforms, inertial readings and fixes have the numbers of the truth."""
-    found, truth = messages(walk / name), walk / "truth"
+    (name, found), truth = bag, walk / "truth"
     poses = np.loadtxt(truth / "trajectory.tum")[:, 1:]
     odometry = [one.pose.pose for one in found["/ground_truth/odom"]]
-    said = [
-        [*(getattr(one.position, a) for a in "xyz"), *(getattr(one.orientation, a) for a in "xyzw")] for one in odometry
-    ]
+    said = [[*values(one.position, "xyz"), *values(one.orientation, "xyzw")] for one in odometry]
     assert len(said) >= 200
     assert np.array_equal(said, poses[-len(said) :])
     moved = [one.transforms[0] for one in found["/tf"]]
@@ -151,32 +158,22 @@ def root_of(frame: str, parents: dict[str, str]) -> str:
     return frame
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_frames_are_a_tree_as_tf2_wants_it(walk, name):
+def test_frames_are_a_tree_as_tf2_wants_it(bag):
     """Each frame has one parent, fixed or moving but not both.
 
     All frames of messages hang on base_link, so that a SLAM program connects them with map by one edge; and transforms are in the bag
     before what needs them.
     """
-    found = messages(walk / name)
+    _, found = bag
     fixed, moving = frames(found)
     assert fixed == {"velodyne": "base_link", "imu": "base_link", "gps": "base_link"}
     assert moving == {"base_link_truth": "map"}
-    used = {
-        one.header.frame_id
-        for topic in ("/velodyne_points", "/imu/data", "/fix", "/nmea_sentence")
-        for one in found[topic]
-    }
+    topics = ("/velodyne_points", "/imu/data", "/fix", "/nmea_sentence")
+    used = {one.header.frame_id for topic in topics for one in found[topic]}
     slam = fixed | moving | {"odom": "map", "base_link": "odom"}
     assert {root_of(frame, fixed) for frame in used} == {"base_link"}
     assert {root_of(frame, slam) for frame in used} == {"map"}
-    with AnyReader([walk / name]) as reader:
-        first = next(
-            connection.topic
-            for connection, *_ in reader.messages()
-            if connection.topic in ("/tf_static", "/velodyne_points", "/tf")
-        )
-    assert first == "/tf_static"
+    assert next(topic for topic in found if topic in ("/tf_static", "/velodyne_points", "/tf")) == "/tf_static"
 
 
 def test_the_truth_may_move_the_body(walk, tmp_path):
@@ -207,33 +204,30 @@ def test_units_have_topics_of_their_own(tmp_path):
     found, ran = messages(tmp_path / "rig.mcap"), messages(tmp_path / "run.mcap")
     for number in (1, 2):
         assert found[f"/unit_{number}/velodyne_points"][0].header.frame_id == f"unit_{number}/velodyne"
-    fixed = {one.child_frame_id: matrix(one.transform) for one in found["/tf_static"][0].transforms}
+    fixed = {
+        one.child_frame_id: matrix(values(one.transform.translation), values(one.transform.rotation, "xyzw"))
+        for one in found["/tf_static"][0].transforms
+    }
     assert fixed.keys() == {"unit_1/velodyne", "unit_2/velodyne", "imu", "gps"}
     devices = json.loads((tmp_path / "truth" / "rig.json").read_text())
     for n in (1, 2):
-        np.testing.assert_allclose(
-            fixed[f"unit_{n}/velodyne"], devices["units"][n - 1]["body_T_sensor"]["matrix"], atol=1e-12
-        )
+        given = devices["units"][n - 1]["body_T_sensor"]["matrix"]
+        np.testing.assert_allclose(fixed[f"unit_{n}/velodyne"], given, atol=1e-12)
     np.testing.assert_allclose(fixed["imu"], devices["imu"]["body_T_imu"]["matrix"], atol=1e-12)
     np.testing.assert_allclose(fixed["gps"][:3, 3], fixed["unit_1/velodyne"][:3, 3] + [0, 0, 0.2], atol=1e-12)
     for bag in (found, ran):
-        (world_T_body,) = {tuple(matrix(one.pose.pose).ravel().round(9)) for one in bag["/ground_truth/odom"]}
+        poses = [one.pose.pose for one in bag["/ground_truth/odom"]]
+        turns = [matrix(values(one.position), values(one.orientation, "xyzw")) for one in poses]
+        np.testing.assert_allclose(turns, turns[:1] * len(turns), atol=1e-9)
         assert {one.child_frame_id for one in bag["/ground_truth/odom"]} == {"base_link_truth"}
-        x, y, z, *quaternion = np.loadtxt(tmp_path / "truth" / "trajectory.tum")[0, 1:]
-        true = matrix(np.array([x, y, z]), quaternion)
-        np.testing.assert_allclose(np.reshape(world_T_body, (4, 4)) @ fixed["unit_1/velodyne"], true, atol=1e-8)
+        pose = np.loadtxt(tmp_path / "truth" / "trajectory.tum")[0, 1:]
+        np.testing.assert_allclose(turns[0] @ fixed["unit_1/velodyne"], matrix(pose[:3], pose[3:]), atol=1e-8)
 
 
-def matrix(pose, quaternion=None):
-    """Pose (4, 4) of a message, or of numbers."""
+def matrix(place, turn):
+    """Pose (4, 4) of a translation and a quaternion."""
     T = np.eye(4)
-    if quaternion is None:
-        place, turn = (
-            getattr(pose, one, None) or getattr(pose, other)
-            for one, other in (("translation", "position"), ("rotation", "orientation"))
-        )
-        pose, quaternion = [place.x, place.y, place.z], [turn.x, turn.y, turn.z, turn.w]
-    T[:3, 3], T[:3, :3] = pose, Rotation.from_quat(quaternion).as_matrix()
+    T[:3, 3], T[:3, :3] = place, Rotation.from_quat(turn).as_matrix()
     return T
 
 
@@ -244,7 +238,7 @@ def test_an_attitude_is_that_of_the_truth(tmp_path):
     write_bag(tmp_path / "a.pcap", tmp_path / "a.mcap", tmp_path / "truth")
     rows = np.genfromtxt(tmp_path / "truth" / "imu.csv", delimiter=",", names=True)
     found = messages(tmp_path / "a.mcap")["/imu/data"]
-    said = [[getattr(one.orientation, axis) for axis in "xyzw"] for one in found]
+    said = [values(one.orientation, "xyzw") for one in found]
     assert np.array_equal(said, np.stack([rows[f"q{axis}"] for axis in "xyzw"], axis=1)[-len(found) :])
     assert np.degrees(Rotation.from_quat(said).as_euler("zyx")[:, 0]) == pytest.approx(30.0, abs=0.1)
     assert all(one.orientation_covariance[0] > 0 for one in found)
@@ -252,10 +246,9 @@ def test_an_attitude_is_that_of_the_truth(tmp_path):
 
 def test_a_configuration_is_written_beside_the_bag(walk, tmp_path, capsys):
     """--for writes the files of a program under the bag's name, from a capture, its truth and a run alike; an edited one is left alone."""
-    words = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}".replace("True", "true"))]
     assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/a.mcap", "--truth", f"{walk}/truth", "--for", "dlio"]) == 0
     assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/b.mcap", "--for", "dlio"]) == 0
-    assert run(["record", "static_bench", f"{tmp_path}/c.mcap", "--duration", "0.2", *words, "--for", "dlio"]) == 0
+    assert run(["record", "static_bench", f"{tmp_path}/c.mcap", "--duration", "0.2", *WORDS, "--for", "dlio"]) == 0
     texts = [[(tmp_path / f"{one}.{file}").read_text() for file in ("dlio.yaml", "dlio_params.yaml")] for one in "abc"]
     assert texts[0] == texts[1] == texts[2]
     (tmp_path / "a.dlio.yaml").write_text("mine")
@@ -290,13 +283,12 @@ def test_what_no_bag_can_be_made_of_is_refused(walk, capsys, words, line):
     assert sorted(walk.iterdir()) == before
 
 
-@pytest.mark.parametrize("name", ["new.mcap", "new.bag", "new/"])
-def test_a_run_goes_straight_into_a_bag(walk, tmp_path, name):
+def test_a_run_goes_straight_into_a_bag(bag, tmp_path):
     """`record` with the name of a bag writes what `bag` makes of the capture and truth of the same run, and nothing beside it."""
-    settings = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}".replace("True", "true"))]
-    assert run(["record", "static_bench", f"{tmp_path}/{name}", "--duration", "1", *settings, "--json"]) == 0
-    kind = KINDS[["new.mcap", "new.bag", "new/"].index(name)]
-    ours, theirs = messages(tmp_path / name), messages(walk / kind)
+    name, theirs = bag
+    out = f"{tmp_path}/{name}" + "/" * (name == "walk")
+    assert run(["record", "static_bench", out, "--duration", "1", *WORDS, "--json"]) == 0
+    ours = messages(tmp_path / name)
     assert ours.keys() == theirs.keys()
     for topic, found in ours.items():
         assert len(found) - len(theirs[topic]) in (0, 1), topic  # a file of the truth ends when the last packet is due
@@ -304,7 +296,7 @@ def test_a_run_goes_straight_into_a_bag(walk, tmp_path, name):
             assert NUMBER.sub("", repr(one)) == NUMBER.sub("", repr(other))
             numbers = [list(map(float, NUMBER.findall(repr(message)))) for message in (one, other)]
             np.testing.assert_allclose(*numbers, atol=1e-9)
-    assert [one.name for one in tmp_path.iterdir()] == [name.strip("/")]
+    assert [one.name for one in tmp_path.iterdir()] == [name]
 
 
 def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
@@ -314,8 +306,7 @@ def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     emulator.record(tmp_path / "a.mcap", start_s=1.0, duration_s=0.5)
     found = messages(tmp_path / "a.mcap")["/ground_truth/odom"]
     true = emulator.parts.units[0].motion.kinematics_at(np.array([stamp_ns(one) for one in found]))
-    linear = [[getattr(one.twist.twist.linear, axis) for axis in "xyz"] for one in found]
-    angular = [[getattr(one.twist.twist.angular, axis) for axis in "xyz"] for one in found]
+    linear, angular = ([values(getattr(one.twist.twist, kind)) for one in found] for kind in ("linear", "angular"))
     own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
     assert np.linalg.norm(own_m_s, axis=1).min() > 0.1
     np.testing.assert_allclose(linear, own_m_s, atol=1e-12)

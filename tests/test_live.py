@@ -11,8 +11,8 @@ import pytest
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, OutputError, TrajectoryError
 from vlp16emu.extras.bench.options import PosesIn
+from vlp16emu.extras.live.flight import PoseReceiver, pose_port
 from vlp16emu.extras.live.pose_packet import pack_pose
-from vlp16emu.extras.live.poses import PoseReceiver, pose_port
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.types import PacketKind

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, OutputError, ScenarioError
-from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
 from vlp16emu.motion.geodesy import to_geodetic

@@ -57,11 +57,12 @@ def main_here(monkeypatch, capsys):
     def call(*arguments, stdout):
         before = {number: signal.getsignal(number) for number in ENDINGS}
         try:
-            with monkeypatch.context() as patch, pytest.raises(SystemExit) as end:
+            with monkeypatch.context() as patch:
                 patch.setattr(sys, "argv", ["vlp16emu", *map(str, arguments)])
                 patch.setattr(sys, "stdout", stdout)
                 patch.setattr(gc, "freeze", gc.collect)
-                main()
+                with pytest.raises(SystemExit) as end:
+                    main()
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)

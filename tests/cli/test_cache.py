@@ -56,7 +56,7 @@ def test_no_folder_is_said(cli, monkeypatch):
 def test_kernels_are_compiled_before_they_are_needed(cli, monkeypatch):
     """`--compile` compiles all that the table of kernels has, on request alone, and does not go with `--clear`."""
     groups = []
-    monkeypatch.setattr("vlp16emu.cli.cache.compile_first", groups.append)
+    monkeypatch.setattr("vlp16emu.cli.about.compile_first", groups.append)
     cli("cache")
     assert groups == []
     cli("cache", "--compile")

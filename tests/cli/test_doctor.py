@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from vlp16emu.extras.readiness import Condition
+from vlp16emu.extras.doctor import Condition
 from vlp16emu.kernels import cache
 from vlp16emu.raycast import embree
 

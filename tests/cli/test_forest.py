@@ -203,7 +203,7 @@ def nothing_heavy(monkeypatch):
     def survey(*arguments):
         raise AssertionError(arguments)
 
-    monkeypatch.setattr("vlp16emu.extras.sheets.survey.survey", survey)
+    monkeypatch.setattr("vlp16emu.extras.sheets.sheet.survey", survey)
 
 
 @pytest.mark.usefixtures("nothing_heavy")
@@ -227,7 +227,7 @@ def test_a_missing_matplotlib_is_reported_before_anything_heavy(cli, monkeypatch
 
 def test_a_run_that_fails_leaves_no_file(cli, tmp_path, monkeypatch):
     """Where the picture fails, an inventory that was complete is kept, an earlier picture stays, and nothing is beside them."""
-    monkeypatch.setattr("vlp16emu.extras.sheets.files.draw_sheet", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("vlp16emu.extras.sheets.sheet.draw_sheet", lambda *_, **__: 1 / 0)
     (tmp_path / "x.png").write_bytes(b"earlier")
     options = [*SMALL[:-1], "1", "--set", "world.stems_per_ha=50", "--inventory", tmp_path / "x.csv"]
     with pytest.raises(ZeroDivisionError):

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 @pytest.fixture(autouse=True)
 def _measured_shortly(monkeypatch):
     """Measure a fifth of a second in place of two."""
-    monkeypatch.setattr("vlp16emu.cli.plan._MEASURED_S", 0.2)
+    monkeypatch.setattr("vlp16emu.cli.about._MEASURED_S", 0.2)
 
 
 def on(scene, *settings):

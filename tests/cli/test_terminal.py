@@ -7,8 +7,7 @@ import threading
 import pytest
 
 from vlp16emu.cli.printer import audit_text
-from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import Progress
+from vlp16emu.cli.terminal import Progress, compile_first
 from vlp16emu.extras.accuracy.audit import AuditFinding
 from vlp16emu.kernels import compiler
 

@@ -8,8 +8,8 @@ import pytest
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
-from vlp16emu.extras.bench.beside import PULSE_NS, Beside
 from vlp16emu.extras.bench.imu_frame import decode_imu
+from vlp16emu.extras.bench.outlets import PULSE_NS, Beside
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import decode_position
 from vlp16emu.types import PacketKind

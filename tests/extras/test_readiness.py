@@ -2,7 +2,7 @@
 
 import pytest
 
-from vlp16emu.extras.readiness import sending_share
+from vlp16emu.extras.doctor import sending_share
 from vlp16emu.types import Packet, PacketKind
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.packets import (
     data_fields,
     data_payloads,

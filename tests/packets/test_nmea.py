@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vlp16emu.errors import InputError, PacketError
-from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.packets import rmc
 from vlp16emu.types import GnssFix
 

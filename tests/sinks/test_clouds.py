@@ -10,8 +10,7 @@ import pytest
 
 from vlp16emu import emulator as emulators
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, point_file
-from vlp16emu.extras.clouds.labels import label_scheme, scheme_names
+from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, label_scheme, point_file, scheme_names
 from vlp16emu.extras.clouds.las import adjusted_gps_s, echoes_of, local_wkt
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.types import PlantPart, Semantic

@@ -21,8 +21,7 @@ from vlp16emu.cli.verb import command
 from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError, Vlp16emuError
 
-_LEFT_S = 0.8
-"""How long a command that is interrupted may take to remove what it has not finished."""
+_LEFT_S = 0.8  # how long a command that is interrupted may take to remove what it has not finished
 
 _OF_WRITING = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
 """Errors of a write; those to files have names, as `output.py` opens them."""

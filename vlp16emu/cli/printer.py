@@ -9,8 +9,7 @@ from typing import Any
 
 import typer
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
+INTERRUPTED = 130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)
 _UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz", "_ha": "ha"}
 """Units by the end of the name that has them."""
 _LABELS = {
@@ -30,8 +29,7 @@ _LABELS = {
     "wall_s": "run time",
     "walk_share": "of the walk",
 }
-_WIDEST = 10.0
-"""Quotient of the ends of an interval beyond which it does not give as much as the order of magnitude."""
+_WIDEST = 10.0  # quotient of the ends of an interval beyond which it does not give as much as the order of magnitude
 
 
 def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
@@ -106,11 +104,13 @@ def rows_of(result: Any) -> dict[str, str]:
     """Return the members of a result as names and texts, those of dataclasses in it among them; without empty ones."""
     rows = dict[str, str]()
     for name, value in members(result):
+        if value is None:
+            continue
         label, text = _label(name), (_WORDS.get(name) or text_of)(value)
         if name == "units":
             rows |= {f"unit {unit.unit}": _unit(unit) for unit in value}
         elif name == "messages":
-            rows |= {topic: f"{count(number)} messages" for topic, number in (value or {}).items()}
+            rows |= {topic: f"{count(number)} messages" for topic, number in value.items()}
         elif is_dataclass(value) and name not in _WORDS:
             rows |= rows_of(value)
         elif text:
@@ -140,9 +140,7 @@ def behind_text(times: Any) -> str:
 
 
 def audit_text(found: Any) -> str:
-    """Write what an audit found; nothing without one."""
-    if found is None:
-        return ""
+    """Write what an audit found."""
     if found.exact:
         return "rounding to float32 only: by the scene's choice a pulse is one ray"
     if found.range_rmse_m is None:
@@ -219,14 +217,12 @@ def _lateness(late: Any) -> str:
 
 
 def _first(first: Any) -> str:
-    if first is None or first.sensor_ns is None:
+    if first.sensor_ns is None:
         return ""
     return f"{(first.host_ns - first.sensor_ns) * 1e-6:.3f} ms after its time by the sensor's clock, by this machine's"
 
 
 def _outlet(sent: Any) -> str:
-    if sent is None:
-        return ""
     row = f"{count(sent.messages)} to {sent.to}" + (f", {count(sent.dropped)} dropped" if sent.dropped else "")
     if sent.line:
         line = sent.line.upper()
@@ -235,8 +231,6 @@ def _outlet(sent: Any) -> str:
 
 
 def _receiver(gps_in: Any) -> str:
-    if gps_in is None:
-        return ""
     heard = gps_in.heard
     counts = f"{count(heard.sentences)} sentences, {count(heard.pulses)} pulses, {count(heard.refused)} garbled"
     return f"{counts} from {gps_in.port}; {gps_in.state.name.lower()}{_away(gps_in.away)}"
@@ -265,6 +259,6 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "real_time_factor": lambda factor: f"{factor:.2f} x real time",
     "skipped": lambda skipped: ", ".join(f"{count(number)} {kind} packets" for kind, number in skipped.items()),
     "turn": _turn,
-    "walk_share": lambda share: "" if share is None else f"{100 * share:.0f} %",
+    "walk_share": lambda share: f"{100 * share:.0f} %",
 }
 """How members are written that say more than a value with its unit."""

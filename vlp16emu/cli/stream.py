@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -13,8 +13,7 @@ import typer
 
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
-from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
+from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.options import Option
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from vlp16emu.engine import Unit
     from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
     from vlp16emu.extras.replay import Replay, Replayed
-    from vlp16emu.extras.viewer.live import Watch
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
@@ -36,8 +34,7 @@ _POLICY = {
     "pace": "the delay stays, at the sensor's own spacing (--late pace)",
     "skip": "late packets are dropped until the stream is at now (--late skip)",
 }
-_LATE = 1
-"""Exit code of a strict stream that was late."""
+_LATE = 1  # exit code of a strict stream that was late
 
 Strict = Annotated[bool, Option("End with 1 if packets were late by more than 50 ms, or were skipped.")]
 
@@ -85,30 +82,31 @@ def stream(
     """
     host, _ = options.receiver
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=audit)
-    options = _of_live(options, emulator.scenario)
-    _keep_up(emulator, options, wanted=keep_up, is_prepared=prepare or options.prepare is not None)
-    _, stop_s = emulator.scenario.span_s(0.0, options.duration_s)
-    with (
-        _watched(emulator, view=view, duration_s=stop_s, quiet=as_json) as watch,
-        stop_on_ctrl_c() as stop,
-        Progress(stop_s) as progress,
-        _prepared(options.prepare, wanted=prepare) as capture,
-    ):
-        hooks: dict[str, Any] = {"watched": watch.sink} if watch else {}
-        http, poses = options.http, options.poses
-        asked = replace(
-            options,
-            prepare=capture,
-            http=http and replace(http, serving=partial(_say_served, quiet=as_json)),
-            poses=poses and replace(poses, news=progress.say),
-        )
+    scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
+    options = _of_live(options, scenario)
+    _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
+    _, stop_s = scenario.span_s(0.0, options.duration_s)
+    with ExitStack() as stack:
+        hooks: dict[str, Any] = {}
+        if view:
+            hooks["watched"] = stack.enter_context(_page(emulator, stop_s, quiet=as_json))
+        stop, progress = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(stop_s))
+        if is_prepared and options.prepare is None:
+            from tempfile import TemporaryDirectory
+
+            folder = stack.enter_context(TemporaryDirectory(prefix="vlp16emu-"))
+            options = replace(options, prepare=Path(folder) / "prepared.pcap")
+        if options.http and not as_json:
+            options = replace(options, http=replace(options.http, serving=_say_served))
+        if options.poses:
+            options = replace(options, poses=replace(options.poses, news=progress.say))
         streamed = emulator.stream(
-            **vars(asked),
+            **vars(options),
             **hooks,
             opened=lambda units: None if as_json else _announce(scene, host, units),
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),
-            notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, options.late, options.speed)),
+            notify=lambda behind: progress.say(behind_line(behind, scenario, options.late, options.speed)),
             stop=stop,
         )
     _close(streamed, f"{scene} to {host}", strict=strict, as_json=as_json)
@@ -168,11 +166,8 @@ def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | Non
 
 
 @contextmanager
-def _watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool) -> "Iterator[Watch | None]":
-    """Show a stream in the browser, and print where; None without `--view`."""
-    if not view:
-        yield None
-        return
+def _page(emulator: "Emulator", duration_s: float, *, quiet: bool) -> Iterator[Any]:
+    """Show a stream in the browser, print where, and yield what its sink is wrapped in."""
     if find_spec("viser") is None:
         raise MissingExtraError("viser", "viewer", "the page in the browser")
     from vlp16emu.extras.viewer.live import backdrop_of, watching
@@ -181,24 +176,11 @@ def _watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool
         backdrop = backdrop_of(emulator, duration_s)
     with watching(emulator, backdrop) as watch:
         print(f"page at {watch.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
-        yield watch
+        yield watch.sink
 
 
-@contextmanager
-def _prepared(path: Path | None, *, wanted: bool) -> Iterator[Path | None]:
-    """Yield the file that a run is prepared in, if it is; a temporary one is removed."""
-    if path is not None or not wanted:
-        yield path
-        return
-    from tempfile import TemporaryDirectory
-
-    with TemporaryDirectory(prefix="vlp16emu-") as folder:
-        yield Path(folder) / "prepared.pcap"
-
-
-def _say_served(places: list[tuple[str, int]], *, quiet: bool) -> None:
-    if not quiet:
-        print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
+def _say_served(places: list[tuple[str, int]]) -> None:
+    print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
 
 
 def _announce(scene: str, to: str, units: "Sequence[Unit]") -> None:

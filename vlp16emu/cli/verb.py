@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields
+from types import NoneType
 from typing import Annotated, Any, get_args
 
 import typer
@@ -22,7 +23,10 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         return function
 
     def run(**values: Any) -> None:
-        values = {leaf.name: _value(leaf, values[_key(leaf)]) for leaf in leaves}
+        values = {leaf.name: values[_key(leaf)] for leaf in leaves}
+        for leaf in leaves:
+            if leaf.kind is bool and leaf.default is True:  # its name says no
+                values[leaf.name] = not values[leaf.name]
         function(**{one.name: _made(one.name, one.annotation, values) for one in parameters})
 
     signature = inspect.Signature([_parameter(leaf) for leaf in leaves])
@@ -45,7 +49,6 @@ def _dataclass_in(annotation: Any) -> type[Options] | None:
 
 
 def _leaves(name: str, annotation: Any, default: Any) -> Iterator[Declared]:
-    """Yield the options of a parameter or a field."""
     if one := declared(name, annotation, MISSING if default is inspect.Parameter.empty else default):
         yield one
     elif owner := _dataclass_in(annotation):
@@ -54,37 +57,26 @@ def _leaves(name: str, annotation: Any, default: Any) -> Iterator[Declared]:
 
 
 def _made(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
-    """Return the argument of a parameter: a value, or a dataclass with its values."""
+    """Return a value, or a dataclass with its values; None for an optional dataclass if none of its options is given."""
     if one := declared(name, annotation):
         return values[one.name]
     owner = _dataclass_in(annotation)
     assert owner
+    if NoneType in get_args(annotation):
+        leaves = list(_leaves(name, annotation, MISSING))
+        given = [leaf for leaf in leaves if values[leaf.name] != (None if leaf.default is MISSING else leaf.default)]
+        if not given:
+            return None
+        if missing := [leaf for leaf in leaves if leaf.default is MISSING and values[leaf.name] is None]:
+            wanted = f"{missing[0].name} {missing[0].option.metavar} beside it"
+            raise InputError(given[0].name, f"found no {missing[0].name}", wanted)
     named = [(field.name, field.type) for field in fields(owner)]  # type: ignore[arg-type]
-    return owner(**{key: _inner(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))})
-
-
-def _inner(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
-    """Return the value of a field; None for a dataclass if none of its options is given."""
-    leaves = list(_leaves(name, annotation, MISSING))
-    if declared(name, annotation):
-        return _made(name, annotation, values)
-    given = [leaf for leaf in leaves if values[leaf.name] != (None if leaf.default is MISSING else leaf.default)]
-    if not given:
-        return None
-    if missing := [leaf for leaf in leaves if leaf.default is MISSING and values[leaf.name] is None]:
-        wanted = f"{missing[0].name} {missing[0].option.metavar} beside it"
-        raise InputError(given[0].name, f"found no {missing[0].name}", wanted)
-    return _made(name, annotation, values)
+    return owner(**{key: _made(key, kind, values) for key, kind in named if list(_leaves(key, kind, MISSING))})
 
 
 def _key(leaf: Declared) -> str:
     """Return the name of a parameter for an option; `--from` would be a keyword without the underscore."""
     return "_" + "".join(c if c.isalnum() else "_" for c in leaf.name).strip("_").lower()
-
-
-def _value(leaf: Declared, value: Any) -> Any:
-    """Return the value of an option as typer gives it; a flag that is on by default has a name that says no."""
-    return not value if leaf.kind is bool and leaf.default is True else value
 
 
 def _parameter(leaf: Declared) -> inspect.Parameter:

@@ -23,10 +23,8 @@ _ALL_ROUND_DEG = 360.0
 class CameraKind(StrEnum):
     """Projection of directions to pixels."""
 
-    PANORAMA = "panorama"
-    """All around, the same angle for each column and row (equirectangular)."""
-    PINHOLE = "pinhole"
-    """A plane at right angles to the optical axis, which is the sensor's azimuth 0."""
+    PANORAMA = "panorama"  # all around, the same angle for each column and row (equirectangular)
+    PINHOLE = "pinhole"  # a plane at right angles to the optical axis, which is the sensor's azimuth 0
 
 
 _DEFAULTS = {CameraKind.PANORAMA: ((2048, 512), _ALL_ROUND_DEG), CameraKind.PINHOLE: ((1024, 768), 90.0)}
@@ -41,11 +39,9 @@ class Camera:
     """
 
     kind: CameraKind
-    width: int
-    """Pixels, a multiple of 8, as rows are cast eight rays at a time."""
+    width: int  # pixels, a multiple of 8, as rows are cast eight rays at a time
     height: int
-    fov_deg: float
-    """From the left edge to the right one; 360 of a panorama."""
+    fov_deg: float  # from the left edge to the right one; 360 of a panorama
 
     def __post_init__(self) -> None:
         size, is_panorama = f"found {self.width}x{self.height}", self.kind is CameraKind.PANORAMA
@@ -88,13 +84,10 @@ class Camera:
 class Orthographic:
     """A camera of parallel rays: lengths across the view have one scale everywhere."""
 
-    axes: F8
-    """(3, 3) unit vectors to the right, upwards in the image, and towards the eye."""
-    centre_m: F8
-    """(3,) place at the middle of the image, along these axes; rays begin there."""
+    axes: F8  # (3, 3) unit vectors to the right, upwards in the image, and towards the eye
+    centre_m: F8  # (3,) place at the middle of the image, along these axes; rays begin there
     px_per_m: float
-    size: tuple[int, int]
-    """Width and height in pixels."""
+    size: tuple[int, int]  # width and height in pixels
 
     @classmethod
     def around(cls, box_m: F8, from_deg: float, elevation_deg: float, size: tuple[int, int]) -> Self:
@@ -125,14 +118,10 @@ class Orthographic:
 class Seen(NamedTuple):
     """Surfaces that n rays meet."""
 
-    is_met: NDArray[np.bool_]
-    """(n,)."""
-    range_m: F4
-    """(n,) 0 where nothing is met."""
-    surface: U4
-    """(n,) row of the geometry's table; `NO_SURFACE` where nothing is met."""
-    cos_incidence: F4
-    """(n,)."""
+    is_met: NDArray[np.bool_]  # (n,)
+    range_m: F4  # (n,) 0 where nothing is met
+    surface: U4  # (n,) row of the geometry's table; `NO_SURFACE` where nothing is met
+    cos_incidence: F4  # (n,)
 
     def rgb(self, colours: U1, light: ArrayLike, background: ArrayLike) -> F8:
         """Return colours (n, 3): those of the surfaces (m, 3) times `light` (n,), the background where nothing is met."""

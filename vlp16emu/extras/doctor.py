@@ -1,17 +1,55 @@
-"""Checks of this machine for all verbs, with a remedy for each failure."""
+"""Checks of this machine for all verbs, with a remedy for each failure; and the cost of sending."""
 
 import os
 import platform
 import shutil
+import socket
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
+
 from vlp16emu.errors import Vlp16emuError
-from vlp16emu.extras.readiness import Check, Condition, sending_checks
 from vlp16emu.kernels.cache import kernel_names, user_kernels
+from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
+from vlp16emu.sinks import LOOPBACK, TOLERANCE_NS, Pacer, UdpSink, stream
+from vlp16emu.sinks.pacing import prompt
 from vlp16emu.store import user_store
+from vlp16emu.types import Packet
+
+_SLEEPS = 200
+_SLEEP_S = 0.001_327  # as long as between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)
+_PROMPT_NS = 1_327_104  # a packet that is later than that leaves after the next one is due
+_COARSE_S = 1e-6
+_PAUSE_S = 0.1  # a revolution at 600 rpm: pauses of receivers that share their cores are shorter
+_RIG_PACKETS_HZ = 2 * 1508  # data packets of two sensors in dual return (63-9243 Rev D, section 8.2)
+_HELD_BYTES = 2304
+"""That Linux counts for one of them in a receive buffer: payload, headers and its own record, rounded up."""
+
+
+class Condition(StrEnum):
+    """Outcome of a check."""
+
+    OK = "ok"
+    WARNING = "warning"  # some runs will suffer
+    PROBLEM = "problem"  # some runs will fail
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was looked at."""
+
+    name: str
+    finding: Condition
+    found: str
+    mend: str = ""  # a command or a line; empty where nothing is to be done
+
 
 _EXTRAS = {
     "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
@@ -27,39 +65,98 @@ _EXTRAS = {
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
 """Instruction sets that Embree has kernels for, by their names in /proc/cpuinfo, the widest first (Embree 4 manual, rtcNewDevice)."""
 _FEWEST_CORES = 2
-_CASTER = "raycast."
-"""Begin of the names of compiled kernels of that room."""
+_CASTER = "raycast."  # begin of the names of compiled kernels of that room
 
 
 def all_checks() -> Iterator[Check]:
-    """Yield the results of all checks, one after the other."""
-    yield _cores()
+    """Yield the results of all checks, one after the other; takes half a second."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    few = "stream --prepare: the engine then has it before the sender" if cores < _FEWEST_CORES else ""
+    yield _check("cores", f"{cores}", few)
     yield _kernels()
     yield _embree()
-    yield from sending_checks()
+    for name, port in (("data port", DATA_PORT), ("position port", POSITION_PORT)):
+        reason = _bound("", port)
+        taken = f"right for a receiver here; --as-sensor needs it: ss -ulpn 'sport = :{port}' shows its program"
+        yield _check(name, f"{port}: {reason}" if reason else f"{port} is free", taken if reason else "")
+    address = FACTORY_LINK.source
+    is_ours, add = not _bound(address, 0), f"for --as-sensor: sudo ip addr add {address}/24 dev IFACE"
+    found = f"{address} is {'' if is_ours else 'not '}this machine's"
+    yield _check("sensor address", found, "" if is_ours else add, bad=Condition.OK)
+    yield _interface_right()
+    resolution_s = time.get_clock_info("monotonic").resolution
+    mend = "a kernel with high-resolution timers" if resolution_s > _COARSE_S else ""
+    yield _check("clock resolution", f"{resolution_s * 1e9:.0f} ns", mend)
+    yield _wake_ups()
+    yield _buffer()
     for extra, (libraries, purpose) in _EXTRAS.items():
-        yield _extra(extra, libraries, purpose)
+        missing = [library for library in libraries if find_spec(library) is None]
+        found = f"without {', '.join(missing)}: no {purpose}" if missing else f"installed, for {purpose}"
+        yield _check(f"extra {extra}", found, f"pip install 'vlp16emu[{extra}]'" if missing else "")
     yield _disk()
 
 
-def _cores() -> Check:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores >= _FEWEST_CORES:
-        return Check("cores", Condition.OK, f"{cores}")
-    return Check("cores", Condition.WARNING, f"{cores}", "stream --prepare: the engine then has it before the sender")
+def _check(name: str, found: str, mend: str = "", *, bad: Condition = Condition.WARNING) -> Check:
+    """Return a check, which is ok if there is nothing to mend."""
+    return Check(name, bad if mend else Condition.OK, found, mend)
+
+
+def _bound(address: str, port: int) -> str:
+    """Return why an address cannot be sent from; empty if it can."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((address, port))
+        except OSError as error:
+            return str(error.strerror)
+    return ""
+
+
+def _interface_right() -> Check:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
+        except (OSError, AttributeError) as error:
+            mend = "for --interface: Linux 5.7, or sudo setcap cap_net_raw+ep on the Python that runs this"
+            return _check("interface right", f"--interface is refused: {error}", mend)
+    return _check("interface right", "sockets can be bound to an interface")
+
+
+def _wake_ups() -> Check:
+    late_ns = []
+    with prompt():  # as streams sleep
+        for _ in range(_SLEEPS):
+            until_ns = time.monotonic_ns() + round(_SLEEP_S * 1e9)
+            time.sleep(_SLEEP_S)
+            late_ns.append(time.monotonic_ns() - until_ns)
+    median_ns, p99_ns = np.quantile(late_ns, [0.5, 0.99])
+    found = f"median {median_ns * 1e-3:.0f} us, 99 % within {p99_ns * 1e-3:.0f} us late"
+    mend = "fewer programs at once, or a smaller --threads, so that a core is left to the thread that sends"
+    bad = Condition.WARNING if p99_ns <= TOLERANCE_NS else Condition.PROBLEM
+    return _check("wake-ups", found, mend if p99_ns > _PROMPT_NS else "", bad=bad)
+
+
+def _buffer() -> Check:
+    """Return whether a receiver here may have a buffer that holds two sensors in dual return for a revolution."""
+    needed, key = round(_PAUSE_S * _RIG_PACKETS_HZ * _HELD_BYTES), "net.core.rmem_max"
+    try:
+        most = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return _check("receive buffer", "not reported by this system")
+    found = f"{key} is {most}; two sensors in dual return fill {needed} in {_PAUSE_S:g} s"
+    mend = f"sudo sysctl -w {key}={needed}, and SO_RCVBUF in the receiver"
+    # Linux doubles what SO_RCVBUF asks for (socket(7)).
+    return _check("receive buffer", found, mend if 2 * most < needed else "")
 
 
 def _kernels() -> Check:
     folder, names = user_kernels().own, kernel_names()
-    casting = any(name.startswith(_CASTER) for name in names)
-    if folder is None and not casting:
+    if any(name.startswith(_CASTER) for name in names):
+        return _check("kernel cache", f"{len(names)} kernels in {folder or 'the package alone'}")
+    if folder is None:
         mend = "export NUMBA_CACHE_DIR=FOLDER, of one in which nobody else can write"
-        return Check("kernel cache", Condition.WARNING, "no safe folder: each run compiles for a minute", mend)
-    if not casting:
-        lacking = f"{folder} lacks those of casting: the next run compiles them first"
-        return Check("kernel cache", Condition.WARNING, lacking, "vlp16emu cache --compile")
-    where = folder or "the package alone"
-    return Check("kernel cache", Condition.OK, f"{len(names)} kernels in {where}")
+        return _check("kernel cache", "no safe folder: each run compiles for a minute", mend)
+    lacking = f"{folder} lacks those of casting: the next run compiles them first"
+    return _check("kernel cache", lacking, "vlp16emu cache --compile")
 
 
 def _embree() -> Check:
@@ -69,36 +166,40 @@ def _embree() -> Check:
         device()
     except (Vlp16emuError, ImportError, OSError) as error:
         return Check("Embree", Condition.PROBLEM, str(error), "pip install --force-reinstall embreex")
-    return Check("Embree", Condition.OK, f"loads; {_instructions()}")
-
-
-def _instructions() -> str:
-    """Return the widest instruction set of this processor that Embree has kernels for."""
-    try:
+    flags = set[str]()
+    with suppress(OSError):
         flags = set(Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split())
-    except OSError:
-        flags = set()
-    return next((name for name in _WIDEST if name in flags), platform.machine())
-
-
-def _extra(extra: str, libraries: tuple[str, ...], purpose: str) -> Check:
-    missing = [library for library in libraries if find_spec(library) is None]
-    if not missing:
-        return Check(f"extra {extra}", Condition.OK, f"installed, for {purpose}")
-    found = f"without {', '.join(missing)}: no {purpose}"
-    return Check(f"extra {extra}", Condition.WARNING, found, f"pip install 'vlp16emu[{extra}]'")
+    return _check("Embree", f"loads; {next((name for name in _WIDEST if name in flags), platform.machine())}")
 
 
 def _disk() -> Check:
     store = user_store()
     if store.folder is None:
-        return Check("world cache", Condition.WARNING, "off: each run grows its world", "unset VLP16EMU_CACHE_DIR")
+        return _check("world cache", "off: each run grows its world", "unset VLP16EMU_CACHE_DIR")
     there = next(folder for folder in (store.folder, *store.folder.parents) if folder.is_dir())
-    free = shutil.disk_usage(there).free
-    found = f"{free / 1e9:.1f} GB free for at most {store.most_bytes / 1e9:.1f} GB in {store.folder}"
     if not os.access(there, os.W_OK):
         mend = f"export VLP16EMU_CACHE_DIR={tempfile.gettempdir()}/vlp16emu-worlds"
-        return Check("world cache", Condition.WARNING, f"{there} cannot be written", mend)
-    if free >= store.most_bytes:
-        return Check("world cache", Condition.OK, found)
-    return Check("world cache", Condition.WARNING, found, "export VLP16EMU_CACHE_MB=100, or another VLP16EMU_CACHE_DIR")
+        return _check("world cache", f"{there} cannot be written", mend)
+    free = shutil.disk_usage(there).free
+    found = f"{free / 1e9:.1f} GB free for at most {store.most_bytes / 1e9:.1f} GB in {store.folder}"
+    mend = "export VLP16EMU_CACHE_MB=100, or another VLP16EMU_CACHE_DIR"
+    return _check("world cache", found, mend if free < store.most_bytes else "")
+
+
+def sending_share(packets: Sequence[Packet]) -> float:
+    """Processor seconds per second of the thread that sends packets in real time, measured by doing so.
+
+    They go to a socket of this process that nobody reads, so no other program is sent anything.
+
+    Parameters
+    ----------
+    packets : in order of sending
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind((LOOPBACK, 0))
+        port = receiver.getsockname()[1]
+        with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
+            before_s = time.thread_time()
+            report = stream(packets, sink, Pacer(1.0))
+            took_s = time.thread_time() - before_s
+    return took_s / report.simulated_s if report.simulated_s > 0 else 0.0

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import settings
 
-from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
+from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import S_NS
@@ -46,10 +46,7 @@ class Engine:
         """Turn the rotor by a step, and look."""
         missing_rpm = self.settings.rpm - self.now.motor_rpm
         self.now = replace(
-            self.now,
-            motor_rpm=self.now.motor_rpm + max(min(missing_rpm, 20.0), -20.0),
-            laser_on=self.settings.laser_on,
-            is_up=self.is_up,
+            self.now, motor_rpm=self.now.motor_rpm + max(min(missing_rpm, 20.0), -20.0), laser_on=self.settings.laser_on
         )
         return self.now
 
@@ -60,9 +57,8 @@ def make(tmp_path):
 
     def made(*, saved=None, factory=None):
         engine = Engine()
-        device = Device(
-            factory or DeviceSettings(), status=engine.status, changed=engine.changed, info=INFO, saved=saved
-        )
+        what = {"status": engine.status, "is_up": lambda: engine.is_up, "changed": engine.changed, "info": INFO}
+        device = Device(factory or DeviceSettings(), saved=saved, **what)
         engine.settings = device.settings
         return engine, device
 

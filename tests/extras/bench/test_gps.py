@@ -4,8 +4,8 @@ import pytest
 
 from vlp16emu.engine import GpsInput
 from vlp16emu.errors import PacketError
-from vlp16emu.extras.bench.gps import DisturbedGps
-from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.changes import DisturbedGps
+from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.motion import Gps
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import GnssFix, PpsState

@@ -6,8 +6,7 @@ import numpy as np
 import pynmea2
 import pytest
 
-from vlp16emu.extras.bench.gps_in import GpsInSink
-from vlp16emu.extras.bench.gps_line import GpsLine
+from vlp16emu.extras.bench.gps_in import GpsInSink, GpsLine
 from vlp16emu.packets import decode_position, pack_position
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.sinks import MemorySink

@@ -11,8 +11,8 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.extras.bench import control as module
 from vlp16emu.extras.bench.control import Control
 from vlp16emu.extras.bench.gps_in import GpsReader
+from vlp16emu.extras.live.flight import PoseReceiver
 from vlp16emu.extras.live.pose_packet import pack_pose
-from vlp16emu.extras.live.poses import PoseReceiver
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import S_NS
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pynmea2 import NMEASentence
 
-from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
 from vlp16emu.packets import data_fields, decode_position
 from vlp16emu.types import Packet, PacketKind

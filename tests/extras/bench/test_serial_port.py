@@ -10,7 +10,7 @@ import pytest
 import serial
 
 from vlp16emu.errors import OutputError
-from vlp16emu.extras.bench.serial_port import SerialPort, SerialSink
+from vlp16emu.extras.bench.outlets import SerialPort, SerialSink
 from vlp16emu.types import Packet, PacketKind
 
 SENTENCE = b"$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E\r\n"
@@ -93,7 +93,7 @@ def test_pulses_are_on_the_line(line, felt):
 
 def test_a_device_that_comes_back_is_found(device, monkeypatch):
     """While it is away sentences are dropped, and the next one after its return is the first that comes out."""
-    monkeypatch.setattr("vlp16emu.extras.bench.serial_port._RETRY_S", 0.05)
+    monkeypatch.setattr("vlp16emu.extras.bench.outlets._RETRY_S", 0.05)
     with SerialSink(SerialPort(str(device.path), 9600, "--gps-out")) as sink:
         for times in (1, 2):
             sink.send(sentence())

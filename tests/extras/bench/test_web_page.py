@@ -1,7 +1,6 @@
 """The page at `/` in a browser: it shows the sensor's state, and its form sets it."""
 
 import shutil
-from dataclasses import replace
 
 import pytest
 
@@ -153,13 +152,3 @@ def test_the_page_says_when_nothing_answers(web, page):
         page.wait("at('link').textContent == 'no answer'")
         setattr(web if name == "fault" else web.engine, name, well)
         page.wait("at('link').textContent == 'connected'")
-
-
-def test_the_fault_picture(web, page):
-    """A sensor that a fault has switched off is shown with zeros, not with numbers made from them."""
-    web.engine.now = replace(web.engine.now, disabled=True)
-    page.wait("at('laser').textContent == 'Disabled'")
-    names = ("rpm", "motor", "top", "bottom", "volts", "amperes", "hv")
-    assert [page.text(name) for name in names] == [
-        *("0", "Disabled, set to 600", "0.0", "0.0", "0.00", "0.00", "high voltage 0 V")
-    ]

@@ -100,7 +100,7 @@ def test_only_what_is_missing_or_damaged_is_made_again(made):
     scan = out / "sequences" / "03" / "velodyne" / "000001.bin"
     right = scan.read_bytes()
     scan.write_bytes(bytes([right[0] ^ 1]) + right[1:])
-    with pytest.raises(OutputError, match=r"000001\.bin is there, and manifest.json does not list it so"):
+    with pytest.raises(OutputError, match=r"000001\.bin is there, and no walk\.json lists it so"):
         make_dataset(walks, out, workers=0)
     scan.rename(out.parent / "mine")
     again = make_dataset(walks, out, workers=0)
@@ -133,7 +133,7 @@ class EndError(Exception):
 @pytest.mark.parametrize(
     "strange", ["sequences/00", "sequences/00/notes.txt", "sequences/01/velodyne/000000.bin", "manifest.json"]
 )
-def test_what_no_manifest_lists_is_not_touched(tmp_path, strange):
+def test_what_is_not_listed_is_not_touched(tmp_path, strange):
     """A file in the place of a walk or of the manifest is named in one line with exit code 2, and all that was there stays."""
     out = tmp_path / "out"
     (out / strange).parent.mkdir(parents=True)
@@ -164,13 +164,12 @@ def test_a_note_beside_a_walk_s_files_stays(tmp_path):
     assert (folder / "poses.txt").exists()
 
 
-def test_walks_of_a_killed_run_go_with_its_manifest(tmp_path):
-    """The folder that a manifest of ours names as that of unfinished walks is removed; another of such a name stays."""
+def test_the_parts_of_a_killed_run_go(tmp_path):
+    """The folder in which an earlier run made walks is removed; another of a like name stays."""
     (walk, *_) = walks_in(tmp_path)
     out = tmp_path / "out"
-    for name in (".parts.left", ".parts.mine"):
+    for name in (".vlp16emu.parts", ".parts.mine"):
         (out / name / "walk").mkdir(parents=True)
-    (out / "manifest.json").write_text('{"written_by": "vlp16emu 0", "parts": ".parts.left", "walks": []}')
     make_dataset([walk], out, workers=0)
     assert sorted(path.name for path in out.iterdir()) == [".parts.mine", "manifest.json", "sequences"]
 
@@ -227,7 +226,7 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         killed = set()
         while run.poll() is None and len(killed) < 2:
-            is_making = any(out.glob(".parts.*/*"))
+            is_making = any(out.glob(".vlp16emu.parts/*"))
             if is_making and (workers := workers_of(run.pid) - killed):
                 os.kill(worker := workers.pop(), signal.SIGKILL)
                 killed.add(worker)
@@ -236,7 +235,7 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     assert run.returncode == 0, said
     assert len(killed) == 2
     assert json.loads(written)["sha256"] == first.sha256
-    assert not list(out.glob(".parts.*"))
+    assert not (out / ".vlp16emu.parts").exists()
 
 
 def test_shares_of_machines_are_the_dataset(made, tmp_path):

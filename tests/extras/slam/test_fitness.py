@@ -1,6 +1,8 @@
 """Bags held against what SLAM programs need: ours, damaged ones, and one of a real sensor."""
 
 import json
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ SETTINGS = {"beam.model": "none", "imu.preset": "consumer", "imu.attitude": True
 CAPTURE = Path(__file__).resolve().parents[4] / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+NONE = lambda _: np.array([-1.0, *[0.0] * 8])  # noqa: E731  # covariance that says that there is no estimate
 TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu", "tf2_msgs/msg/TFMessage")
 
 
@@ -43,22 +46,12 @@ def rest(tmp_path_factory):
     return sorted(found, key=lambda one: one[1])
 
 
-def copy_of(message, **fields):
-    return type(message)(
-        **{
-            name: fields.get(name, getattr(message, name))
-            for name in message.__dataclass_fields__
-            if name != "__msgtype__"
-        }
-    )
-
-
 def moved(one, by_ns=0):
     """Stamp a message with the time at which it is in the bag, less or more."""
     topic, t_ns, message = one
     sec, nanosec = divmod(t_ns + by_ns, 10**9)
-    header = copy_of(message.header, stamp=copy_of(message.header.stamp, sec=sec, nanosec=nanosec))
-    return topic, t_ns, copy_of(message, header=header)
+    header = replace(message.header, stamp=replace(message.header.stamp, sec=sec, nanosec=nanosec))
+    return topic, t_ns, replace(message, header=header)
 
 
 def write(path, found):
@@ -72,138 +65,110 @@ def write(path, found):
     return path
 
 
-def points(change, **fields):
-    """Damage of all clouds: `change` takes and returns their points."""
+def on(topic, change):
+    """Damage of a topic: `change` takes and returns its messages."""
+    return lambda one: (*one[:2], change(one[2])) if one[0] == topic else one
 
-    def damage(one):
-        topic, t_ns, message = one
-        if topic != "/velodyne_points":
-            return one
+
+def points(change=lambda made: made, **fields):
+    """Damage of all clouds: `change` takes and returns their points; fields are those of PointField that change."""
+
+    def damage(message):
         made = change(message.data.view(POINT).copy())
-        names = {field.name: copy_of(field, **fields.get(field.name, {})) for field in message.fields}
+        described = [replace(field, **fields.get(field.name, {})) for field in message.fields]
         data = made.view(np.uint8)
-        own = {key: value for key, value in fields.items() if key in message.__dataclass_fields__}
-        return (
-            topic,
-            t_ns,
-            copy_of(message, data=data, fields=list(names.values()), width=len(made), row_step=len(data), **own),
-        )
+        return replace(message, data=data, fields=described, width=len(made), row_step=len(data))
 
-    return damage
+    return on("/velodyne_points", damage)
 
 
-def scaled(factor, offset=0.0):
-    def change(made):
-        made["time"] = made["time"] * factor + offset
+def column(name, change):
+    """Damage of a column of all clouds."""
+
+    def damage(made):
+        made[name] = change(made[name])
         return made
 
-    return change
+    return points(damage)
 
 
-def reversed_rings(made):
-    made["ring"] = 15 - made["ring"]
-    return made
+def samples(**fields):
+    """Damage of all samples: functions of a message that return its new fields."""
+    return on("/imu/data", lambda message: replace(message, **{name: of(message) for name, of in fields.items()}))
 
 
-def with_a_hole(made):
-    made["x"][7] = np.nan
-    return made
+def vector(name, **axes):
+    """New vector of a sample: functions of the components that change."""
+
+    def of(message):
+        old = getattr(message, name)
+        return replace(old, **{axis: change(getattr(old, axis)) for axis, change in axes.items()})
+
+    return of
 
 
-def samples(change):
-    """Damage of all samples: `change` takes a message and returns its new fields."""
-    return lambda one: (*one[:2], copy_of(one[2], **change(one[2]))) if one[0] == "/imu/data" else one
+def scaled(factor):
+    return samples(linear_acceleration=vector("linear_acceleration", **dict.fromkeys("xyz", lambda a: a * factor)))
 
 
-def force(message, R):
-    a = message.linear_acceleration
-    x, y, z = np.asarray(R) @ [a.x, a.y, a.z]
-    return {"linear_acceleration": copy_of(a, x=x, y=y, z=z)}
+def renamed(topic, other):
+    return lambda one: (other, *one[1:]) if one[0] == topic else one
 
 
-def turning(message):
-    return {"angular_velocity": copy_of(message.angular_velocity, z=0.6)}
-
-
-def no_attitude(message):
-    q = copy_of(message.orientation, x=0.0, y=0.0, z=0.0, w=0.0)
-    return {"orientation": q, "orientation_covariance": np.array([-1.0, *[0.0] * 8])}
-
-
-def renamed(**names):
-    return lambda one: (names.get(one[0].strip("/").replace("/", "_"), one[0]), *one[1:])
-
-
-def second_parent(one):
-    if one[0] != "/tf_static":
-        return one
-    first = one[2].transforms[0]
-    return (
-        *one[:2],
-        copy_of(one[2], transforms=[*one[2].transforms, copy_of(first, header=copy_of(first.header, frame_id="map"))]),
+def second_parent(message):
+    first = message.transforms[0]
+    return replace(
+        message, transforms=[*message.transforms, replace(first, header=replace(first.header, frame_id="map"))]
     )
 
 
-def apart(one):
-    if one[0] != "/tf_static":
-        return one
-    shift = next(t for t in one[2].transforms if t.child_frame_id == "imu")
-    T = copy_of(shift.transform, translation=copy_of(shift.transform.translation, x=0.05))
-    return (
-        *one[:2],
-        copy_of(one[2], transforms=[t if t is not shift else copy_of(t, transform=T) for t in one[2].transforms]),
-    )
+def apart(message):
+    def shifted(one):
+        T = one.transform
+        return replace(one, transform=replace(T, translation=replace(T.translation, x=0.05)))
+
+    return replace(message, transforms=[shifted(t) if t.child_frame_id == "imu" else t for t in message.transforms])
 
 
-def moving_body(one):
-    if one[0] != "/tf":
-        return one
-    return (*one[:2], copy_of(one[2], transforms=[copy_of(t, child_frame_id="base_link") for t in one[2].transforms]))
+def moving_body(message):
+    return replace(message, transforms=[replace(t, child_frame_id="base_link") for t in message.transforms])
 
 
-def every(n, topic, *, only_middle=False):
-    """Keep one message of n on a topic, or leave out some in the middle."""
-    count = [0]
-
-    def damage(one):
-        if one[0] != topic:
-            return one
-        count[0] += 1
-        keep = count[0] not in (3, 4) if only_middle else count[0] % n == 0
-        return one if keep else None
-
-    return damage
+def kept(topic, keep):
+    """Leave out messages of a topic: `keep` takes their number, from 1."""
+    numbers = count(1)
+    return lambda one: one if one[0] != topic or keep(next(numbers)) else None
 
 
 DAMAGES = {
-    "us": (points(scaled(1e6)), "time-unit", {"fast-lio2": "preprocess/timestamp_unit: 2", "rko-lio": "multiplier_to_seconds: 1e-06"}),
-    "ns": (points(scaled(1e9)), "time-unit", {"point-lio": "preprocess/timestamp_unit: 3", "lio-sam": "seconds"}),
-    "stamp of the last point": (points(scaled(1.0, -0.1)), "time-zero", {"fast-lio2": "timestamp_first_packet", "dlio": "timestamp_first_packet"}),
+    "us": (column("time", lambda t: t * 1e6), "time-unit", {"fast-lio2": "preprocess/timestamp_unit: 2", "rko-lio": "multiplier_to_seconds: 1e-06"}),
+    "ns": (column("time", lambda t: t * 1e9), "time-unit", {"point-lio": "preprocess/timestamp_unit: 3", "lio-sam": "seconds"}),
+    "stamp of the last point": (column("time", lambda t: t - 0.1), "time-zero", {"fast-lio2": "timestamp_first_packet", "dlio": "timestamp_first_packet"}),
     "unsorted": (points(lambda made: made[::-1].copy()), "time-last", {"cartographer": "a CHECK ends it", "a-loam": "azimuth"}),
-    "other name": (points(lambda made: made, time={"name": "t"}), "time-name", {"dlio": "instead of `t`"}),
-    "no times": (points(lambda made: made, time={"name": "age"}), "no-time", {"mola": "without a message", "kiss-icp": "nothing is deskewed"}),
-    "rings upside down": (points(reversed_rings), "ring-order", {"lio-sam": "across beams", "lego-loam": "in the sky"}),
-    "signed rings": (points(lambda made: made, ring={"datatype": 3}), "ring", {"lio-sam": "uint16"}),
-    "holes": (points(with_a_hole), "density", {"lio-sam": "it stops", "kiss-icp": "not their times"}),
-    "clouds elsewhere": (renamed(velodyne_points="/points"), "cloud-topic", {"glim": "points_topic: /points", "kiss-icp": "--topic /points"}),
-    "unit elsewhere": (renamed(imu_data="/imu"), "imu-topic", {"fast-lio2": "common/imu_topic: /imu", "cartographer": "imu:=/imu"}),
-    "half the scans": (every(2, "/velodyne_points"), "sweep", {"lio-sam": "Horizon_SCAN: 36", "hdl-graph-slam": "scan_period: 0.2"}),
-    "a gap": (every(0, "/velodyne_points", only_middle=True), "cloud-gaps", {"kiss-icp": "every scan"}),
-    "no unit": (every(10**9, "/imu/data"), "no-imu", {"fast-lio2": "6 axes", "lio-sam": "9 axes"}),
-    "in g": (samples(lambda one: force(one, np.eye(3) / 9.81)), "gravity-unit", {"point-lio": "mapping/acc_norm: 1", "glim": "acc_scale: 9.8"}),
-    "upside down": (samples(lambda one: force(one, -np.eye(3))), "gravity-axis", {"fast-lio2": "mapping/extrinsic_R", "lio-sam": "extrinsicRot"}),
-    "100 Hz": (every(2, "/imu/data"), "imu-rate", {"point-lio": "mapping/imu_time_inte: 0.01"}),
-    "6 axes": (samples(no_attitude), "attitude", {"lio-sam": "Invalid quaternion"}),
-    "no covariance": (
-        samples(lambda one: {"angular_velocity_covariance": np.array([-1.0, *[0.0] * 8])}),
-        "covariance",
-        {"cartographer": "a CHECK ends it"},
+    "other name": (points(time={"name": "t"}), "time-name", {"dlio": "instead of `t`"}),
+    "no times": (points(time={"name": "age"}), "no-time", {"mola": "without a message", "kiss-icp": "nothing is deskewed"}),
+    "rings upside down": (column("ring", lambda ring: 15 - ring), "ring-order", {"lio-sam": "across beams", "lego-loam": "in the sky"}),
+    "signed rings": (points(ring={"datatype": 3}), "ring", {"lio-sam": "uint16"}),
+    "holes": (column("x", lambda x: np.where(np.arange(len(x)) == 7, np.nan, x)), "density", {"lio-sam": "it stops", "kiss-icp": "not their times"}),
+    "clouds elsewhere": (renamed("/velodyne_points", "/points"), "cloud-topic", {"glim": "points_topic: /points", "kiss-icp": "--topic /points"}),
+    "unit elsewhere": (renamed("/imu/data", "/imu"), "imu-topic", {"fast-lio2": "common/imu_topic: /imu", "cartographer": "imu:=/imu"}),
+    "half the scans": (kept("/velodyne_points", lambda n: n % 2 == 0), "sweep", {"lio-sam": "Horizon_SCAN: 36", "hdl-graph-slam": "scan_period: 0.2"}),
+    "a gap": (kept("/velodyne_points", lambda n: n not in (3, 4)), "cloud-gaps", {"kiss-icp": "every scan"}),
+    "no unit": (kept("/imu/data", lambda n: False), "no-imu", {"fast-lio2": "6 axes", "lio-sam": "9 axes"}),
+    "in g": (scaled(1 / 9.81), "gravity-unit", {"point-lio": "mapping/acc_norm: 1", "glim": "acc_scale: 9.8"}),
+    "upside down": (scaled(-1.0), "gravity-axis", {"fast-lio2": "mapping/extrinsic_R", "lio-sam": "extrinsicRot"}),
+    "100 Hz": (kept("/imu/data", lambda n: n % 2 == 0), "imu-rate", {"point-lio": "mapping/imu_time_inte: 0.01"}),
+    "6 axes": (
+        samples(orientation=vector("orientation", **dict.fromkeys("xyzw", lambda _: 0.0)), orientation_covariance=NONE),
+        "attitude",
+        {"lio-sam": "Invalid quaternion"},
     ),
+    "no covariance": (samples(angular_velocity_covariance=NONE), "covariance", {"cartographer": "a CHECK ends it"}),
     "another clock": (lambda one: moved(one, 3600 * 10**9) if one[0] == "/imu/data" else one, "clock", {"fast-lio2": "common/time_offset_lidar_to_imu"}),
-    "lever arm": (apart, "extrinsics", {"fast-lio2": "[-0.05, 0.0, 0.0]", "lio-sam": "[0.05, 0.0, 0.0]", "glim": "[0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]"}),
-    "two parents": (second_parent, "frames", {"cartographer": "one tree", "mola": "one tree"}),
-    "truth moves base_link": (moving_body, "tf-map", {"cartographer": "map -> base_link", "hdl-graph-slam": "map -> base_link"}),
-    "walks at once": (samples(turning), "rest", {"dlio": "3 s of rest", "rko-lio": "initialization_phase: false"}),
+    "lever arm": (on("/tf_static", apart), "extrinsics", {"fast-lio2": "[-0.05, 0.0, 0.0]", "lio-sam": "[0.05, 0.0, 0.0]", "glim": "[0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]"}),
+    "two parents": (on("/tf_static", second_parent), "frames", {"cartographer": "one tree", "mola": "one tree"}),
+    "truth moves base_link": (on("/tf", moving_body), "tf-map", {"cartographer": "map -> base_link", "hdl-graph-slam": "map -> base_link"}),
+    "walks at once": (samples(angular_velocity=vector("angular_velocity", z=lambda _: 0.6)), "rest", {"dlio": "3 s of rest", "rko-lio": "initialization_phase: false"}),
 }  # fmt: skip
 """Damage, the rule that it breaks, and what is reported for each program."""
 

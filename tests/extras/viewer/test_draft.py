@@ -13,8 +13,7 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu.errors import OutputError
 from vlp16emu.extras.sheets.survey import survey
-from vlp16emu.extras.viewer.draft import Draft
-from vlp16emu.extras.viewer.editor import Editor
+from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.guard import guarded_server
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.scenario import load
@@ -70,8 +69,8 @@ def test_steps_are_undone_and_done_again(draft):
     assert second.removed(1).removed(0).removed(0).points == second.removed(1).points
 
 
-def test_run_time_and_packets_follow_at_once(draft):
-    """Twice the way takes longer; packets are those of 1.327 ms each; an answer comes within 0.3 s of processor time."""
+def test_run_time_follows_at_once(draft):
+    """Twice the way takes longer; an answer comes within 0.3 s of processor time."""
     short = draft.outlook(draft.course)
     longer = draft.course.moved(1, 12.0, 2.0)
     draft.outlook(longer)
@@ -80,8 +79,6 @@ def test_run_time_and_packets_follow_at_once(draft):
     assert time.process_time() - began_s < 0.3
     assert far.length_m > 1.9 * short.length_m
     assert far.run_time_s > short.run_time_s
-    assert short.packets == int(min(short.run_time_s, 5.0) / (24 * 55.296e-6))
-    assert short.revolutions == pytest.approx(min(short.run_time_s, 5.0) * 10)
 
 
 def test_stems_in_the_way_are_those_of_the_path(draft, seen):

@@ -1,6 +1,5 @@
 """Sweeps of captures: with the truth of their run, and with packets that are broken."""
 
-import struct
 from contextlib import closing
 
 import dpkt
@@ -13,7 +12,6 @@ from vlp16emu.run.options import TruthTo
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu.extras.viewer.layers import LAYERS, colours_of, layers_of_scan
-from vlp16emu.extras.viewer.page import sectors_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -64,32 +62,29 @@ def test_points_of_a_capture_are_where_the_scene_has_them(run):
     assert layers_of_scan(sweep.scan) == LAYERS
     error_m = sweep.scan.distance_m - sweep.scan.labels.range_m
     assert 0.003 < np.median(np.abs(error_m)) < 0.02
-    assert not sweep.marks
+    assert not sweep.faults
     red, _, blue = colours_of(sweep.scan, "range error", {}).T.astype(int)
     assert (blue > red)[error_m < -0.01].all()
     assert (red > blue)[error_m > 0.01].all()
 
 
-def test_broken_packets_are_marked_where_they_are_and_the_rest_is_shown(run, tmp_path):
-    """A packet with a broken flag and one that is lost are two sectors, at their azimuths; no point of the others is missing."""
+def test_broken_packets_are_named_and_the_rest_is_shown(run, tmp_path):
+    """A packet with a broken flag and one that is lost are named with their sweep; no point of the others is missing."""
     folder, _ = run
     frames = frames_of(folder / "walk.pcap")
     data = [i for i, (_, frame) in enumerate(frames) if len(frame) == 1248]
     broken, lost = data[100], data[130]
     stamp, frame = frames[broken]
     frames[broken] = stamp, frame[:FLAG] + b"\xee\xff" + frame[FLAG + 2 :]
-    azimuth_deg = [struct.unpack_from("<H", frames[i][1], 44)[0] / 100 for i in (broken, lost)]
     bad = written(tmp_path / "bad.pcap", frames[:lost] + frames[lost + 1 :])
     with closing(CaptureSweeps(bad)) as sweeps, closing(CaptureSweeps(folder / "walk.pcap")) as whole:
         shown, all_shown = (
             {sweep.scan.start_ns: sweep for sweep in map(of.at, np.arange(0.0, 0.5, 0.04))} for of in (sweeps, whole)
         )
-    marks = {mark for sweep in shown.values() for mark in sweep.marks}
+    faults = [(start_ns, fault) for start_ns, sweep in shown.items() for fault in sweep.faults]
     points, all_points = (sum(len(sweep.world_m) for sweep in of.values()) for of in (shown, all_shown))
-    assert len(marks) == 2
-    for mark, at_deg in zip(sorted(marks, key=lambda one: "lost" in one.what), azimuth_deg, strict=True):
-        assert (at_deg - mark.begin_deg + 3) % 360 < 6, mark
-        assert 1 < (mark.end_deg - mark.begin_deg) % 360 < 8
+    assert sorted(fault.split(": ")[1] for _, fault in faults) == ["flag", "lost-packets"]
+    for start_ns, fault in faults:
+        at = {"flag": broken, "lost-packets": lost}[fault.split(": ")[1]]
+        assert 0 <= round(frames[at][0] * 1e9) - start_ns < 110_000_000
     assert 0 < all_points - points <= 2 * 384
-    vertices_m, faces = sectors_of(tuple(marks))
-    assert len(faces) * 3 == len(vertices_m) > 12

@@ -1,43 +1,285 @@
-"""Errors and run time of settings of the beam and of held poses, on a sample of a run's pulses."""
+"""Error against run time: settings of the beam, held poses and near_m, on pulses drawn from all over a run; and the picture.
 
+Settings are judged by the converged answer: the same pulses with many more sub-rays, by a receiver without noise. Beyond
+`near_m` single leaves differ from those of the explicit world, so there means over the same pulses are compared, not pulses.
+"""
+
+import math
 import os
+import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vlp16emu.engine import Unit, assemble, beam_of
+from vlp16emu.engine import Parts, Unit, assemble, beam_of, window_of
 from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
-from vlp16emu.extras.accuracy.compare import Detections, Errors, compare, errors_of
-from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row
-from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, PosesAt, apart_m, joined, opened_windows
+from vlp16emu.extras.accuracy.audit import Detections, Errors, answer_beam, apart_m, compare, detections_of, errors_of
+from vlp16emu.extras.plots import CYCLE, INK, SOFT, plotted
+from vlp16emu.forest.settings import Woods
 from vlp16emu.packets import SEQUENCES_PER_PACKET
+from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import Footprint
-from vlp16emu.raycast.caster import Geometry
+from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import I8, Poses, ReturnMode
+from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Poses, ReturnMode, Returns
+from vlp16emu.units import seconds_to_ns
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
+
+
+class Kind(StrEnum):
+    """Kind of a setting."""
+
+    ONE_RAY = "one ray"
+    FIXED = "fixed"
+    ADAPTIVE = "adaptive"
+    BEAM_ERROR = "beam error"
+    POSE = "pose"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Error and run time of one setting."""
+
+    kind: Kind
+    name: str  # setting of a beam as `--set` takes it
+    in_use: bool  # whether it is the scene's own
+    errors: Errors
+    us_per_pulse: float  # run time on one core: of casting and detecting, or for poses of posing and aiming
+    us_spread: float  # difference between the slowest and the quickest repeat
+    rays_per_pulse: float
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """A mean over pulses."""
+
+    value: float
+    off: float  # difference from the explicit world
+    half: float  # half of the 95 % interval of that difference
+
+    @property
+    def departs(self) -> bool:
+        """True if the difference exceeds chance."""
+        return abs(self.off) > self.half
+
+
+@dataclass(frozen=True, slots=True)
+class LevelOfDetail:
+    """A world cast leaf by leaf to some distance."""
+
+    name: str  # as `--set` takes it
+    in_use: bool
+    us_per_pulse: float  # run time of casting and detecting on one core
+    means: Mapping[str, Mean]
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Errors of a scene by setting."""
+
+    scene: str
+    seed: int
+    answer_rays: int  # sub-rays of the answer
+    answer_rmse_m: float  # error of the answer itself, from two answers with different sub-rays
+    rows: tuple[Row, ...]
+    poses: tuple[Row, ...]
+    """Held poses against a pose per pulse, with the beam of the answer; none if the sensor stands still."""
+    foliage: tuple[LevelOfDetail, ...] = ()
+    """Worlds cast leaf by leaf to some distances, the explicit one last; none of a hall."""
+
+
+def front(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows that no other beats in both speed and mean error, the quickest first.
+
+    The paper's beam errors do not count: they are there to be compared with, not to be chosen.
+    """
+    kept = list[Row]()
+    for row in sorted(_to_choose(rows), key=lambda row: (row.us_per_pulse, row.errors.mean_error_m)):
+        if not kept or row.errors.mean_error_m < kept[-1].errors.mean_error_m:
+            kept.append(row)
+    return kept
+
+
+def choices(rows: Sequence[Row]) -> dict[str, float]:
+    """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for."""
+    found: dict[str, float] = {}
+    for wanted_m in WANTED_M:
+        good = [row for row in _to_choose(rows) if row.errors.mean_error_m <= wanted_m]
+        if good:
+            found[min(good, key=lambda row: row.us_per_pulse).name] = wanted_m
+    return found
+
+
+def _to_choose(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row.kind is not Kind.BEAM_ERROR]
+
+
+_SIZE_PX = 1100, 480
+_IN_USE = CYCLE[3]
+_STYLES = {
+    Kind.ONE_RAY: (INK, "s", (6, -10)),
+    Kind.BEAM_ERROR: (CYCLE[4], "x", (4, 5)),
+    Kind.FIXED: (CYCLE[0], "o", (4, 5)),
+    Kind.ADAPTIVE: (CYCLE[2], "D", (-8, -13)),
+}
+"""Colour, mark, and offset of the label in points; to the left it is right-aligned."""
+
+
+def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
+    """Draw mean error and RMSE of each setting of the beam against its run time, as PNG."""
+    rows = accuracy.rows
+    with plotted(file, _SIZE_PX) as figure:
+        left, right = figure.subplots(1, 2)
+        _draw(left, rows, lambda row: row.errors.mean_error_m)
+        us, error_m = zip(*((row.us_per_pulse, row.errors.mean_error_m) for row in front(rows)), strict=True)
+        left.plot(us, error_m, color=SOFT, linewidth=6, alpha=0.5, zorder=0, label="Pareto front")
+        left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
+        _draw(right, rows, lambda row: row.errors.range_rmse_m)
+        right.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
+        right.set(title="Returns of the right echo", ylabel="range RMSE, m")
+        for axes in (left, right):
+            axes.legend(loc="upper right")
+        figure.suptitle(f"{accuracy.scene}: error against run time, {rows[0].errors.pulses} pulses")
+
+
+def _draw(axes: "Axes", rows: Sequence[Row], error_m: Callable[[Row], float]) -> None:
+    for kind, (colour, marker, aside) in _STYLES.items():
+        own = [row for row in rows if row.kind is kind]
+        us, spread = ([getattr(row, name) for row in own] for name in ("us_per_pulse", "us_spread"))
+        line = "-" if kind in (Kind.FIXED, Kind.ADAPTIVE) else ""
+        look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "label": kind.value}
+        axes.errorbar(us, [error_m(row) for row in own], xerr=np.array(spread) / 2, **look)
+        words: dict[str, Any] = {"fontsize": 7, "color": colour, "ha": "left" if aside[0] > 0 else "right"}
+        for row in own:
+            place, short = (row.us_per_pulse, error_m(row)), row.name.rpartition("=")[2]
+            axes.annotate(short, place, aside, textcoords="offset points", **words)
+            if row.in_use:
+                axes.plot(*place, "o", ms=15, mfc="none", mec=_IN_USE, mew=2, label="in use")
+    axes.set(xscale="log", yscale="log", xlabel="us per pulse, one core")
+    axes.grid(which="both", alpha=0.5)
+    axes.xaxis.set_minor_formatter("")
+
+
+PosesAt = Callable[[I8], Poses]
+
+GROUP = 8
+"""Firing sequences of a group, from a multiple of eight on: an adaptive beam is judged among so many, and no others."""
+TIMED_SEQUENCES = 96
+"""Firing sequences on which run time is measured in each window: then a call costs below a tenth of a ray each."""
+_MOST_SEGMENTS = 8  # most segments of a long walk: each needs a window of the world
+
+
+def joined(parts: Sequence[Detections]) -> Detections:
+    """Join the detections of several batches."""
+    distances, reflectivities = zip(*((part.distance_m, part.reflectivity) for part in parts), strict=True)
+    return Detections(np.concatenate(distances), np.concatenate(reflectivities))
+
+
+def draw_groups(
+    batching: Batching, blocks: int, pulses: int, seed: int, *, moves: bool
+) -> Iterator[tuple[int, list[range]]]:
+    """Draw groups of firing sequences of the first blocks of a run, of so many pulses at least, by segments that share a window.
+
+    Yields the number of a segment, 0 alone if nothing moves, and its groups in order of time.
+    """
+    draw = generator(seed, Purpose.AUDIT, -1)
+    per_block, segment = batching.block // GROUP, batching.segment if moves else blocks
+    segments = -(-blocks // segment)
+    chosen = _one_of_each(draw, segments, min(_MOST_SEGMENTS, segments))
+    most = -(-pulses // (GROUP * batching.lasers * len(chosen)))
+    for number in chosen.tolist():
+        first, stop = number * segment * per_block, min((number + 1) * segment, blocks) * per_block
+        places = first + _one_of_each(draw, stop - first, min(most, stop - first))
+        yield number, [range(place, place + GROUP) for place in (GROUP * places).tolist()]
+
+
+def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> I8:
+    """Draw one of the numbers below `things` from each of some strata of nearly equal size."""
+    edges = np.arange(strata + 1) * things // strata
+    return draw.integers(edges[:-1], edges[1:])
+
+
+def opened_windows(
+    scenario: Scenario, parts: Parts, pulses: int, pool: Executor
+) -> Iterator[tuple[Geometry, list[range], float]]:
+    """Open the windows of a sample of the pulses of a run's first unit, one after the other; `pool` grows shapes.
+
+    Yields a window, groups in it, and the share of the run that ends with them.
+    """
+    unit = parts.units[0]
+    batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
+    run_ns = seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))
+    built, blocks = caster(parts.world, pool), len(batching.blocks(0, run_ns))
+    for segment, groups in draw_groups(batching, blocks, pulses, unit.seed, moves=parts.moves):
+        geometry = built.open(window_of(parts, scenario.start_ns, batching, segment))
+        yield geometry, groups, min(groups[-1].stop * batching.sequence_ns / run_ns, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Casts and detects pulses of a unit."""
+
+    unit: Unit
+    rays: int  # sub-rays of an answer
+
+    def aimed(self, group: range, poses_at: PosesAt) -> Firings:
+        """Aim the sequences of a group."""
+        return self.unit.head.aim(group.start, len(group), poses_at, beam_axis=True)
+
+    def cast(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Hits:
+        """Cast pulses between the unit's limits of range."""
+        return geometry.cast(firings, self.unit.head.beams.near_m, self.unit.section.max_range_m, beam)
+
+    def detections(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Detections:
+        """Cast pulses, and detect them with an exact receiver."""
+        hits = self.cast(geometry, firings, beam)
+        return detections_of(firings, hits, geometry.surfaces, self.unit.detector.without_chance())
+
+    def answer(self, geometry: Geometry, firings: Firings, beam: Footprint, number: int = 0) -> Detections:
+        """Return the answer for some pulses; its number distinguishes answers with different sub-rays."""
+        return self.detections(geometry, firings, answer_beam(beam, self.rays, self.unit.seed, number))
+
+    def timed(self, geometry: Geometry, firings: Firings, beam: Footprint) -> tuple[float, float]:
+        """Cast and detect as a run does; return microseconds per pulse on one core, and rays per pulse."""
+        began_s = time.thread_time()
+        hits = self.cast(geometry, firings, beam)
+        detect(firings, hits, geometry.surfaces, self.unit.detector, truth=False)
+        return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(hits.count.mean())
+
+    def timed_aim(self, block: range, poses_at: PosesAt) -> tuple[float, float]:
+        """Pose and aim as a run does; the result is as for `timed`, with the rays of an answer."""
+        began_s = time.thread_time()
+        firings = self.unit.head.aim(block.start, len(block), poses_at, beam_axis=self.unit.beam.has_width)
+        return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(self.rays)
+
 
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 
 _COUNTS = (4, 8, 16, 32, 64, 128)
-_TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Targets of adaptive beams, over that of the scene."""
-_RAYS, _TIMES = 4096, 4
-"""Sub-rays of an answer: at least the first, and the second times those of a pulse of the scene."""
+_TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, over that of the scene
+_RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times those of a pulse of the scene
 _REPEATS = 5
-_POSED = 4
-"""Every fourth group measures errors of poses and of the answer itself, as answers are costly."""
+_POSED = 4  # every fourth group measures errors of poses and of the answer itself, as answers are costly
 
 
 class BeamSetting(NamedTuple):
     """A setting of the beam."""
 
     kind: Kind
-    name: str
-    """As `--set` takes it."""
+    name: str  # as `--set` takes it
     in_use: bool
     beam: Footprint
 
@@ -127,7 +369,7 @@ class _Ladder:
         firings = bench.aimed(block[:TIMED_SEQUENCES], bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
-            timed |= {rate.name: (bench.timed_aim(block, rate.poses_at), bench.rays) for rate in self._pose_rates}
+            timed |= {rate.name: bench.timed_aim(block, rate.poses_at) for rate in self._pose_rates}
             if repeat:  # the first one compiled and warmed up
                 for name, (us, rays) in timed.items():
                     self._us[name].append(us)
@@ -193,3 +435,90 @@ def measure_accuracy(
     if not (seen := summed.rows[0].errors).returns:
         raise RunError(f"{scene}: none of {seen.pulses} pulses has a return; nothing can be wrong")
     return summed
+
+
+_NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
+_NORMAL_95 = 1.96
+_STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
+
+
+def measure_foliage(
+    scenario: Scenario, *, pulses: int, done: Callable[[float], None] = lambda _: None
+) -> tuple[LevelOfDetail, ...]:
+    """Measure means and run time of a scene's world cast leaf by leaf to some distances; nothing for a hall.
+
+    Parameters are as in `measure_accuracy`; each world gets so many pulses.
+    """
+    if not isinstance(world := scenario.world, Woods):
+        return ()
+    levels = sorted({*_NEAR_M, world.near_m})
+    us, groups = list[float](), list[list[dict[str, float]]]()
+    for number, near_m in enumerate(levels):
+        means, times_us = list[dict[str, float]](), list[float]()
+        for returns, time_us, share in returns_of(scenario, near_m, pulses):
+            means.append(_means(returns, scenario.sensor.max_range_m))
+            times_us.append(time_us)
+            done((number + share) / len(levels))
+        groups.append(means)
+        us.append(float(np.median(times_us)))
+    return tuple(
+        LevelOfDetail(f"world.near_m={near_m:g}", near_m == world.near_m, time_us, departures(means, groups[-1]))
+        for near_m, time_us, means in zip(levels, us, groups, strict=True)
+    )
+
+
+def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple[Returns, float, float]]:
+    """Cast groups of pulses of the first unit against a scene's world, leaf by leaf to `near_m`, and detect them without noise.
+
+    Yields returns of a group, microseconds per pulse in its window on one core, and the share of the run that is done.
+    """
+    world = scenario.world.model_copy(update={"near_m": near_m})
+    parts = assemble(scenario.model_copy(update={"world": world}))
+    unit = parts.units[0]
+    bench, detector, poses_at = Bench(unit, unit.beam.rays), unit.detector.without_chance(), unit.motion.poses_at
+
+    def returns(geometry: Geometry, group: range) -> Returns:
+        firings = bench.aimed(group, poses_at)
+        hits = bench.cast(geometry, firings, unit.beam)
+        return detect(firings, hits, geometry.surfaces, detector, truth=True)
+
+    with workers(os.cpu_count() or 1, "foliage") as pool:
+        for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
+            found = list(pool.map(partial(returns, geometry), groups))
+            timed = bench.aimed(range(start := groups[0].start, start + TIMED_SEQUENCES), poses_at)
+            us = min(bench.timed(geometry, timed, unit.beam)[0] for _ in range(_REPEATS))
+            yield from ((one, us, share) for one in found)
+
+
+def is_two(distance_m: F4) -> NDArray[np.bool_]:
+    """Return whether pulses have two returns in dual return, by their distances (..., 3)."""
+    is_apart = distance_m[..., _STRONGEST] != distance_m[..., _LAST]
+    two: NDArray[np.bool_] = is_apart | (distance_m[..., _SECOND] > 0)
+    return two
+
+
+def _means(returns: Returns, reach_m: float) -> dict[str, float]:
+    assert returns.surface is not None
+    assert returns.surfaces is not None
+    distance_m = returns.distance_m[..., _STRONGEST]
+    is_seen = distance_m > 0
+    surface = np.where(is_seen, returns.surface[..., _STRONGEST], 0)
+    is_leaf = is_seen & (returns.surfaces["part"][surface] == PlantPart.LEAF)
+    return {
+        "with a return, %": 100 * float(is_seen.mean()),
+        "with two, %": 100 * float(is_two(returns.distance_m).mean()),
+        "of leaf, %": 100 * float(is_leaf.mean()),
+        "range, m": float(np.where(is_seen, distance_m, reach_m).mean()),
+        "reflectivity": float(np.where(is_seen, returns.reflectivity[..., _STRONGEST], 0).mean()),
+    }
+
+
+def departures(groups: list[dict[str, float]], explicit: list[dict[str, float]]) -> dict[str, Mean]:
+    """Compare means of groups of equal size with those of the explicit world."""
+    held = dict[str, Mean]()
+    for name in explicit[0]:
+        own, other = (np.array([means[name] for means in of]) for of in (groups, explicit))
+        off = own - other  # pulses of a group see the same trees: groups are what is independent
+        half = _NORMAL_95 * float(off.std(ddof=1)) / math.sqrt(len(off)) if len(off) > 1 else math.nan
+        held[name] = Mean(float(own.mean()), float(off.mean()), half)
+    return held

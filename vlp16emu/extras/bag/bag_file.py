@@ -75,9 +75,12 @@ class BagFile:
 
     def __init__(self, path: Path) -> None:
         check_bag(path)
-        self.path, suffix = path, path.suffix.lower()
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+        self.path, suffix = path, path.suffix.lower()
         self.is_ros1 = suffix == ".bag"
         self._store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
         for name, text in _OWN_TYPES.items():
@@ -85,9 +88,13 @@ class BagFile:
         with ExitStack() as stack:
             try:
                 self._final = final_name(path)
-                self._beside = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME]}.", dir=self._final.parent))
-                stack.callback(shutil.rmtree, self._beside, ignore_errors=True)
-                self._writer = self._opened(self._beside / path.stem, suffix)
+                beside = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME]}.", dir=self._final.parent))
+                stack.callback(shutil.rmtree, beside, ignore_errors=True)
+                self._made = beside / path.stem
+                plugin = StoragePlugin.MCAP if suffix else StoragePlugin.SQLITE3
+                of_ros2 = {"version": _METADATA_VERSION, "storage_plugin": plugin}
+                self._writer: Any = Writer1(self._made) if self.is_ros1 else Writer2(self._made, **of_ros2)
+                self._writer.open()
             except _FAILURES as error:
                 found = getattr(error, "strerror", None) or str(error)
                 raise OutputError(str(path), found, "a place that can be written") from error
@@ -111,9 +118,8 @@ class BagFile:
             finally:
                 self._writer.close()
             if error is None:
-                made = self._beside / self.path.stem
-                made = made / f"{made.name}.mcap" if self.path.suffix.lower() == ".mcap" else made
-                made.replace(self._final)
+                is_mcap = self.path.suffix.lower() == ".mcap"
+                (self._made / f"{self._made.name}.mcap" if is_mcap else self._made).replace(self._final)
         except _FAILURES as failed:
             raise self._failed(failed) from failed
         finally:
@@ -176,17 +182,6 @@ class BagFile:
 
     def _failed(self, error: Exception) -> RunError:
         return RunError(f"{self.path}: {getattr(error, 'strerror', None) or error}; no bag is written")
-
-    def _opened(self, made: Path, suffix: str) -> Any:
-        """Open the writer of a kind of bag."""
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-
-        plugin = StoragePlugin.MCAP if suffix else StoragePlugin.SQLITE3
-        writer: Any = Writer1(made) if self.is_ros1 else Writer2(made, version=_METADATA_VERSION, storage_plugin=plugin)
-        writer.open()
-        return writer
 
     def _connection(self, topic: str, name: str) -> Any:
         """Announce a topic: reliable, the last ten; fixed transforms are latched, as tf2_ros does."""

@@ -18,10 +18,10 @@ from pydantic import ValidationError
 from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError, PacketError
 from vlp16emu.explain import explain
+from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
-from vlp16emu.extras.bench.gps_line import parse_rmc
+from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.options import Http
-from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import POSITION_BYTES, decode_position
@@ -35,15 +35,13 @@ from vlp16emu.units import S_NS, seconds_to_ns
 _LEAD_NS = 150_000_000
 """Least time from a setting to the first packet that follows it: by then the engine has made that packet anew."""
 _MOST_LEAD_NS = 1_000_000_000
-_MERGED_S = 5.0
-"""For so long at most what is set waits until the packets of the settings before are made ahead again."""
+_MERGED_S = 5.0  # for so long at most what is set waits until the packets of the settings before are made ahead again
 _CALM_S, _PROMPT = 2.0, 2
 """Changes, without so long a calm between them, that have packets made anew; later ones begin where the packets that are made end."""
 _APART_S, _APART = 1.0, 20.0
 """Least time from such a later change to the next, at least so many times what making it took: each makes the next one dearer."""
 _POLL_S, _WARM_S = 0.01, 0.01
-_STEP_S = 0.001
-"""Times of events are rounded up to that."""
+_STEP_S = 0.001  # times of events are rounded up to that
 
 
 @contextmanager
@@ -64,7 +62,6 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
 
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
-    """Return what the scene sets on a sensor."""
     sensor = on_the_wire(unit.section)
     return DeviceSettings(
         rpm=sensor.rpm,
@@ -96,18 +93,14 @@ class Control:
     def __init__(self, feed: PacketFeed, sink: UdpSink, under_way: UnderWay, saved: Path | None) -> None:
         self._feed, self._sink, self._under_way = feed, sink, under_way
         self._factory = [_settings_of(unit, sink.address) for unit in feed.engine.parts.units]
-        self._made = list(self._factory)
-        """Settings that packets are made with."""
-        self._restarts = set[int]()
-        """Units that start again with the next change."""
+        self._made = list(self._factory)  # settings that packets are made with
+        self._restarts = set[int]()  # units that start again with the next change
         self._events: list[Event] = list(feed.engine.scenario.events)
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
         self._errors = [event for event in self._events if event.effect == "web"]
-        self._wanted = list[dict[str, Any]]()
-        """Events that are to happen with the next change, without their times."""
-        self._at_ns = 0
-        """UTC, ns, from which on packets follow the latest change."""
+        self._wanted = list[dict[str, Any]]()  # events that are to happen with the next change, without their times
+        self._at_ns = 0  # UTC, ns, from which on packets follow the latest change
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
         self._taking_up = threading.Lock()
         self._lead_ns, self._ahead_ns, self._calm_s, self._prompt = _LEAD_NS, 0, 0.0, _PROMPT
@@ -144,10 +137,7 @@ class Control:
     def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
         """Let an event happen to a unit, from 1, a moment from now, and return its UTC in ns; from any thread.
 
-        Raises
-        ------
-        InputError
-            If it is no event, or cannot happen in this scene
+        Raises InputError if it is no event, or cannot happen in this scene.
         """
         table: dict[str, Any] = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
         scene = {key: getattr(self._scenario, key) for key in ("sensor", "rig", "gps")}
@@ -196,7 +186,6 @@ class Control:
             phase_cdeg=round(100 * float(of.head.rotor.angle_deg(np.array([second_ns]))[0])) % 36_000,
             laser_on=settings.laser_on,
             powered_for_s=powered_ns / S_NS,
-            is_up=not of.timeline.is_silent(since_ns),
         )
 
     @property
@@ -210,10 +199,7 @@ class Control:
     def _changed(self, unit: int, old: DeviceSettings, new: DeviceSettings, *, restarts: bool) -> None:
         """Set a unit anew, with the next change of the stream.
 
-        Raises
-        ------
-        OutputError
-            If the new receiver is out of reach, or another machine, though the stream began on this one
+        Raises OutputError if the new receiver is out of reach, or another machine, though the stream began on this one.
         """
         with self._lock:
             self._redirect(unit, old, new)
@@ -254,7 +240,6 @@ class Control:
             deque(engine.packets(0.0, _WARM_S), 0)
 
     def _run(self) -> None:
-        """Body of the thread."""
         while self._asked.wait() and not self._over.is_set():
             self._asked.clear()
             begin_s = time.monotonic()
@@ -312,7 +297,6 @@ class Control:
                 return
 
     def _keys(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
-        """Keys of a setting that takes the one to the other."""
         before, after = _keys_of(old), _keys_of(new)
         if not self._scenario.gps.connected:
             del after["phase_lock_deg"]

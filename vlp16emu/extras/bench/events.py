@@ -9,8 +9,7 @@ from vlp16emu.sensor.settings import FreeSensor
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section
 from vlp16emu.units import seconds_to_ns
 
-FOREVER_NS = 2**62
-"""End of an event that lasts until the run ends."""
+FOREVER_NS = 2**62  # end of an event that lasts until the run ends
 _MOST = 10_000
 
 
@@ -186,10 +185,7 @@ def checked(given: object, scene: dict[str, Any]) -> list[Event]:
     ----------
     scene : the tables `sensor`, `rig` and `gps`, as far as they are sound
 
-    Raises
-    ------
-    ValueError
-        If one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene
+    Raises ValueError if one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene.
     """
     events = tables().validate_python(given)
     sensor, rig, gps = (scene.get(key) for key in ("sensor", "rig", "gps"))

@@ -21,8 +21,7 @@ from vlp16emu.units import MS_NS, seconds_to_ns
 
 _ORDER = ("jitter", "reorder", "delay", "freeze", "drop", "corrupt", "truncate", "duplicate")
 """Which of several faults of a packet comes first."""
-_LATE_KEYS = {"delay": "by_s", "jitter": "up_to_s", "duplicate": "after_s"}
-"""Key of the longest delay of a fault."""
+_LATE_KEYS = {"delay": "by_s", "jitter": "up_to_s", "duplicate": "after_s"}  # key of the longest delay of a fault
 _LONGEST_NS = 20 * MS_NS
 """No more than this lies between packets that follow each other at their rate: 18.6 ms of position packets (63-9243 Rev D,
 section 8.2.2). Where nothing follows, because nothing is sent, a packet is not overtaken."""
@@ -42,13 +41,10 @@ class PacketFault:
     """An event of packets of one unit."""
 
     event: Event
-    number: int
-    """Its place among the events of the run, from 0."""
+    number: int  # its place among the events of the run, from 0
     unit: Unit
-    start_ns: int
-    """UTC of the first pulse, from which position packets count."""
-    counted: Mapping[PacketKind, range]
-    """Numbers of the packets that it may befall, where they are counted."""
+    start_ns: int  # UTC of the first pulse, from which position packets count
+    counted: Mapping[PacketKind, range]  # numbers of the packets that it may befall, where they are counted
 
     def befalls(self, packet: Packet, number: int) -> bool:
         """Return whether it befalls a packet with a number among those of its unit and kind, by what that was before all faults."""
@@ -109,7 +105,6 @@ class PacketFault:
         return bytes(payload)
 
     def _random(self, purpose: Purpose, packet: Packet, number: int) -> float:
-        """Draw a number in [0, 1) of a packet."""
         return float(uniform(self.unit.seed, purpose, number, 1, self._lane(packet))[0])
 
     def _lane(self, packet: Packet) -> int:

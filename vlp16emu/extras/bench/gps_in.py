@@ -1,29 +1,175 @@
-"""A real GPS receiver on a serial port, and packets stamped by the clock that it sets."""
+"""A real GPS receiver on a serial port: its pulses and sentences set the clock and the state of packets."""
 
-import errno
+import re
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
-from vlp16emu.errors import OutputError
-from vlp16emu.extras.bench.gps_line import GpsLine, Heard
+from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.bench.options import GpsIn
+from vlp16emu.extras.bench.outlets import Away, SerialPort, has_line
 from vlp16emu.extras.bench.retime import age_ns, restamped
-from vlp16emu.extras.bench.serial_port import Away, SerialPort
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
+from vlp16emu.packets.nmea import KNOT_M_S, fields_of, rmc_time, utc_ns
 from vlp16emu.sinks import TOLERANCE_NS, PacketSink
-from vlp16emu.types import Packet, PacketKind, PpsState
-from vlp16emu.units import seconds_to_ns
+from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
+from vlp16emu.units import HOUR_NS, MS_NS, S_NS, seconds_to_ns
 
-_BAUD = 9600
-"""63-9243 Rev D, section 7.4."""
-_LOOK_S = 0.001
-"""From one look at the line to the next."""
-_AWAY_S = 0.1
-"""From one look for a device that has vanished to the next; `SerialPort` tries once a second."""
+_LINE = re.compile(rb"[^\r\n]*[\r\n]+")
+_LONGEST = 256  # bytes without an end of line, after which they are no sentence: twice what a position packet holds
+_STEADY_NS = 5 * MS_NS
+"""By which pulses may miss their second and still be steady: what a program that looks at a line every millisecond, beside others,
+makes of a pulse that is exact to a microsecond (assumption)."""
+_LOST_NS = S_NS + S_NS // 2  # after so long without a pulse there is none
+_STALE_NS = 5 * S_NS  # after so long without a good sentence the clock is no longer set by it (assumption)
+_SHARE = 8
+"""A pulse moves the clock by this part of the time that it is off, so that the stamps do not show how late a line was looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """Input of a receiver so far."""
+
+    pulses: int
+    sentences: int  # good ones
+    refused: int  # RMC sentences that were garbled; others are not looked at
+
+
+class GpsLine:
+    """The sensor's end of the line; instants are those of one clock of the host, in ns. Threads may share it.
+
+    Parameters
+    ----------
+    power_up_ns : when the sensor's own clock was at zero
+    window_ns : for so long pulses must be steady ("Require PPS lock", delay; 63-9243 Rev D, appendix G)
+    requires_valid : whether only sentences of status A set the clock ("Require GPS receiver valid")
+    sentence_delay_ns : where no pulse comes by a line, how long before its sentence a second began; None for a line that pulses
+    """
+
+    def __init__(
+        self, power_up_ns: int, *, window_ns: int, requires_valid: bool, sentence_delay_ns: int | None
+    ) -> None:
+        self._window_ns, self._requires_valid, self._delay_ns = window_ns, requires_valid, sentence_delay_ns
+        self._lock = threading.RLock()  # `receive` takes pulses
+        self._buffer = b""
+        self._pulses = self._sentences = self._refused = 0
+        self._zero_ns = power_up_ns  # instant at which the clock showed a whole hour
+        self._edge_ns: int | None = None
+        self._steady_since_ns: int | None = None
+        self._is_bad = False
+        self._set_ns: int | None = None
+        self.sentence = b""  # last sentence, with CR and LF; empty before the first
+
+    def pulse(self, t_ns: int) -> None:
+        """Take the rising edge of a pulse.
+
+        It pulls the fraction of a second to the edge: at once at first, in small parts once pulses are steady.
+        """
+        with self._lock:
+            self._pulses += 1
+            since_ns = _LOST_NS + 1 if self._edge_ns is None else t_ns - self._edge_ns
+            off_ns = (t_ns - self._zero_ns + S_NS // 2) % S_NS - S_NS // 2
+            is_first = since_ns > _LOST_NS
+            self._is_bad = not is_first and abs(since_ns - S_NS) > _STEADY_NS  # no second apart
+            if is_first or self._is_bad:
+                self._steady_since_ns = t_ns
+            self._zero_ns += off_ns if is_first or self._is_bad else off_ns // _SHARE
+            self._edge_ns = t_ns
+
+    def receive(self, data: bytes, t_ns: int) -> None:
+        """Take bytes of the serial line."""
+        with self._lock:
+            self._buffer += data
+            while found := _LINE.match(self._buffer):
+                self._buffer = self._buffer[found.end() :]
+                self._take(found[0].strip(), t_ns)
+            self._buffer = b"" if len(self._buffer) > _LONGEST else self._buffer
+
+    def state_at(self, t_ns: int) -> PpsState:
+        """State of the pulse, as position packets report it (63-9243 Rev D, section 9.3.3)."""
+        with self._lock:
+            if self._edge_ns is None or t_ns - self._edge_ns > _LOST_NS:
+                return PpsState.ABSENT
+            if self._is_bad:
+                return PpsState.ERROR
+            steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= self._window_ns
+            is_set = self._set_ns is not None and t_ns - self._set_ns < _STALE_NS
+            return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
+
+    def clock_ns(self, t_ns: int) -> int:
+        """Read the sensor's clock, in ns past its hour."""
+        with self._lock:
+            return (t_ns - self._zero_ns) % HOUR_NS
+
+    @property
+    def heard(self) -> Heard:
+        """Result so far."""
+        with self._lock:
+            return Heard(self._pulses, self._sentences, self._refused)
+
+    def _take(self, line: bytes, t_ns: int) -> None:
+        """Take a line: an RMC sentence names the second of the edge before it."""
+        if not line.startswith(b"$GPRMC,"):
+            return
+        try:
+            named_ns, valid = rmc_time(line + b"\r\n")
+        except PacketError:
+            self._refused += 1
+            self._is_bad = True
+            return
+        self._sentences += 1
+        self.sentence = line + b"\r\n"
+        if self._delay_ns is not None:
+            self.pulse(t_ns - self._delay_ns)
+        if named_ns is not None and (valid or not self._requires_valid):
+            self._set_ns = t_ns
+            if self._edge_ns is not None and t_ns - self._edge_ns < _LOST_NS:
+                # Whole seconds alone: the fraction is that of the pulse.
+                shown_ns = (self._edge_ns - self._zero_ns + S_NS // 2) // S_NS * S_NS
+                self._zero_ns -= (named_ns - shown_ns) % HOUR_NS
+
+
+def parse_rmc(sentence: bytes) -> GnssFix:
+    """Read a sentence back, ASCII that ends with CR and LF.
+
+    Raises
+    ------
+    PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number
+    """
+    fields = fields_of(sentence)
+    try:
+        return GnssFix(
+            t_ns=utc_ns(fields[8], fields[0]),
+            valid={"A": True, "V": False}[fields[1]],
+            latitude_deg=_degrees(fields[2], 2, {"N": 1, "S": -1}[fields[3]]),
+            longitude_deg=_degrees(fields[4], 3, {"E": 1, "W": -1}[fields[5]]),
+            speed_m_s=_number(fields[6]) * KNOT_M_S,
+            course_deg=_number(fields[7]),
+        )
+    except (ValueError, KeyError, IndexError) as error:
+        raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
+
+
+def _degrees(field: str, width: int, sign: int) -> float:
+    degrees, minutes = int(field[:width]), _number(field[width:])
+    if minutes >= 60:
+        raise ValueError(field)
+    return sign * (degrees + minutes / 60)
+
+
+def _number(field: str) -> float:
+    """Read a plain number without sign; float alone would take nan and 1e9."""
+    if not field.replace(".", "", 1).isdecimal():
+        raise ValueError(field)
+    return float(field)
+
+
+_BAUD = 9600  # 63-9243 Rev D, section 7.4
+_LOOK_S = 0.001  # from one look at the line to the next
+_AWAY_S = 0.1  # from one look for a device that has vanished to the next; `SerialPort` tries once a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +178,8 @@ class GpsInResult:
 
     port: str
     heard: Heard
-    state: PpsState
-    """At the end."""
-    away: tuple[Away, ...]
-    """Times at which the device was not there."""
+    state: PpsState  # at the end
+    away: tuple[Away, ...]  # times at which the device was not there
 
 
 class GpsReader:
@@ -47,16 +191,13 @@ class GpsReader:
     gps : of the scene: the window of the pulse, which sentences set the clock, and when they come
     powered_for_s : time since power-up, from which the clock counts before it is set
 
-    Raises
-    ------
-    OutputError
-        If the port cannot be opened, or has no such line
+    Raises OutputError if the port cannot be opened, or has no such line.
     """
 
     def __init__(self, gps_in: GpsIn, gps: Gps, powered_for_s: float) -> None:
         self._pulse = None if gps_in.pulse == "sentence" else gps_in.pulse
         self._port = SerialPort(gps_in.port, _BAUD, "--gps-in")
-        if self._pulse and self._port.use(self._has_line) is False:
+        if self._pulse and self._port.use(lambda port: has_line(lambda: getattr(port, gps_in.pulse))) is False:
             self._port.close()
             raise OutputError(f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence")
         self.line = GpsLine(
@@ -86,17 +227,7 @@ class GpsReader:
         state = self.line.state_at(time.monotonic_ns())
         return GpsInResult(self._port.name, self.line.heard, state, self._port.away)
 
-    def _has_line(self, port: Any) -> bool:  # a class of pyserial, which has no types
-        try:
-            getattr(port, str(self._pulse))
-        except OSError as error:
-            if error.errno in (errno.ENOTTY, errno.EINVAL):
-                return False
-            raise
-        return True
-
     def _run(self) -> None:
-        """Body of the thread."""
         was_high = True
         while not self._over.is_set():
             if (found := self._port.use(self._look)) is None:

@@ -1,25 +1,322 @@
-"""What leaves beside the packets of the sensors, and by which way."""
+"""What leaves beside the packets of the sensors: sentences and pulses of the GPS receiver, samples of the inertial unit; and by which way."""
 
+import errno
+import heapq
+import os
+import queue
+import select
 import socket
+import termios
+import threading
+import time
 from collections import Counter
-from dataclasses import replace
-from typing import Self
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from io import UnsupportedOperation
+from operator import itemgetter
+from typing import Any, Protocol, Self, TypeVar
 from urllib.parse import urlsplit
 
-from vlp16emu.errors import OutputError, RunError
-from vlp16emu.extras.bench.imu_frame import IMU_FRAME
+from vlp16emu.engine import Engine
+from vlp16emu.errors import OutputError, RunError, ScenarioError
+from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
 from vlp16emu.extras.bench.options import Outlets
-from vlp16emu.extras.bench.serial_port import Outlet, OutletResult, SerialPort, SerialSink
 from vlp16emu.motion import Imu
+from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.packets import rmc
 from vlp16emu.sinks import PacketSink
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import MS_NS, S_NS
 
-_GPS_BAUD = 9600
-"""What the sensor takes (63-9243 Rev D, section 7.4)."""
+PULSE_NS = 100 * MS_NS  # length of a pulse: the sensor wants 20 to 200 ms (User's Manual of the HDL-32E)
+PULSE_HIGH, PULSE_LOW = b"\1", b"\0"
+_READS_PER_S = 50
+"""How often samples are read: those of 20 ms together, and none of a time long to come, in which live poses are unknown."""
+
+_Beat = tuple[int, Packet | Callable[[], Packet]]  # when a packet is due, and the packet or what makes it
+
+
+class Beside:
+    """Packets of kinds NMEA, PPS and IMU, made in the order of a run and not before their time.
+
+    Raises `ScenarioError` if the scene has no such device.
+    """
+
+    def __init__(self, engine: Engine, kinds: Collection[PacketKind]) -> None:
+        scenario, parts = engine.scenario, engine.parts
+        if not scenario.gps.connected and not {PacketKind.NMEA, PacketKind.PPS}.isdisjoint(kinds):
+            raise ScenarioError("gps.connected", "found false", "true, for a receiver to be played")
+        if scenario.imu is None and PacketKind.IMU in kinds:
+            raise ScenarioError("imu", "no such table in the scene", "[imu], such as imu.preset=consumer")
+        self._start_ns, self._delay_ns = scenario.start_ns, parts.gps.sentence_delay_ns
+        self._receiver, self._imu, self._kinds = engine.receiver, parts.imu, kinds
+        self._rate_hz = scenario.imu.rate_hz if scenario.imu else 0
+
+    def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+        """Merge the packets of a span since the first pulse with what is due beside them; of those due at once, packets are first."""
+        if not self._kinds:
+            return packets
+        made = {PacketKind.NMEA: self._sentences, PacketKind.PPS: self._pulses, PacketKind.IMU: self._samples}
+        streams = [made[kind](self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds]
+        others = ((packet.due_ns, packet) for packet in packets)
+        beats = heapq.merge(others, *streams, key=itemgetter(0))
+        return (what if isinstance(what, Packet) else what() for _, what in beats)
+
+    def count(self, start_ns: int, stop_ns: int) -> dict[PacketKind, int]:
+        """Count what is due in a span since the first pulse, by kind."""
+        return {kind: len(self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds}
+
+    def _numbers(self, kind: PacketKind, start_ns: int, stop_ns: int) -> range:
+        """Numbers of what is due in a span: UTC seconds, ends of pulses counted from 1970 as two a second, or samples."""
+        if kind is PacketKind.IMU:
+            return range(*(-(-since_ns * self._rate_hz // S_NS) for since_ns in (start_ns, stop_ns)))
+        span_ns = [self._start_ns + since_ns for since_ns in (start_ns, stop_ns)]
+        if kind is PacketKind.NMEA:
+            return range(*(-(-(utc_ns - self._delay_ns) // S_NS) for utc_ns in span_ns))
+        return range(*(-(-utc_ns // S_NS) + -(-(utc_ns - PULSE_NS) // S_NS) for utc_ns in span_ns))
+
+    def _sentences(self, seconds: range) -> Iterator[_Beat]:
+        def sentence(second_ns: int) -> Packet:
+            return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
+
+        for second in seconds:  # each as long after its second as the sensor gets it
+            yield second * S_NS + self._delay_ns, partial(sentence, second * S_NS)
+
+    def _pulses(self, numbers: range) -> Iterator[_Beat]:
+        for number in numbers:
+            second, is_end = divmod(number, 2)
+            due_ns, level = second * S_NS + is_end * PULSE_NS, (PULSE_HIGH, PULSE_LOW)[is_end]
+            yield due_ns, Packet(PacketKind.PPS, due_ns, level)
+
+    def _samples(self, numbers: range) -> Iterator[_Beat]:
+        imu, ready = self._imu, dict[int, Packet]()
+        assert isinstance(imu, ImuSampler)
+
+        def sample(number: int) -> Packet:
+            """Read those of 20 ms at once."""
+            if number not in ready:
+                ready.clear()
+                count = min(max(self._rate_hz // _READS_PER_S, 1), numbers.stop - number)
+                read = imu.read(number, count)
+                stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+                frames = imu_frames(number, stamps_ns, read.angular_rate_rad_s, read.specific_force_m_s2)
+                for at, (due_ns, frame) in enumerate(zip(stamps_ns.tolist(), frames, strict=True), number):
+                    ready[at] = Packet(PacketKind.IMU, due_ns, frame)
+            return ready[number]
+
+        for number in numbers:
+            due_ns = self._start_ns + number * S_NS // self._rate_hz + int(imu.late_ns(number, 1)[0])
+            yield due_ns, partial(sample, number)
+
+
+T = TypeVar("T")
+
+_RETRY_S = 1.0  # how often a device that is away is looked for
+_PATIENCE_S = 0.25
+"""How long a message may wait for the line, and for how long one is written at most: a quarter of a receiver's second."""
+_WAITING = 4096  # messages that wait at most: more than an inertial unit takes in that time
+_LINELESS = ("socket://",)  # ports that take the setting of a line without an error, and have none
+
+
+@dataclass(frozen=True, slots=True)
+class Away:
+    """One time that a device was not there."""
+
+    at_s: float
+    """Time since the port was opened."""
+    away_s: float
+    """Until it was there again, or the stream ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutletResult:
+    """Messages that left by an outlet."""
+
+    to: str
+    messages: int
+    """Sentences, or samples."""
+    bytes: int
+    dropped: int
+    """Messages that were too late: the device was away, or took no more."""
+    away: tuple[Away, ...] = ()
+    line: str | None = None
+    """Line of the pulses, rts or dtr."""
+    pulses: int | None = None
+    """Pulses on that line; None if the port has no such line."""
+
+
+class Outlet(PacketSink, Protocol):
+    """A sink that reports what it sent."""
+
+    @property
+    def result(self) -> OutletResult:
+        """Messages that left so far."""
+
+
+def has_line(act: Callable[[], object]) -> bool:
+    """Return whether a port has the line that `act` sets or reads; a pseudo-terminal has none."""
+    try:
+        act()
+    except OSError as error:
+        if error.errno in (errno.ENOTTY, errno.EINVAL):
+            return False
+        raise
+    return True
+
+
+class SerialPort:
+    """A port at 8N1 without flow control that is opened again, once a second, when its device has vanished.
+
+    Of one thread. Reading and writing is done by `use`.
+
+    Parameters
+    ----------
+    name : of a device, or a URL of pyserial: socket://HOST:PORT, rfc2217://HOST:PORT, loop://
+    baud : bits per second
+    where : option or key that names the port
+    line : rts or dtr, low from the start; None leaves both as they are
+
+    Raises OutputError where it cannot be opened at first.
+    """
+
+    def __init__(self, name: str, baud: int, where: str, line: str | None = None) -> None:
+        import serial  # here: few runs need it
+
+        self.name, self._baud, self.line = name, baud, line
+        self._error, self._slow = (serial.SerialException, OSError, termios.error), serial.SerialTimeoutException
+        self._away_since_s: float | None = None
+        self._opened_s = self._tried_s = time.monotonic()
+        self.away: tuple[Away, ...] = ()  # times at which the device was not there, that of now left out
+        try:
+            self._port: Any = self._open()
+        except self._error as error:
+            code = getattr(error, "errno", None)
+            found = os.strerror(code) if code else str(error)
+            expected = "a serial port of this machine, or a URL such as socket://HOST:PORT"
+            raise OutputError(f"{where} {name}", found, expected) from None
+        except ValueError as error:
+            raise OutputError(f"{where} {name}", str(error), "a device, or a URL of pyserial") from None
+        is_there = line is not None and not name.startswith(_LINELESS)
+        self.has_line = is_there and has_line(lambda: setattr(self._port, str(line), False))
+
+    def use(self, act: Callable[[Any], T]) -> T | None:
+        """Let `act` read or write: the port is pyserial's. None where the device is away, or takes no more."""
+        if self._away_since_s is not None and not self._is_back():
+            return None
+        try:
+            return act(self._port)
+        except self._slow:
+            return None
+        except self._error:
+            self._away_since_s = self._tried_s = time.monotonic()
+            self.close(for_good=False)
+            return None
+
+    def close(self, *, for_good: bool = True) -> None:
+        """Close the port, if it is open."""
+        if for_good:
+            self._note_away()
+        with suppress(*self._error):
+            self._port.close()
+
+    def _open(self) -> Any:  # a class of pyserial, which has no types
+        import serial
+
+        patience = {"timeout": _PATIENCE_S, "write_timeout": _PATIENCE_S}
+        port = serial.serial_for_url(self.name, self._baud, **patience, do_not_open=True)
+        if self.line:
+            setattr(port, self.line, False)
+        port.open()
+        return port
+
+    def _is_back(self) -> bool:
+        if time.monotonic() < self._tried_s + _RETRY_S:
+            return False
+        self._tried_s = time.monotonic()
+        with suppress(*self._error, ValueError):
+            self._port = self._open()
+            self._note_away()
+        return self._away_since_s is None
+
+    def _note_away(self) -> None:
+        if (since_s := self._away_since_s) is not None:
+            self.away += (Away(since_s - self._opened_s, time.monotonic() - since_s),)
+            self._away_since_s = None
+
+
+class SerialSink(Outlet):
+    """Writes packets to a serial port, and pulses to its line; a thread of its own does it, so that a port never holds up others.
+
+    Parameters
+    ----------
+    port : of the thread from now on
+    """
+
+    def __init__(self, port: SerialPort) -> None:
+        self._port = port
+        self._waiting = queue.Queue[tuple[float, Packet] | None](_WAITING)
+        self._messages = self._bytes = self._dropped = self._pulses = 0
+        self._thread = threading.Thread(target=self._run, name=f"serial {port.name}", daemon=True)
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(queue.Full):
+            self._waiting.put_nowait(None)
+        self._thread.join(2 * _PATIENCE_S)  # a daemon: one that hangs in a driver is left behind
+
+    def send(self, packet: Packet) -> None:
+        """Let one packet leave as soon as the line is free; returns at once."""
+        try:
+            self._waiting.put_nowait((time.monotonic(), packet))
+        except queue.Full:
+            self._dropped += packet.kind is not PacketKind.PPS
+
+    @property
+    def result(self) -> OutletResult:
+        """Result so far."""
+        port, counts = self._port, (self._messages, self._bytes, self._dropped)
+        pulses = self._pulses if port.has_line else None
+        return OutletResult(port.name, *counts, port.away, port.line, pulses)
+
+    def _run(self) -> None:
+        while (item := self._waiting.get()) is not None:
+            since_s, packet = item
+            if packet.kind is PacketKind.PPS:
+                self._set_line(high=any(packet.payload))
+            elif time.monotonic() - since_s > _PATIENCE_S or not self._write(packet.payload):
+                self._dropped += 1
+        self._set_line(high=False)
+        self._port.close()
+
+    def _write(self, payload: bytes) -> bool:
+        def put(port: Any) -> int | None:
+            """Wait for room first: pyserial would ask for it again and again, and take a core for that."""
+            with suppress(UnsupportedOperation):  # a port without descriptor, such as loop://
+                if not select.select([], [port.fileno()], [], _PATIENCE_S)[1]:
+                    return None
+            written: int = port.write(payload)
+            return written
+
+        if (written := self._port.use(put)) is None:
+            return False
+        self._messages, self._bytes = self._messages + 1, self._bytes + written
+        return True
+
+    def _set_line(self, *, high: bool) -> None:
+        def act(port: Any) -> bool:
+            setattr(port, str(self._port.line), high)
+            return True
+
+        if self._port.has_line:
+            self._pulses += bool(self._port.use(act)) and high
+
+
+_GPS_BAUD = 9600  # what the sensor takes (63-9243 Rev D, section 7.4)
 _BAUD = 921_600
-_BITS = 10
-"""Of a byte on the line: start, eight, stop."""
+_BITS = 10  # of a byte on the line: start, eight, stop
 _WHERE = "--imu-out"
 
 
@@ -77,10 +374,8 @@ def imu_outlet(to: str, rate_hz: int) -> Outlet:
     to : udp://HOST:PORT; or serial: and a device or URL of pyserial, at 921600 baud
     rate_hz : of the samples
 
-    Raises
-    ------
-    OutputError
-        If it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for the rate
+    Raises OutputError if it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for
+    the rate.
     """
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)

@@ -19,15 +19,12 @@ from typing import Self
 from urllib.parse import urlsplit
 
 from vlp16emu.errors import OutputError, Vlp16emuError
-from vlp16emu.extras.bench.documents import PATHS, FormError, document, submit
-from vlp16emu.extras.bench.state import Device
+from vlp16emu.extras.bench.device import PATHS, Device, FormError, document, submit
 
-MOST_CONNECTIONS = 32
-"""At a time; further ones are closed."""
+MOST_CONNECTIONS = 32  # at a time; further ones are closed
 MOST_BODY_BYTES = 4096
 MOST_HEADER_BYTES = 8192
-LONGEST_S = 5.0
-"""Time for a request and its answer, the wait for it included."""
+LONGEST_S = 5.0  # time for a request and its answer, the wait for it included
 
 _TOKEN = rb"[!#-'*+.0-9A-Z^-z|~-]+"
 _HEAD = re.compile(rb"(%b) ([!-~]+) HTTP/1\.([01])\r?\n((?:%b:[^\x00\r\n]*\r?\n)*)\r?\n" % (_TOKEN, _TOKEN))
@@ -45,21 +42,16 @@ _PAGE_POLICY = (
 class HttpFault:
     """Fault of the web interface."""
 
-    status: int | None
-    """Status of every answer; None for no answer at all."""
+    status: int | None  # status of every answer; None for no answer at all
 
 
 @dataclass(frozen=True, slots=True)
 class _Request:
     method: str
-    path: str
-    """Without the query."""
-    headers: dict[str, str]
-    """By names in lower case."""
-    body: bytes
-    """With one byte more than `MOST_BODY_BYTES` if it is too long."""
-    is_last: bool
-    """Whether the connection ends with its answer."""
+    path: str  # without the query
+    headers: dict[str, str]  # by names in lower case
+    body: bytes  # with one byte more than `MOST_BODY_BYTES` if it is too long
+    is_last: bool  # whether the connection ends with its answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +59,7 @@ class _Answer:
     status: int
     body: bytes = b""
     kind: str = _JSON
-    header: tuple[str, str] = ("Cache-Control", "no-store")
-    """Beside type and length."""
+    header: tuple[str, str] = ("Cache-Control", "no-store")  # beside type and length
 
     def packed(self, *, bare: bool = False, is_last: bool) -> bytes:
         """Write it in one piece, to a HEAD request bare of its body."""
@@ -95,10 +86,7 @@ class WebServer:
     host, port : where it listens; port 0 for a free one
     fault : returns what is wrong with it now, None for nothing; called from its thread, and must not wait
 
-    Raises
-    ------
-    OutputError
-        If it cannot listen there
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

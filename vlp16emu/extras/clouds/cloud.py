@@ -1,4 +1,4 @@
-"""Point clouds into files for other programs, block by block, in the format that the suffix names; and what their columns hold."""
+"""Point clouds into files for other programs, block by block, in the format that the suffix names; what their columns hold, and labels as data sets have them."""
 
 import shutil
 import tempfile
@@ -9,7 +9,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from enum import IntEnum
-from functools import partial
+from functools import cache, partial
+from importlib.resources import files
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any
@@ -21,27 +22,85 @@ from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
 from vlp16emu.packets import PointFrame
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.settings import toml
+from vlp16emu.types import HeightField, PlantPart, Semantic
 
-Block = Mapping[str, NDArray[Any]]
-"""Arrays of one length by the names of their columns."""
+
+@cache
+def _schemes() -> Mapping[str, Mapping[str, Any]]:
+    return toml(files("vlp16emu.extras.clouds").joinpath("labels.toml").read_text("utf-8"))
+
+
+def scheme_names() -> tuple[str, ...]:
+    """Return the names of all schemes."""
+    return tuple(_schemes())
+
+
+class LabelScheme:
+    """Numbers of classes by semantic class and plant part, from a table of labels.toml."""
+
+    def __init__(self, name: str, table: Mapping[str, Any]) -> None:
+        self.name = name
+        self.source: str = table["source"]  # publisher of the numbers, and their meaning
+        self._codes = np.full((len(Semantic), len(PlantPart)), table["none"], np.uint8)
+        for semantic in Semantic:
+            for part in PlantPart:
+                keys = f"{semantic.name}.{part.name}".lower(), semantic.name.lower()
+                self._codes[semantic, part] = next((table[k] for k in keys if k in table), table["none"])
+
+    def codes(self, semantic: NDArray[np.uint8], part: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Classes (n,) of points by `Semantic` (n,) and `PlantPart` (n,)."""
+        codes: NDArray[np.uint8] = self._codes[semantic, part]
+        return codes
+
+
+def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
+    """Return a scheme by its name; InputError, in the name of `where`, if there is none."""
+    if name not in _schemes():
+        raise InputError(where, f"found {name}", ", ".join(scheme_names()))
+    return LabelScheme(name, _schemes()[name])
+
+
+class PointLabels:
+    """Labels of points by one scheme, block by block, and heights over the ground."""
+
+    def __init__(self, scheme: LabelScheme, height_m: HeightField) -> None:
+        self._scheme, self._height_m = scheme, height_m
+        self._numbers: dict[int, int] = {}
+
+    def of(self, points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return arrays (n,) `label`, `tree_id` and `height_m` by `world_m` (n, 3), `semantic`, `part`, `instance` (n,)."""
+        x_m, y_m, z_m = np.ascontiguousarray(points["world_m"].T)
+        return {
+            "label": self._scheme.codes(points["semantic"], points["part"]),
+            "tree_id": self._dense(points["instance"], points["semantic"]),
+            "height_m": (z_m - self._height_m(x_m, y_m)).astype(np.float32),
+        }
+
+    def _dense(self, instance: NDArray[np.uint32], semantic: NDArray[np.uint8]) -> NDArray[np.uint32]:
+        """Numbers (n,) of the trees, 1, 2, 3 ... in the order in which they are met; 0 of what is no tree."""
+        is_tree = semantic == Semantic.TREE
+        met, first, back = np.unique(instance[is_tree], return_index=True, return_inverse=True)
+        for i in np.argsort(first).tolist():
+            self._numbers.setdefault(int(met[i]), len(self._numbers) + 1)
+        dense = np.zeros(len(instance), np.uint32)
+        dense[is_tree] = np.array([self._numbers[i] for i in met.tolist()], np.uint32)[back]
+        return dense
+
+
+Block = Mapping[str, NDArray[Any]]  # arrays of one length by the names of their columns
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
     """One array of the points, and how each format shows it."""
 
-    name: str
-    """In .npz."""
+    name: str  # in .npz
     dtype: str
-    csv: tuple[str, ...]
-    """Headers, one for each number that a point has in this column."""
-    decimals: int = 0
-    """Behind the point in .csv. Whole numbers with decimals count units of the last one."""
-    ply: tuple[str, ...] = ()
-    """Names of properties, as many; empty for a column that only .npz and .csv have."""
-    ply_dtype: str = ""
-    """Type of the properties, if it is not the array's."""
+    csv: tuple[str, ...]  # headers, one for each number that a point has in this column
+    decimals: int = 0  # behind the point in .csv. Whole numbers with decimals count units of the last one
+    ply: tuple[str, ...] = ()  # names of properties, as many; empty for a column that only .npz and .csv have
+    ply_dtype: str = ""  # type of the properties, if it is not the array's
 
     @property
     def kind(self) -> str:
@@ -59,18 +118,14 @@ class Column:
 class CloudAbout:
     """Metadata of a file of points, for formats that have a place for it."""
 
-    comments: tuple[str, ...]
-    """Lines for people."""
-    start_utc: datetime | None = None
-    """Date of the file."""
+    comments: tuple[str, ...]  # lines for people
+    start_utc: datetime | None = None  # date of the file
     origin: tuple[float, float, float] | None = None
     """Latitude and longitude in degrees and height in metres (WGS 84) of (0, 0, 0), for points in a world."""
-    unit: int = 1
-    """Which sensor of a rig, from 1."""
+    unit: int = 1  # which sensor of a rig, from 1
 
 
-RETURN_NAMES = ("strongest", "last", "second_strongest")
-"""Meaning of the numbers in the column `return_number`."""
+RETURN_NAMES = ("strongest", "last", "second_strongest")  # meaning of the numbers in the column `return_number`
 
 _TIME = Column("t_ns", "<i8", ("t_utc_s",), 9, ("time",), "<f8")
 """UTC as in all outputs of a run: ns since 1970 in .npz, seconds elsewhere, but for LAS, whose GPS time is adjusted by its bit."""
@@ -165,8 +220,7 @@ def _codes(labels: type[IntEnum]) -> str:
 class PointWriter(ABC):
     """Takes points block by block."""
 
-    points = 0
-    """So far."""
+    points = 0  # so far
 
     @abstractmethod
     def write(self, block: Block) -> None:
@@ -236,7 +290,6 @@ class _Ply(PointWriter):
         return column.kind
 
     def _header(self) -> bytes:
-        """Header of a length that does not depend on the number of points."""
         kinds = ((name, _PLY_KINDS[self._vertex[name].str]) for name in self._vertex.names or ())
         lines = [
             "ply\nformat binary_little_endian 1.0",
@@ -259,7 +312,6 @@ class _Pcd(_Ply):
         return "<f4" if column.ply[0] == "x" else column.kind
 
     def _header(self) -> bytes:
-        """Header of a length that does not depend on the number of points."""
         fields = [self._vertex[name] for name in self._vertex.names or ()]
         lines = [
             "# .PCD v0.7 - Point Cloud Data file format",

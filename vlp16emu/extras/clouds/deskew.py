@@ -19,10 +19,11 @@ from vlp16emu.extras.clouds.cloud import (
     TRUTH_COLUMNS,
     CloudAbout,
     Column,
+    LabelScheme,
+    PointLabels,
     point_file,
     time_comment,
 )
-from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
 from vlp16emu.extras.clouds.scan import twins
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
@@ -35,8 +36,7 @@ from vlp16emu.scenario import load
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 _MINUTE_NS = 60 * S_NS
-_PACKETS = 100
-"""Placed at once: 38 400 points, some 20 MB."""
+_PACKETS = 100  # placed at once: 38 400 points, some 20 MB
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
 """Columns that packets have as they are."""
 
@@ -134,19 +134,13 @@ class Deskewed:
     capture: str
     trajectory: str
     points: int
-    without_pose: int
-    """Points left out, as the trajectory has no pose at their pulses."""
-    truth: bool
-    """True if points have labels."""
-    simulated_s: float
-    """Time from the first pulse of the capture to the last."""
-    clock: str
-    """Clock of the pulses: sensor, gps or host."""
-    host_ahead_s: float
-    """Capture stamps less the sensor's clock at the first packet."""
+    without_pose: int  # points left out, as the trajectory has no pose at their pulses
+    truth: bool  # true if points have labels
+    simulated_s: float  # time from the first pulse of the capture to the last
+    clock: str  # clock of the pulses: sensor, gps or host
+    host_ahead_s: float  # capture stamps less the sensor's clock at the first packet
     bytes: int
-    interrupted: bool
-    """Ended by its stop event."""
+    interrupted: bool  # ended by its stop event
 
 
 def write_deskewed(
@@ -160,12 +154,8 @@ def write_deskewed(
     stop : ends the file between two parts of the capture
     clock : of the pulses, as `vlp16emu.packets.unit_clocks`
 
-    Raises
-    ------
-    InputError, TrajectoryError
-        If the truth is of another run, or no pulse has a pose
-    CaptureError, PacketError
-        If the capture cannot be read, or is damaged; the file holds the points before
+    Raises InputError, TrajectoryError if the truth is of another run, or no pulse has a pose; CaptureError, PacketError
+    if the capture cannot be read, or is damaged; the file holds the points before.
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     stamped = packet_clock(capture, known, clock, where="--clock")

@@ -15,21 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter
-from vlp16emu.extras.clouds.labels import label_scheme
+from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter, label_scheme
 from vlp16emu.units import S_NS
 
 _SCALE_M = 1e-4
 """A tenth of what the other formats round to; with 32 bits that reaches 214 km to either side of the offset."""
-_OFFSET_M = 100_000.0
-"""Offsets are multiples of it: 0 wherever a world has its origin near."""
-_INTENSITY = 256
-"""65 536 over the 256 steps of the reflectivity (LAS 1.4 - R15, section 2.6, intensity)."""
+_OFFSET_M = 100_000.0  # offsets are multiples of it: 0 wherever a world has its origin near
+_INTENSITY = 256  # 65 536 over the 256 steps of the reflectivity (LAS 1.4 - R15, section 2.6, intensity)
 _FIELDS = frozenset({*"xyz", "time", "intensity", "return_number", "is_last", "label"})
 """Properties that fields of the format hold."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=UTC)
-_EQUATOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563
-"""Ellipsoid of WGS 84."""
+_EQUATOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # ellipsoid of WGS 84
 
 
 def _ns(year: int, month: int, day: int) -> int:
@@ -43,8 +39,7 @@ _LEAPS_NS = np.array(
 )
 """Instants after the leap seconds since GPS time began (IERS Bulletin C; none is announced after that of 2016-12-31)."""
 _LEAPS_NS.sort()
-_ADJUSTMENT_S = 1_000_000_000
-"""LAS specification 1.4 - R15, section 2.4, global encoding bit 0."""
+_ADJUSTMENT_S = 1_000_000_000  # LAS specification 1.4 - R15, section 2.4, global encoding bit 0
 
 
 class LasFile(PointWriter):
@@ -122,7 +117,6 @@ class LasFile(PointWriter):
             raise OSError(getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)) from error
 
     def _begin(self, offset_m: NDArray[np.float64]) -> None:
-        """Write the header."""
         laspy = self._laspy
         header = laspy.LasHeader(version="1.4", point_format=6)
         header.scales, header.offsets = np.full(3, _SCALE_M), offset_m

@@ -20,10 +20,12 @@ from vlp16emu.extras.clouds.cloud import (
     TRUTH_COLUMNS,
     Block,
     CloudAbout,
+    LabelScheme,
+    PointLabels,
+    label_scheme,
     point_file,
     scene_comments,
 )
-from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels, label_scheme
 from vlp16emu.extras.clouds.scan import points_of
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
@@ -38,30 +40,22 @@ class PointCloud:
     """Contents of a file of points, and the time it took."""
 
     file: str
-    scene: str
-    """Name, path or title."""
+    scene: str  # name, path or title
     seed: int
-    unit: int
-    """Which sensor of a rig, from 1."""
-    sensor: str
-    """Model."""
+    unit: int  # which sensor of a rig, from 1
+    sensor: str  # model
     beams: int
-    elevation_deg: tuple[float, float]
-    """Elevation of the lowest and the highest beam."""
+    elevation_deg: tuple[float, float]  # elevation of the lowest and the highest beam
     pulses_per_s: float
     turn: Turn
     points: int
-    returns: Mapping[str, int]
-    """Points by `RETURN_NAMES`."""
-    truth: bool
-    """True if points have labels."""
+    returns: Mapping[str, int]  # points by `RETURN_NAMES`
+    truth: bool  # true if points have labels
     bytes: int
     simulated_s: float
     wall_s: float
-    real_time_factor: float
-    """Simulated seconds per second."""
-    interrupted: bool
-    """Ended by its stop event."""
+    real_time_factor: float  # simulated seconds per second
+    interrupted: bool  # ended by its stop event
 
 
 def write_points(
@@ -81,18 +75,9 @@ def write_points(
     stop : ends the file from another thread; it is valid
     options : fields of `PointOptions`
 
-    Raises
-    ------
-    InputError
-        If there is no such unit or scheme, or the suffix names no format
-    MissingExtraError
-        If the library for a format is not there
-    OutputError
-        If file or folder cannot be written, or are an input of the scene
-    TrajectoryError
-        If the walk ends before the span does
-    RunError
-        If the disk is full; the file is not complete
+    Raises InputError if there is no such unit or scheme, or the suffix names no format; MissingExtraError if the
+    library for a format is not there; OutputError if file or folder cannot be written, or are an input of the scene;
+    TrajectoryError if the walk ends before the span does; RunError if the disk is full; the file is not complete.
     """
     run, path, began_s, asked = emulator.run, Path(path), time.perf_counter(), PointOptions(**options)
     number, scenario, stop = run.number(asked.unit), run.scenario, stop or Event()

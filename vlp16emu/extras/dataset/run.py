@@ -1,33 +1,211 @@
-"""A dataset from its walks to its manifest: missing walks are made by this process or by others of this machine."""
+"""A dataset from its walks to its manifest: missing walks are made by this process or by others of this machine.
+
+Each folder of a walk lists its own files with their sha256, and the manifest joins these lists. Nothing unlisted is ever
+removed.
+"""
 
 import hashlib
+import json
 import multiprocessing
 import os
 import signal
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
+from shutil import rmtree
 from threading import Thread
 from typing import Any
 
+import numpy as np
+
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import in_one_world
-from vlp16emu.errors import OutputError, RunError
-from vlp16emu.extras.dataset.layouts import LAYOUTS
-from vlp16emu.extras.dataset.manifest import Entry, Manifest, described, identity
+from vlp16emu.errors import OutputError, RunError, readable
+from vlp16emu.extras.clouds.cloud import label_scheme
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.options import DatasetOptions
-from vlp16emu.output import lock
+from vlp16emu.output import OutputFile, lock
+from vlp16emu.types import F8, U4, Scan
+from vlp16emu.units import S_NS
 
-_DEATHS = 10
-"""Deaths of workers, without a finished walk between them, that end a run: then a walk kills them."""
+Entry = dict[str, Any]  # a walk in its list and in the manifest
 
-Made = tuple[DatasetWalk, Path, Entry]
-"""A walk, the folder with its files, and its entry in the manifest."""
+PARTS = ".vlp16emu.parts"
+"""Folder within the dataset in which walks are made; one that is there when a run begins is left from a run that was killed."""
+_LIST = "walk.json"  # in the folder of a walk, written last: so a folder that has one is whole
+_WRITTEN_BY = f"vlp16emu {version('vlp16emu')}"
+_LARGEST_BYTES = 10**10
+
+
+def finished(out: Path, walk: DatasetWalk) -> Entry | None:
+    """Return the list of a walk if all its files are as listed, by a run that would list the same; None if it is to be made.
+
+    OutputError if its place holds a file that is not listed, or not so: it is somebody else's.
+    """
+    entry = _listed(out / walk.folder)
+    ours = _ours(out / walk.folder)
+    if entry.items() >= identity(walk).items() and len(ours) == len(entry["files"]) + 1:
+        return entry
+    if strange := _files_in(out / walk.folder) - ours:
+        found = f"{min(strange).relative_to(out)} is there, and no {_LIST} lists it so"
+        raise OutputError(str(out), found, "a new folder, or one of an earlier run")
+    return None
+
+
+def list_files(folder: Path, walk: DatasetWalk, beams: int) -> Entry:
+    """Write the list of a walk that is complete in a folder, and return it."""
+    files = [_described(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()]
+    entry = identity(walk) | {"beams": beams, "files": files}
+    (folder / _LIST).write_text(f"{json.dumps(entry, indent=2)}\n", encoding="utf-8")
+    return entry
+
+
+def take_place(made: Path, final: Path) -> None:
+    """Move a complete folder to its place, from which the listed files of an earlier run go; RunError if it cannot go there."""
+    try:
+        # The list goes last: without it, what is left after a kill would be somebody else's.
+        for path in sorted(_ours(final), key=lambda path: path.name == _LIST):
+            path.unlink()
+        for folder in sorted((path for path in final.rglob("*") if path.is_dir()), reverse=True):
+            folder.rmdir()
+        final.parent.mkdir(exist_ok=True)
+        made.rename(final)
+    except OSError as error:
+        raise RunError(f"{final}: {error.strerror}; what is made so far is kept") from None
+
+
+def check_manifest(path: Path) -> None:
+    """Raise OutputError if there is a file in the place of the manifest that is none of ours."""
+    if path.exists():
+        expected = "the manifest of a dataset"
+        with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
+            text = path.read_text(encoding="utf-8")
+        if not _is_ours(_tree(text)):
+            raise OutputError(str(path), "is none of ours", expected)
+
+
+def write_manifest(path: Path, entries: Iterable[Entry]) -> bytes:
+    """Write the manifest of some walks, and return its bytes."""
+    text = json.dumps({"written_by": _WRITTEN_BY, "walks": list(entries)}, indent=2) + "\n"
+    with OutputFile(path) as file, file.writing() as opened:
+        opened.write(text.encode())
+    return text.encode()
+
+
+def identity(walk: DatasetWalk) -> Entry:
+    """Return all that decides the bytes of a walk."""
+    tree = walk.scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    names = ("name", "folder", "split", "stand", "seed", "path", "sensor", "layout")
+    digest = hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()
+    return {name: getattr(walk, name) for name in names} | {"written_by": _WRITTEN_BY, "scenario_sha256": digest}
+
+
+def _ours(folder: Path) -> set[Path]:
+    """Return the files of a folder that are as its list has them, and the list."""
+    if not (entry := _listed(folder)):
+        return set()
+    named = [(folder / file["path"], file) for file in entry["files"]]
+    return {path for path, file in named if path.is_file() and _described(path, folder) == file} | {folder / _LIST}
+
+
+def _listed(folder: Path) -> Entry:
+    """Return the list of a folder of ours; empty if there is none."""
+    try:
+        tree = _tree((folder / _LIST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    files = tree.get("files") if _is_ours(tree) else None
+    is_list = isinstance(files, list) and all(isinstance(file, dict) and "path" in file for file in files)
+    return tree if is_list else {}
+
+
+def _tree(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _is_ours(tree: Any) -> bool:
+    return isinstance(tree, dict) and str(tree.get("written_by")).startswith("vlp16emu ")
+
+
+def _described(path: Path, folder: Path) -> Entry:
+    """Return name in a folder, size and sha256 of a file."""
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}
+
+
+def _files_in(folder: Path) -> set[Path]:
+    return {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()}
+
+
+_MOST_INSTANCES = 0xFFFF  # the upper 16 bits of a label hold the instance (SemanticKITTI, "Data")
+_IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
+
+
+def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
+    """Write a sequence: one scan per revolution, each deskewed to the pose of its first pulse.
+
+    Poses are those of the sensor in the world of the scene; camera and lidar coincide, so `calib.txt` holds identities.
+    Instances are numbered from 1 in the order in which the sequence first sees them.
+    """
+    for name in ("velodyne", "labels"):
+        (folder / name).mkdir()
+    scheme = label_scheme("semantickitti")
+    known, poses, starts_ns = dict[int, int](), list[str](), list[int]()
+    for number, scan in enumerate(emulator.scans(truth=True)):
+        assert scan.labels is not None
+        assert scan.world_T_sensor is not None
+        rows = np.column_stack([_deskewed(emulator, scan), scan.reflectivity / 255]).astype("<f4")
+        (folder / "velodyne" / f"{number:06d}.bin").write_bytes(rows.tobytes())
+        classes = scheme.codes(scan.labels.semantic, scan.labels.part).astype("<u4")
+        labels = classes | _numbers(scan.labels.instance, known) << np.uint32(16)
+        (folder / "labels" / f"{number:06d}.label").write_bytes(labels.astype("<u4").tobytes())
+        poses.append(" ".join(f"{value:.9e}" for value in scan.world_T_sensor[:3].ravel()))
+        starts_ns.append(scan.start_ns)
+    times = [f"{(start_ns - starts_ns[0]) / S_NS:.9f}" for start_ns in starts_ns]
+    calibration = [f"{name}: {_IDENTITY}" for name in ("P0", "P1", "P2", "P3", "Tr")]
+    for name, lines in (("poses.txt", poses), ("times.txt", times), ("calib.txt", calibration)):
+        (folder / name).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
+
+
+def _deskewed(emulator: Emulator, scan: Scan) -> F8:
+    """Return points (n, 3) of a scan in the sensor's frame at the scan's first pulse."""
+    assert scan.world_T_sensor is not None
+    pulse = emulator.world_T_sensor(scan.t_ns)
+    first = scan.world_T_sensor
+    world_m = np.einsum("nij,nj->ni", pulse[:, :3, :3], scan.xyz_m) + (pulse[:, :3, 3] - first[:3, 3])
+    return np.asarray(world_m @ first[:3, :3])
+
+
+def _numbers(instances: U4, known: dict[int, int]) -> U4:
+    own, index = np.unique(instances, return_inverse=True)
+    for instance in own[own > 0].tolist():
+        known.setdefault(instance, len(known) + 1)
+    if len(known) > _MOST_INSTANCES:
+        raise RunError(f"more than {_MOST_INSTANCES} instances in one sequence, which its labels cannot hold")
+    return np.array([known.get(instance, 0) for instance in own.tolist()], np.uint32)[index]
+
+
+LAYOUTS: dict[str, Callable[[Emulator, Path], object]] = {
+    "semantickitti": _semantic_kitti,
+    "pcap+truth": lambda emulator, folder: emulator.record(folder / "walk.pcap", truth=folder / "truth"),
+    "las-plots": lambda emulator, folder: write_points(emulator, folder / "points.laz", truth=True),
+}
+"""Writers of a walk into an empty folder, by the layout's name in the file of a dataset."""
+
+
+_DEATHS = 10  # deaths of workers, without a finished walk between them, that end a run: then a walk kills them
+
+Made = tuple[DatasetWalk, Path, Entry]  # a walk, the folder with its files, and its entry in the manifest
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +213,10 @@ class DatasetResult:
     """Result of a run."""
 
     manifest: str
-    sha256: str
-    """Of the manifest."""
+    sha256: str  # of the manifest
     walks: int
-    made: int
-    """Walks that were not there before."""
-    bytes: int
-    """Size of all files of all walks."""
+    made: int  # walks that were not there before
+    bytes: int  # size of all files of all walks
 
 
 def make_dataset(
@@ -49,7 +224,7 @@ def make_dataset(
 ) -> DatasetResult:
     """Make the walks of a dataset that are not there yet, and its manifest.
 
-    A walk is there if the manifest of an earlier run lists it, and its files have the sizes and sha256 of that list.
+    A walk is there if its folder lists it, and its files have the sizes and sha256 of that list.
 
     Parameters
     ----------
@@ -57,30 +232,34 @@ def make_dataset(
     progress : called with the simulated seconds so far, walk by walk
     options : fields of `DatasetOptions`
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, another run writes it, or a file that no manifest lists is in the place of a walk
-    RunError
-        If a walk fails, or workers die over one walk again and again
+    Raises OutputError if the folder cannot be written, another run writes it, or a file that is not listed is in the
+    place of a walk; RunError if a walk fails, or workers die over one walk again and again.
     """
     out, asked = out.absolute(), DatasetOptions(**options)
     walks = walks[slice(*(asked.share or (None,)))]
+    path, parts = out / "manifest{}.json".format(".{}-{}".format(*asked.share) if asked.share else ""), out / PARTS
     with _locked(out):
-        manifest = Manifest(out, walks, ".{}-{}".format(*asked.share) if asked.share else "")
-        missing, done_s = manifest.missing, sum(walk.scenario.duration_s for walk in walks)
-        progress(done_s := done_s - sum(walk.scenario.duration_s for walk in missing))
-        with manifest.making() as parts:
+        check_manifest(path)
+        entries = {walk.number: entry for walk in walks if (entry := finished(out, walk))}
+        missing = [walk for walk in walks if walk.number not in entries]
+        done_s = sum(walk.scenario.duration_s for walk in walks if walk.number in entries)
+        progress(done_s)
+        try:
+            rmtree(parts, ignore_errors=True)
+            parts.mkdir()
             for walk, made, entry in _made(missing, parts, asked.workers):
-                manifest.add(walk.number, made, entry)
+                take_place(made, out / walk.folder)
+                entries[walk.number] = entry
                 progress(done_s := done_s + walk.scenario.duration_s)
-        text = manifest.write()
+        finally:
+            rmtree(parts, ignore_errors=True)
+            text = write_manifest(path, (entry for _, entry in sorted(entries.items())))
     return DatasetResult(
-        manifest=str(manifest.path),
+        manifest=str(path),
         sha256=hashlib.sha256(text).hexdigest(),
         walks=len(walks),
         made=len(missing),
-        bytes=sum(file["bytes"] for entry in manifest.entries.values() for file in entry["files"]),
+        bytes=sum(file["bytes"] for entry in entries.values() for file in entry["files"]),
     )
 
 
@@ -99,8 +278,7 @@ def _locked(out: Path) -> Iterator[None]:
         _LAST.clear()
 
 
-_LAST = list[Emulator]()
-"""The emulator of the walk before in this process, whose world the next one may share."""
+_LAST = list[Emulator]()  # the emulator of the walk before in this process, whose world the next one may share
 
 
 def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
@@ -112,11 +290,10 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
             _LAST.clear()
         _LAST[:] = [emulator := Emulator(walk.scenario, threads=threads, like=next(iter(_LAST), None))]
         LAYOUTS[walk.layout](emulator, folder)
-        files = [described(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()]
+        entry = list_files(folder, walk, len(emulator.parts.units[0].head.beams.elevation_deg))
     except OSError as error:
         raise RunError(f"walk {walk.name}: {error.strerror}; what is made so far is kept") from None
-    beams = len(emulator.parts.units[0].head.beams.elevation_deg)
-    return walk, folder, identity(walk) | {"beams": beams, "files": files}
+    return walk, folder, entry
 
 
 def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:

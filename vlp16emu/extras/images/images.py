@@ -1,30 +1,118 @@
 """Images of a scene from the place of a sensor, each of one instant: depth, labels and colours."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Unit, workers
+from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
-from vlp16emu.extras.images.pictures import PictureFolder
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.palette import surface_colours
+from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.forest.stand.forest import ForestWorld
+from vlp16emu.output import OutputFolder, write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.raycast.caster import Geometry
-from vlp16emu.types import SURFACE, PlantPart, Poses, Semantic, World
+from vlp16emu.types import F4, SURFACE, U1, PlantPart, Poses, Semantic, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.furnished import Furnished
+
+LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.uint8, "species": np.uint16}
+"""Folders of PNG files and the type of their pixels; depth is in steps of 2 mm, as in packets."""
+_POSES = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; camera z forward, x right, y down\n"
+
+
+class PictureFolder:
+    """A folder for the images of one run: a context manager that writes the poses at its end.
+
+    It is an `OutputFolder`, and takes its name then. After an error the images so far stay without that name.
+
+    Parameters
+    ----------
+    path : new or empty folder
+    cameras : content of `cameras.json`
+    """
+
+    def __init__(self, path: Path, cameras: Mapping[str, Any]) -> None:
+        try:
+            import OpenEXR
+            from PIL import Image
+        except ImportError as error:
+            library = "OpenEXR" if error.name == "OpenEXR" else "Pillow"
+            raise MissingExtraError(library, "images", "writing images") from None
+        self._exr, self._image = OpenEXR, Image
+        self.bytes, self._poses = 0, [_POSES]
+        self._folder = OutputFolder(path)
+        self._path = self._folder.path
+        for layer in (*LAYERS, "exr"):
+            (self._path / layer).mkdir()
+        write_json(self._path / "cameras.json", cameras)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None or isinstance(error, KeyboardInterrupt):
+            with self._new("poses.tum") as file:
+                file.write("".join(self._poses).encode())
+            self._folder.keep()
+        elif self.images:
+            self._folder.leave()
+        self._folder.discard()
+
+    @contextmanager
+    def _new(self, name: str) -> Iterator[BinaryIO]:
+        try:
+            with (self._path / name).open("xb") as file:
+                yield file
+        except OSError as error:
+            raise RunError(f"{self._path / name}: {error.strerror or error}; the images before it are whole") from error
+
+    @property
+    def images(self) -> int:
+        """Number of images written."""
+        return len(self._poses) - 1
+
+    def add(self, pose: Poses, rgb: U1, depth_m: F4, labels: Mapping[str, NDArray[Any]]) -> None:
+        """Write one image, taken at a pose of the camera.
+
+        Parameters
+        ----------
+        rgb : (height, width, 3)
+        depth_m : (height, width), 0 where nothing was met
+        labels : (height, width) each: `semantic`, `part`, `species`, `instance`
+        """
+        name = f"{self.images:06d}"
+        steps = np.rint(depth_m / DISTANCE_LSB_M)
+        for layer, kind in LAYERS.items():
+            pixels = {"rgb": rgb, "depth": steps}.get(layer, labels.get(layer))
+            with self._new(f"{layer}/{name}.png") as file:
+                self._image.fromarray(np.ascontiguousarray(pixels, kind)).save(file, "PNG")
+                self.bytes += file.tell()
+        with self._new(f"exr/{name}.exr") as file:
+            self._write_exr(file, {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()})
+        self.bytes += (self._path / "exr" / f"{name}.exr").stat().st_size
+        self._poses.append(tum_rows(pose))
+
+    def _write_exr(self, file: BinaryIO, channels: Mapping[str, NDArray[Any]]) -> None:
+        header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
+        try:
+            with self._exr.File(header, {key: np.ascontiguousarray(channels[key]) for key in channels}) as image:
+                image.write(file.name)
+        except RuntimeError as error:
+            raise RunError(f"{file.name}: {error}") from None
+
 
 _BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From camera (x right, y down, z forward) to sensor (x forward, y left, z up)."""
@@ -35,10 +123,8 @@ occluded. Casters return no normals, so sunlight knows no incidence."""
 _UP, _AZIMUTH = math.radians(40), math.radians(150)
 _SUN = np.array([math.cos(_UP) * math.sin(_AZIMUTH), math.cos(_UP) * math.cos(_AZIMUTH), math.sin(_UP)])
 """Direction to the sun in the world: in the south-south-east, 40 degrees high."""
-_CLEAR_M = 0.02
-"""Offset of shadow rays from the surface."""
-_BAND = 1 << 16
-"""Pixels cast at once, about: whole rows, independent of the number of threads."""
+_CLEAR_M = 0.02  # offset of shadow rays from the surface
+_BAND = 1 << 16  # pixels cast at once, about: whole rows, independent of the number of threads
 _LABELS = ("semantic", "part", "species", "instance")
 
 
@@ -48,16 +134,13 @@ class ImageRun:
 
     folder: str
     scene: str
-    unit: int
-    """Which sensor of a rig, from 1."""
+    unit: int  # which sensor of a rig, from 1
     kind: str
     width: int
     height: int
     images: int
-    bytes: int
-    """Of all images."""
-    interrupted: bool
-    """Ended by its stop event."""
+    bytes: int  # of all images
+    interrupted: bool  # ended by its stop event
 
 
 def write_images(
@@ -76,18 +159,9 @@ def write_images(
     progress, stop : as in `Emulator.record`
     options : fields of `ImageOptions`
 
-    Raises
-    ------
-    InputError
-        If there is no such unit or camera
-    MissingExtraError
-        If Pillow or OpenEXR is not installed
-    OutputError
-        If the folder cannot be written, or is not empty
-    TrajectoryError
-        If the walk ends before the span
-    RunError
-        If the disk is full; the images before are kept
+    Raises InputError if there is no such unit or camera; MissingExtraError if Pillow or OpenEXR is not installed;
+    OutputError if the folder cannot be written, or is not empty; TrajectoryError if the walk ends before the span;
+    RunError if the disk is full; the images before are kept.
     """
     asked = ImageOptions(**options)
     engine, stop, camera = emulator.engine, stop or Event(), Camera.of(asked.kind, asked.size, asked.fov_deg)
@@ -140,7 +214,6 @@ def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
 def _pixels(
     camera: Camera, pose: Poses, geometry: Geometry, unit: Unit, species: Mapping[int, str], rows: range
 ) -> tuple[NDArray[Any], ...]:
-    """Return colours, depth and labels of some rows of an image."""
     rays, shape = camera.rays(rows), (len(rows), camera.width)
     direction, t_ns, far_m = rays @ pose.world_R_body[0].T, int(pose.t_ns[0]), unit.section.max_range_m
     near_m = float(unit.head.beams.near_m[0])

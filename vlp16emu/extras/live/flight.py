@@ -1,8 +1,11 @@
-"""A run that is flown while it is streamed: from the first pose to the report, and to the table that repeats it."""
+"""A run that is flown while it is streamed: the port at which poses come in, and the way from the first pose to the report, and to the table that repeats it."""
 
+import select
+import socket
+import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
@@ -13,27 +16,96 @@ import numpy as np
 
 from vlp16emu.engine.position import make_receiver
 from vlp16emu.engine.windows import STEPS
-from vlp16emu.errors import InputError
+from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.options import PosesIn
-from vlp16emu.extras.live.cells import LiveWindows
-from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
+from vlp16emu.extras.live.flown import FLOWN_HEADER, LiveWindows, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
-from vlp16emu.extras.live.poses import PoseReceiver
+from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
-_POLL_S = 0.05
-"""How often a run that waits for the first pose looks whether it shall end."""
-_START_NS = 20_000_000
-"""From when all is ready to the first pulse: threads start in it."""
-_WARM_S = 0.02
-"""What is computed before the run, so that kernels are loaded and compiled."""
-_ROWS_NS = S_NS
-"""How often knots are written."""
+_LISTEN_S = 0.1  # how often the thread looks whether it shall end
+_MERGED_S = 0.002  # poses that come within this time are one; knots are 5 ms apart
+_MOST = 1000  # datagrams that are looked at before a pose is handed on
+_EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
+
+
+def pose_port(text: str) -> tuple[str, int]:
+    """Read where poses come in; `InputError` if it is no address and port."""
+    scheme, _, rest = text.partition("://")
+    host, _, port = rest.rpartition(":")
+    if scheme != "udp" or not host or not port.isascii() or not port.isdecimal() or int(port) > 65_535:
+        raise InputError("--pose-in", f"found {text}", _EXPECTED)
+    return host, int(port)
+
+
+class PoseReceiver:
+    """Reads datagrams of poses in a thread of its own, and hands them on at once; a context manager.
+
+    Parameters
+    ----------
+    where : as `pose_port` takes it; port 0 is any free one
+    put : takes position, quaternion and time of a pose, and raises `InputError` if they are none
+
+    Raises InputError if `where` is no address and port; OutputError if the port cannot be listened to.
+    """
+
+    def __init__(self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]) -> None:
+        host, port = pose_port(where)
+        self._put, self._over = put, threading.Event()
+        self.malformed = 0  # datagrams that are no pose packet
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except (OSError, UnicodeError) as error:
+            self._socket.close()
+            found = getattr(error, "strerror", None) or str(error)
+            raise OutputError(where, found, "an address of this machine and a free port") from error
+        self._socket.setblocking(False)
+        host, port = self._socket.getsockname()
+        self.where = f"udp://{host}:{port}"  # address and port that are listened to
+        self._thread = threading.Thread(target=self._run, name="poses", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _run(self) -> None:
+        """Body of the thread: of poses that are there at once the last one counts, so a flood costs no more than a few."""
+        while not self._over.is_set():
+            if select.select([self._socket], [], [], _LISTEN_S)[0]:
+                self._take()
+                self._over.wait(_MERGED_S)
+
+    def _take(self) -> None:
+        """Hand on the last pose among the datagrams that have come."""
+        last = None
+        with suppress(BlockingIOError):
+            for _ in range(_MOST):
+                payload = self._socket.recv(POSE_BYTES + 1)
+                if is_pose(payload):
+                    last = payload
+                else:
+                    self.malformed += 1
+        if last is not None:
+            pose = unpack_pose(last)
+            with suppress(InputError):  # `put` counts what is no pose
+                self._put(pose.position_m, pose.quaternion, pose.t_ns)
+
+
+_POLL_S = 0.05  # how often a run that waits for the first pose looks whether it shall end
+_START_NS = 20_000_000  # from when all is ready to the first pulse: threads start in it
+_WARM_S = 0.02  # what is computed before the run, so that kernels are loaded and compiled
+_ROWS_NS = S_NS  # how often knots are written
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,23 +113,17 @@ class LiveReport:
     """Poses that came in, and how soon packets followed."""
 
     poses: int
-    refused: int
-    """Malformed, or without a rotation in them."""
-    out_of_order: int
-    """Not later than the pose before."""
-    longest_gap_s: float
-    """Between arrivals."""
-    lost: tuple[PosesLost, ...]
-    """Times without a pose for more than a second."""
-    left_out_s: float
-    """Time of the run, of all units, whose pulses were not cast, as the engine was late."""
+    refused: int  # malformed, or without a rotation in them
+    out_of_order: int  # not later than the pose before
+    longest_gap_s: float  # between arrivals
+    lost: tuple[PosesLost, ...]  # times without a pose for more than a second
+    left_out_s: float  # time of the run, of all units, whose pulses were not cast, as the engine was late
     latency_median_us: float
     """From the arrival of a pose to the sending of the first data packet that was computed with it, as the next ones."""
     latency_p95_us: float
     latency_p99_us: float
     latency_max_us: float
-    flown: str | None
-    """Table of what was flown, if one is written."""
+    flown: str | None  # table of what was flown, if one is written
 
 
 class Flight(PacketSink):
@@ -69,16 +135,11 @@ class Flight(PacketSink):
     poses : where they come in; `where` as `PoseReceiver` takes it
     clock_ns : monotonic
 
-    Raises
-    ------
-    InputError
-        If the scene is not live; and as of `PoseReceiver`
-    OutputError
-        If the table cannot be written, or would be written over a file that is read; and as of `PoseReceiver`
+    Raises InputError if the scene is not live; and as of `PoseReceiver`; OutputError if the table cannot be written, or
+    would be written over a file that is read; and as of `PoseReceiver`.
     """
 
-    look_ahead = 8
-    """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
+    look_ahead = 8  # packets of a unit that are computed before the first leaves: two steps, or one of dual return
 
     def __init__(self, run: Run, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         engine, poses = run.engine, poses or PosesIn()

@@ -1,24 +1,39 @@
-"""What was flown in a live run: a table of knots with all their digits, read back as the same motion bit by bit."""
+"""What was flown in a live run: a table of knots with all their digits, read back as the same motion bit by bit, and the windows in use.
 
+The bytes of a pulse depend on the window that it is cast in, by rounding and by where the medium begins. So windows of a
+run whose path nobody knows beforehand are those of boxes of the world: they change where blocks of the ordinary way begin,
+a window depends on nothing but the name of its box, and the names go with the knots of the flight.
+"""
+
+import math
+import os
+import sys
+from bisect import bisect_right
+from collections.abc import Hashable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.engine import Parts
+from vlp16emu.elementary import norm
+from vlp16emu.engine import Parts, window_of
 from vlp16emu.engine.windows import STEPS, Batching, Windows
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.live.knots import STEP_NS, Knots
 from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
-from vlp16emu.raycast.caster import Geometry
+from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.tables import Column, read_table
 from vlp16emu.units import S_NS
 
+if TYPE_CHECKING:
+    from vlp16emu.extras.live.motion import LiveMotion
+
 Array = NDArray[np.float64]
 
-Cell = tuple[int, int, int]
-"""Name of a box of the world, for whose sensors a window is opened."""
+Cell = tuple[int, int, int]  # name of a box of the world, for whose sensors a window is opened
 
 _RATES = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 _COLUMNS = {
@@ -26,18 +41,15 @@ _COLUMNS = {
     **{name: Column({name: 1.0}) for name in _RATES},
     "cell": Column({"cell": 1.0}, is_filled=False),
 }
-FLOWN_HEADER = ",".join(_COLUMNS) + "\n"
-"""First line of the table."""
+FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 
 
 @dataclass(frozen=True, slots=True)
 class Flown:
     """A table of knots."""
 
-    states: NDArray[np.float64]
-    """(n, 13), a step apart, from the first pulse on."""
-    cells: tuple[tuple[int, Cell], ...]
-    """Knots from which windows of other cells are in use; the first is 0."""
+    states: NDArray[np.float64]  # (n, 13), a step apart, from the first pulse on
+    cells: tuple[tuple[int, Cell], ...]  # knots from which windows of other cells are in use; the first is 0
 
 
 def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
@@ -69,8 +81,6 @@ def read_flown(path: Path) -> Flown:
 class FlownMotion(Knots):
     """Motion of a body as it was flown; the first knot is at `start_ns`, UTC."""
 
-    moves = True
-
     def __init__(self, flown: Flown, *, start_ns: int) -> None:
         super().__init__(start_ns, flown.states)
         self.flown, self.run_time_s = flown, self.last_ns / S_NS
@@ -80,8 +90,6 @@ class FlownMotion(Knots):
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
         """Return the windows that were in use; parameters as of `engine.windows.windows_of`."""
-        from vlp16emu.extras.live.cells import CellWindows  # here: it names the boxes by `Cell`
-
         cells = [(number // STEPS, cell) for number, cell in self.flown.cells]
         return CellWindows(parts, start_ns, batching, threads, cells)
 
@@ -93,3 +101,133 @@ def _cell(where: str, text: str) -> Cell:
     except ValueError:
         raise TrajectoryError(where, f"found {text!r}", "three whole numbers") from None
     return x, y, z
+
+
+_WIDE_M, _HIGH_M = 16.0, 32.0  # size of a box on the map, and its height
+_ASIDE_M = 8.0  # how far beyond its box a window serves: at 3 m/s the next one has 2 s to be opened
+_APART_M = 2.0
+"""Between the lines that a window is opened along: no place is farther from them than the 1 m that the medium allows for."""
+_SPARE_M, _SPARE_S = 2.0, 0.15  # what is left of that when the next window is waited for: a block goes on for 0.1 s
+_EXPECTED_S = 1.0  # so far ahead the place is looked at whose window is opened
+
+_LATE_BLOCKS = 6
+"""So many steps late, 32 ms, a step is left out, and those after it until now: who waits for packets wants young ones."""
+_NICE = 10
+"""By how much threads that open windows of a live run are nicer than those that cast, who then get nine tenths of a core."""
+
+_Name = tuple[Cell, int]  # box, and segment of time where trees sway
+
+
+def cell_of(place_m: NDArray[np.float64]) -> Cell:
+    """Name of the box that holds a place (3,)."""
+    x, y, z = np.floor(place_m / [_WIDE_M, _WIDE_M, _HIGH_M]).astype(int).tolist()
+    return x, y, z
+
+
+def track_of(cell: Cell, arm_m: float) -> NDArray[np.float64]:
+    """Positions (n, 3) all over a box and around it, whose sensors are up to so far from the body."""
+    aside_m = _ASIDE_M + arm_m
+    lines = 1 + math.ceil((_WIDE_M + 2 * aside_m) / _APART_M)
+    x_m = cell[0] * _WIDE_M - aside_m + np.repeat(np.arange(lines), 2) * _APART_M
+    ends_m = np.array([-aside_m, _WIDE_M + aside_m, _WIDE_M + aside_m, -aside_m])
+    y_m = cell[1] * _WIDE_M + np.resize(ends_m, 2 * lines)
+    return np.column_stack([x_m, y_m, np.full(2 * lines, (cell[2] + 0.5) * _HIGH_M)])
+
+
+class CellWindows(Windows[Geometry]):
+    """The world in windows of boxes; parameters as of `windows_of`, and which boxes are in use from which block on."""
+
+    kept = 4
+
+    def __init__(
+        self, parts: Parts, start_ns: int, batching: Batching, threads: int, cells: list[tuple[int, Cell]]
+    ) -> None:
+        built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.yielding))
+        arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
+
+        def open_cell(name: _Name) -> Geometry:
+            cell, segment = name
+            return built.open(window_of(parts, start_ns, batching, segment, track_of(cell, arm_m)))
+
+        super().__init__(open_cell, batching, moves=True, threads=threads)
+        self.cells, self._sways, self._segment = cells, parts.wind is not None, batching.segment
+
+    def name_of(self, block: int) -> Hashable:
+        """Name of the window of a block."""
+        at = bisect_right(self.cells, block // self._parts, key=lambda change: change[0])
+        return self._named(self.cells[max(at, 1) - 1][1], block)
+
+    def _named(self, cell: Cell, block: int) -> _Name:
+        return cell, block // self._segment if self._sways else 0
+
+
+class LiveWindows(CellWindows):
+    """Windows of a run that is being flown: the next one is opened as the body comes near, and used when it is open."""
+
+    def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion") -> None:
+        super().__init__(parts, start_ns, batching, threads, [])
+        self._motion = motion
+        self.decided = -1  # last block of the ordinary way whose window is settled
+        self.left_out = 0  # blocks that were not cast, as their time was over
+
+    @staticmethod
+    def yielding() -> None:
+        """Lower the priority of a thread that opens windows: the next window has time, casting has none."""
+        if sys.platform == "linux":
+            os.nice(_NICE)
+
+    @property
+    def lead(self) -> int:
+        """No blocks: where they will be is not known."""
+        return 0
+
+    def at_block(self, block: int) -> Future[Geometry]:
+        """Window of a block; of blocks that have passed the one in which they were, or would have been, cast."""
+        if block // self._parts > self.decided:
+            self.decided = block // self._parts
+            self._decide(block)
+        return super().at_block(block)
+
+    def is_here(self) -> bool:
+        """Return whether the window in use serves the present position of the body."""
+        state = self._motion.state
+        return _serves(self.cells[-1][1], state[:3], state[7:10])
+
+    def begin_again(self) -> None:
+        """Forget which windows were in use, for a run that begins again."""
+        self.cells.clear()
+        self.decided, self.left_out = -1, 0
+
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whatever the threads
+        """Take blocks one by one, so that packets do not wait for each other; and go on at now where it is too late."""
+        block = blocks.start
+        while block < blocks.stop:
+            late = self._motion.elapsed_ns // self._block_ns - block
+            if late > _LATE_BLOCKS:
+                self.left_out += min(late, blocks.stop - block)
+                block += late
+                continue
+            yield range(block, block + 1)
+            block += 1
+
+    def _decide(self, block: int) -> None:
+        """Choose the window that is used from a block on."""
+        state = self._motion.state
+        place_m, velocity_m_s = state[:3], state[7:10]
+        wanted = cell_of(place_m + _EXPECTED_S * velocity_m_s)
+        if not _serves(wanted, place_m, velocity_m_s):
+            wanted = cell_of(place_m)
+        if self._sways and block % self._segment >= self._segment - self._segment * 3 // 8:
+            self._opened(self._named(wanted, block + self._segment))
+        if not self.cells:
+            self.cells.append((self.decided, wanted))
+        elif wanted != self.cells[-1][1]:
+            is_open = self._opened(self._named(wanted, block)).done()
+            if is_open or not self.is_here():
+                self.cells.append((self.decided, wanted))
+
+
+def _serves(cell: Cell, place_m: NDArray[np.float64], velocity_m_s: NDArray[np.float64]) -> bool:
+    middle_m = (np.array(cell[:2]) + 0.5) * _WIDE_M
+    spare_m = _SPARE_M + _SPARE_S * float(norm(velocity_m_s))
+    return bool((np.abs(place_m[:2] - middle_m) <= _WIDE_M / 2 + _ASIDE_M - spare_m).all())

@@ -7,35 +7,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp
-from vlp16emu.extras.recorded.motion import fill_poses, fill_rates
-from vlp16emu.motion.pose import Kinematics
+from vlp16emu.extras.recorded.motion import Pieces
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]
 
-STEP_NS = 5_308_416
-"""From knot to knot: 96 firing sequences of a VLP-16, four packets of single return."""
+STEP_NS = 5_308_416  # from knot to knot: 96 firing sequences of a VLP-16, four packets of single return
 STATE = 13
 """Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world, angular rate
 (3,) in body axes."""
 
-_MOST = 8192
-"""Knots of a live run that are kept, 43 s; nobody asks for poses that are older than 12 s."""
+_MOST = 8192  # knots of a live run that are kept, 43 s; nobody asks for poses that are older than 12 s
 _COAST_S = 0.15
 """For how long after a pose the body is taken to go on as it did, and then the time constant with which it comes to
 rest: poses at 10 Hz are followed without a hitch, and 3 m/s end after 0.9 m."""
-GAP_M, GAP_RAD = 0.1, 0.2
-"""Off by more than that, the body is led back more slowly, with a speed that stays bounded."""
-_SMALL = 1e-6
-"""Angle in rad, below which series are exact to float64."""
+GAP_M, GAP_RAD = 0.1, 0.2  # off by more than that, the body is led back more slowly, with a speed that stays bounded
+_SMALL = 1e-6  # angle in rad, below which series are exact to float64
 
 
-class Knots:
-    """Poses between knots: cubic Hermite pieces of position and quaternion, with velocity and rate without jumps.
-
-    Before its first knot the body is at rest, and after its last.
+class Knots(Pieces):
+    """Poses between two knots or more: cubic Hermite pieces of position and quaternion, with velocity and rate without jumps.
 
     Parameters
     ----------
@@ -44,13 +36,12 @@ class Knots:
     """
 
     def __init__(self, start_ns: int, states: Array) -> None:
-        self._start_ns, self._first, self._count = start_ns, 0, 0
+        self._first = self._count = 0
         room = max(_MOST, len(states))
         self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
         self._states, self._pieces = np.empty((room, STATE)), np.empty((4, room, 7))
-        self._arrays = self._knots_ns[:0], self._pieces
-        self.last_state = states[0]
-        """(13,)."""
+        super().__init__(start_ns, self._knots_ns[:0], self._pieces)
+        self.last_state = states[0]  # (13,)
         for state in states:
             self.append(state)
 
@@ -78,18 +69,6 @@ class Knots:
         self._count += 1
         # In one piece, as other threads read it.
         self._arrays = self._knots_ns[: self._count], self._pieces
-
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
-        """Poses at UTC instants (n,); of two knots or more."""
-        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-        fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
-        return Poses(t_ns, turn, position_m)
-
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
-        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
-        fill_rates(*self._arrays, t_ns - self._start_ns, rates)
-        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
 
     def _forget(self) -> None:
         """Drop the older half, in new arrays: others may be reading these."""

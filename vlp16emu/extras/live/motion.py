@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import norm
 from vlp16emu.engine import Batching, Parts
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.extras.live.cells import LiveWindows
-from vlp16emu.extras.live.flown import FlownMotion, read_flown
+from vlp16emu.extras.live.flown import FlownMotion, LiveWindows, read_flown
 from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.pose import Kinematics
@@ -26,43 +25,34 @@ from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]
 
-LOST_NS = S_NS
-"""Without a pose for so long, poses are lost."""
+LOST_NS = S_NS  # without a pose for so long, poses are lost
 
 _AHEAD_NS = 2_000_000
 """How long before its first pulse a step is computed: some packets need that, and each is due after its last pulse."""
 _BASE_NS = 20_000_000
 """Rates are taken from poses at least that far apart, if there are such: noise of 1 mm then makes 0.07 m/s."""
-_LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000
-"""Poses closer together, or farther apart, say nothing of rates."""
+_LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000  # poses closer together, or farther apart, say nothing of rates
 _MOST_PULL = 500.0
 """Accelerations beyond that, in gaps that are led back slowly, per s2, are jumps: 50 m/s2 and 100 rad/s2."""
-_RESTART_NS = S_NS
-"""A sender whose stamps are older than ever by more than that has begun a new clock."""
-_CREEP_NS_S = 100_000
-"""By how much per second a sender's clock may be slow: 100 ppm."""
-_FARTHEST_M = 1e6
-"""As far out as a scene may lie."""
+_RESTART_NS = S_NS  # a sender whose stamps are older than ever by more than that has begun a new clock
+_CREEP_NS_S = 100_000  # by how much per second a sender's clock may be slow: 100 ppm
+_FARTHEST_M = 1e6  # as far out as a scene may lie
 
 
 @dataclass(frozen=True, slots=True)
 class SeenPose:
     """A pose that came in."""
 
-    state: Array
-    """(13,) as a knot has it; rates are those since poses before."""
-    at_ns: int
-    """When it was true, on the monotonic clock of this machine."""
-    arrived_ns: int
-    """When it came, on the same clock."""
+    state: Array  # (13,) as a knot has it; rates are those since poses before
+    at_ns: int  # when it was true, on the monotonic clock of this machine
+    arrived_ns: int  # when it came, on the same clock
 
 
 @dataclass(frozen=True, slots=True)
 class PosesLost:
     """A time without poses."""
 
-    at_s: float
-    """Last pose before it, since the first pulse."""
+    at_s: float  # last pose before it, since the first pulse
     lasted_s: float
 
 
@@ -87,8 +77,7 @@ class PoseInput:
         self.last: SeenPose | None = None
         self.received = self.refused = self.out_of_order = 0
         """Poses: taken, malformed, and with a stamp that is not after that of the pose before."""
-        self.longest_gap_ns = 0
-        """Between one arrival and the next, since the run began."""
+        self.longest_gap_ns = 0  # between one arrival and the next, since the run began
         self.gaps_ns: list[tuple[int, int]] = []
         """Arrivals before and after each time without poses for more than a second, since the run began."""
 
@@ -101,10 +90,7 @@ class PoseInput:
         quaternion : (4,) x, y, z, w of unit length, body to world
         t_ns : when it was true, on the sender's clock of any epoch; None for now
 
-        Raises
-        ------
-        TrajectoryError
-            If a number is not finite, or the quaternion is not of unit length
+        Raises TrajectoryError if a number is not finite, or the quaternion is not of unit length.
         """
         now_ns = self._clock_ns()
         try:
@@ -201,8 +187,7 @@ class LiveMotion:
         self._knots: Knots | None = None
         self._used: SeenPose | None = None
         self.poses = PoseInput(clock_ns)
-        self.is_open = False
-        """Whether poses are waited for, as in a stream."""
+        self.is_open = False  # whether poses are waited for, as in a stream
         self.first_uses = deque[tuple[int, int]]()
         """Of each pose that was used: UTC of the first pulse whose pose it decides, and its arrival on the monotonic clock."""
 

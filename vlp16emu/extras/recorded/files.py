@@ -35,14 +35,10 @@ _MATRIX = tuple(f"{row}{column}" for row in "123" for column in "1234")
 class RecordedPoses:
     """Poses as a file has them."""
 
-    where: list[str]
-    """(n,) file and line of each, for messages."""
-    t_ns: IntArray
-    """(n,) stamps, of whatever epoch."""
-    position_m: Array
-    """(n, 3)."""
-    quaternion: Array
-    """(n, 4) x, y, z, w of unit length; body to the recording's frame."""
+    where: list[str]  # (n,) file and line of each, for messages
+    t_ns: IntArray  # (n,) stamps, of whatever epoch
+    position_m: Array  # (n, 3)
+    quaternion: Array  # (n, 4) x, y, z, w of unit length; body to the recording's frame
 
 
 def read_poses(recorded: Recorded) -> RecordedPoses:

@@ -20,14 +20,36 @@ _LEAST_NORM = 0.5
 _LOOKS = 8  # between two poses, for that norm
 
 
-class RecordedMotion:
+class Pieces:
+    """Motion by powers of the time between knots: (4, n - 1, 7) of position and quaternion, highest first.
+
+    Before its first knot and after its last one the body is at rest.
+    """
+
+    moves = True
+
+    def __init__(self, start_ns: int, knots_ns: IntArray, powers: Array) -> None:
+        self._start_ns, self._arrays = start_ns, (knots_ns, powers)
+
+    def poses_at(self, t_ns: IntArray) -> Poses:
+        """Poses at UTC instants (n,)."""
+        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
+        fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
+        return Poses(t_ns, turn, position_m)
+
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
+        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
+        fill_rates(*self._arrays, t_ns - self._start_ns, rates)
+        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
+
+
+class RecordedMotion(Pieces):
     """Recorded poses, interpolated with two continuous derivatives in position and rotation.
 
     Positions are a cubic spline. So are the quaternions, each taken with the sign that is nearer to the
     one before; scaled to unit length they are the rotation. On a steady turn of 10 degrees from pose to
     pose the rotation is right within 1e-6 rad.
-
-    Before its first and after its last pose the body is at rest.
 
     Raises TrajectoryError if poses are farther apart in time than the greatest gap, turn by more than 90 degrees from
     one to the next, or are spaced too unevenly for a smooth turn.
@@ -39,39 +61,22 @@ class RecordedMotion:
     start_ns : UTC of the first pose
     """
 
-    moves = True
-
     def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
-        self._start_ns = start_ns
-        self._knots_ns = poses.t_ns - poses.t_ns[0]
-        self.run_time_s = float(self._knots_ns[-1] / S_NS)
+        knots_ns = poses.t_ns - poses.t_ns[0]
+        self.run_time_s = float(knots_ns[-1] / S_NS)
         quaternion = _continuous(poses.quaternion)
-        _check_steps(poses, self._knots_ns, quaternion, recorded.max_gap_s)
+        _check_steps(poses, knots_ns, quaternion, recorded.max_gap_s)
         position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
-        knots_s = self._knots_ns / S_NS
-        # (4, n - 1, 7): powers of the time into the piece, highest first.
-        powers = interpolant(knots_s, np.column_stack([position_m, quaternion])).powers[::-1]
-        self._coefficients = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
+        powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
+        powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
+        super().__init__(start_ns, knots_ns, powers)
         self._check_norm(poses)
-        self.position_m = np.ascontiguousarray(self._coefficients[3, :, :3])
+        self.position_m = np.ascontiguousarray(powers[3, :, :3])
         """(n - 1, 3) of all poses but the last, in the world."""
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
-        """Poses at UTC instants (n,)."""
-        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-        fill_poses(self._knots_ns, self._coefficients, t_ns - self._start_ns, position_m, turn)
-        return Poses(t_ns, turn, position_m)
-
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
-        poses = self.poses_at(t_ns)
-        rates = np.empty((4, len(t_ns), 3))
-        fill_rates(self._knots_ns, self._coefficients, t_ns - self._start_ns, rates)
-        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
-
     def _check_norm(self, poses: RecordedPoses) -> None:
-        steps_s, c = np.diff(self._knots_ns) / S_NS, self._coefficients[:, :, 3:]
-        found = "no smooth turn leads here from the pose before: times are too uneven"
+        (knots_ns, powers), found = self._arrays, "no smooth turn leads here from the pose before: times are too uneven"
+        steps_s, c = np.diff(knots_ns) / S_NS, powers[:, :, 3:]
         for look in range(1, _LOOKS):
             d = (look / _LOOKS * steps_s)[:, None]
             off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)

@@ -1,33 +1,116 @@
-"""Survey for `vlp16emu forest` and the page: all that stands near the path of a sensor."""
+"""Survey for `vlp16emu forest` and the page: all that stands near the path of a sensor, in figures, and what a run saw of its stems."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
-from vlp16emu.extras.sheets.seen import stems_seen, tables_of_returns
+from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.forest.plants.crown import CrownKey
-from vlp16emu.forest.plants.flora import Flora, flora
-from vlp16emu.forest.plants.stem_rings import stem_circles
+from vlp16emu.forest.plants.flora import Flora, Table, Trees, flora
+from vlp16emu.forest.plants.stem_rings import StemForms, axis_m, stem_circles, stem_forms
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import INVENTORY, Models, branch_circles, inventory
 from vlp16emu.forest.stand.nearby import Thing, things_near
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import F8, Window, World
+from vlp16emu.types import F8, I8, U4, HeightField, PlantPart, Semantic, Window, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.furnished import Furnished
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.vectors import places_m
 
-_STEPS_PER_S = 10
-"""Rate of the points of the path: some 12 cm apart at walking speed."""
+STEM_SEEN = np.dtype(
+    [
+        ("returns_stem", "<u4"),  # from root flare and stem, second leaders too
+        ("stem_seen", "<f8"),  # share of the surface between 0.3 m and the crown base, in cells of 10 degrees by 0.5 m
+        ("breast_seen_deg", "<f8"),  # of the stem's girth between 1.1 m and 1.5 m, in cells of 10 degrees
+    ]
+)
+"""Coverage of a stem by returns."""
+
+_SECTORS = 36  # cells around a stem
+
+_LOW_M, _CELL_M = 0.3, 0.5  # beginning of the cells above the foot, and their height
+
+_BREAST_M = (1.1, 1.5)
+
+_ASIDE_M = 0.5
+"""A return is from the stem itself, and of this world, if it is nearer to the axis than this plus a diameter."""
+
+_COLUMNS = ["world_x_m", "world_y_m", "world_z_m", "semantic", "part", "instance"]
+
+
+def tables_of_returns(folder: Path) -> list[Path]:
+    """Return the ground truth of the returns of a run, a table per unit; InputError if there is none."""
+    tables = sorted(folder.glob("returns*.parquet"))
+    if not tables:
+        raise InputError(str(folder), "no returns.parquet", "the truth of a run with --truth-returns")
+    return tables
+
+
+def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = None) -> NDArray[np.void]:
+    """Return the coverage of stems by the returns of a run: (n,) `STEM_SEEN`; InputError if a file is no table of returns, or of another world.
+
+    Parameters
+    ----------
+    trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
+    table : species; the program's own if None
+    """
+    forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
+    cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
+    first = _SECTORS * np.cumsum([0, *cells.tolist()])
+    hit, breast = np.zeros(first[-1], np.bool_), np.zeros((len(trees), _SECTORS), np.bool_)
+    rows = np.zeros(len(trees), STEM_SEEN)
+    for path in tables:
+        for returns in SlotReader(path).returns(_COLUMNS):
+            which, at_m = _of_stems(returns, trees["id"][order])
+            which = order[which]
+            rows["returns_stem"] += np.bincount(which, minlength=len(trees)).astype(np.uint32)
+            up_m, aside_m, sector = _about_axes(trees, forms, which, at_m)
+            near = aside_m < trees["dbh_m"][which] + _ASIDE_M
+            if len(near) and near.mean() < 0.5:
+                found = f"returns from stems {np.median(aside_m):.1f} m off the axes of the scene's trees"
+                raise InputError(str(path), found, "those of a run of this scene")
+            level = np.floor((up_m - _LOW_M) / _CELL_M).astype(np.int64)
+            inside = near & (level >= 0) & (up_m < trees["crown_base_m"][which])
+            hit[(first[which] + _SECTORS * level + sector)[inside]] = True
+            inside = near & (up_m > _BREAST_M[0]) & (up_m < _BREAST_M[1])
+            breast[which[inside], sector[inside]] = True
+    owner = np.repeat(np.arange(len(trees)), _SECTORS * cells)
+    rows["stem_seen"] = np.bincount(owner, hit, len(trees)) / (_SECTORS * cells)
+    rows["breast_seen_deg"] = 360 / _SECTORS * breast.sum(axis=1)
+    return rows
+
+
+def _of_stems(returns: dict[str, F8], ids: U4) -> tuple[I8, F8]:
+    """Return the returns from stems of trees with these ids (n,), ascending: row of the tree (k,), and place (k, 3)."""
+    is_stem = np.isin(returns["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
+    is_stem &= (returns["semantic"] == Semantic.TREE) & np.isin(returns["instance"], ids)
+    at_m = np.column_stack([returns[name][is_stem] for name in _COLUMNS[:3]])
+    return np.searchsorted(ids, returns["instance"][is_stem]), at_m
+
+
+def _about_axes(trees: Trees, forms: StemForms, which: I8, at_m: F8) -> tuple[F8, F8, I8]:
+    """Return height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
+    own = trees[which]
+    from_foot_m = at_m - places_m(own)
+    up_m = from_foot_m[:, 2]
+    aside_m = from_foot_m[:, :2] - axis_m(own, forms.of(which), up_m[:, None])[:, 0, :2]
+    turn = np.arctan2(aside_m[:, 1], aside_m[:, 0]) / (2 * np.pi) % 1.0
+    sector = np.minimum(_SECTORS * turn, _SECTORS - 1).astype(np.int64)
+    return up_m, np.hypot(*aside_m.T), sector
+
+
+_STEPS_PER_S = 10  # rate of the points of the path: some 12 cm apart at walking speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,22 +118,14 @@ class Survey:
     """Trees and ground near the path."""
 
     world: World
-    bare: ForestWorld | HallWorld
-    """The world without the user's own meshes."""
-    path_m: F8
-    """(n, 3) sensor positions in order of time; one if the sensor stands still."""
-    field_of_view_deg: tuple[float, float]
-    """Elevations of the sensor's lowest and highest beam."""
-    radius_m: float
-    """Distance from the path within which things are reported."""
-    window: Window
-    """All within the sensor's range."""
-    trees: NDArray[np.void]
-    """(n,) `TREE` within the sensor's range, without saplings."""
-    near: NDArray[np.void]
-    """(m,) `TREE` within the radius."""
-    things: list[Thing]
-    """Everything else within the radius."""
+    bare: ForestWorld | HallWorld  # the world without the user's own meshes
+    path_m: F8  # (n, 3) sensor positions in order of time; one if the sensor stands still
+    field_of_view_deg: tuple[float, float]  # elevations of the sensor's lowest and highest beam
+    radius_m: float  # distance from the path within which things are reported
+    window: Window  # all within the sensor's range
+    trees: NDArray[np.void]  # (n,) `TREE` within the sensor's range, without saplings
+    near: NDArray[np.void]  # (m,) `TREE` within the radius
+    things: list[Thing]  # everything else within the radius
     seed: int
 
     @property
@@ -113,7 +188,6 @@ class Survey:
         return circles[np.argsort(circles["tree"], kind="stable")]
 
     def _crowns(self, trees: NDArray[np.void]) -> list[CrownKey]:
-        """Return the crown prototypes of trees without a model."""
         window = self.window
         instance = window.surfaces["instance"][window.first_surface].tolist()
         shapes = (window.shapes[i] for i in window.shape)
@@ -168,3 +242,228 @@ def way_m(scenario: Scenario, motion: Motion) -> F8:
     time_s = min(scenario.duration_s, motion.run_time_s)
     steps = np.linspace(0, seconds_to_ns(time_s), 2 + int(time_s * _STEPS_PER_S)).astype(np.int64)
     return motion.poses_at(scenario.start_ns + steps).world_p_body_m
+
+
+CELL_M = 0.5  # edge of the cells for areas and slopes: about the length of a foot on the slope
+
+
+@dataclass(frozen=True, slots=True)
+class StandRow:
+    """Figures of one species of a stand, or of all."""
+
+    species: str
+    stems: int
+    stems_per_ha: float
+    dbh_mean_cm: float  # quadratic mean
+    dbh_min_cm: float
+    dbh_max_cm: float
+    height_mean_m: float
+    height_max_m: float
+    basal_area_m2_per_ha: float
+    stem_m3_per_ha: float  # volume of stems over bark
+    leaf_area_index: float  # leaf area of these trees over the area considered
+
+
+@dataclass(frozen=True, slots=True)
+class Relief:
+    """Ground in the area considered."""
+
+    low_m: float
+    high_m: float
+    slope_mean_deg: float
+    slope_max_deg: float
+
+
+def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[StandRow]:
+    """Return rows of the species of an inventory (n,), the most frequent first, and a last one of all trees if there are several."""
+    numbers, stems = np.unique(inventory["species"], return_counts=True)
+    rows = [
+        _row(species[int(number)], inventory[inventory["species"] == number], ground_m2)
+        for number in numbers[np.argsort(-stems, kind="stable")]
+    ]
+    return rows if len(rows) < 2 else [*rows, _row("all", inventory, ground_m2)]
+
+
+def _row(name: str, trees: NDArray[np.void], ground_m2: float) -> StandRow:
+    ground_ha = ground_m2 / 10_000
+    dbh_m = trees["dbh_m"]
+    return StandRow(
+        species=name,
+        stems=len(trees),
+        stems_per_ha=len(trees) / ground_ha,
+        dbh_mean_cm=100 * float(np.sqrt(np.mean(dbh_m**2))),
+        dbh_min_cm=100 * float(dbh_m.min()),
+        dbh_max_cm=100 * float(dbh_m.max()),
+        height_mean_m=float(trees["height_m"].mean()),
+        height_max_m=float(trees["height_m"].max()),
+        basal_area_m2_per_ha=float(np.sum(np.pi / 4 * dbh_m**2)) / ground_ha,
+        stem_m3_per_ha=float(trees["stem_m3"].sum()) / ground_ha,
+        leaf_area_index=float(trees["leaf_m2"].sum()) / ground_m2,
+    )
+
+
+def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
+    """Return the index of Clark and Evans (1954): mean distance to the nearest neighbour over its expectation at random.
+
+    It is 1 at random, less in clumps, and up to 2.149 in a regular pattern.
+
+    Parameters
+    ----------
+    xy_m : (n, 2) points in the area, n >= 2
+    all_xy_m : (m, 2) these and those around: neighbours count wherever they stand, so the border needs no correction
+    """
+    nearest_m = np.asarray(KDTree(all_xy_m).query(xy_m, k=[2])[0])
+    return float(nearest_m.mean() * 2 * np.sqrt(len(xy_m) / ground_m2))
+
+
+def cells_near(way_xy_m: F8, radius_m: float) -> F8:
+    """Return the middles (n, 2) of the cells of `CELL_M` within a radius of a dense line of points (m, 2).
+
+    Their number times `CELL_M` squared is the area around the path.
+    """
+    low = np.floor((way_xy_m.min(axis=0) - radius_m) / CELL_M)
+    high = np.ceil((way_xy_m.max(axis=0) + radius_m) / CELL_M)
+    x_m, y_m = (CELL_M * (np.arange(a, b) + 0.5) for a, b in zip(low, high, strict=True))
+    cells = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+    near: F8 = cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m]
+    return near
+
+
+def relief(cells_xy_m: F8, height_m: HeightField) -> Relief:
+    """Return heights and slopes of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
+    x_m, y_m = cells_xy_m.T
+    half = CELL_M / 2
+    rise_x = (height_m(x_m + half, y_m) - height_m(x_m - half, y_m)) / CELL_M
+    rise_y = (height_m(x_m, y_m + half) - height_m(x_m, y_m - half)) / CELL_M
+    slope_deg = np.degrees(np.arctan(np.hypot(rise_x, rise_y)))
+    ground_m = height_m(x_m, y_m)
+    return Relief(float(ground_m.min()), float(ground_m.max()), float(slope_deg.mean()), float(slope_deg.max()))
+
+
+_MEASURES = {
+    "sapling": ("height", 2),
+    "shrub": ("height", 2),
+    "stone": ("length", 0),
+    **dict.fromkeys(("log", "broken_log"), ("length", 0)),
+    **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
+    "root_plate": ("diameter", 1),
+    **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
+}
+"""Reported size of a kind of thing, and its axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathSummary:
+    """The path of the sensor."""
+
+    length_m: float  # 0 if the sensor stands still
+    start_m: list[float]  # x, y, z
+    end_m: list[float]
+
+
+@dataclass(frozen=True, slots=True)
+class NamedThing:
+    """A named thing: of a hall, or one of the user's own."""
+
+    name: str
+    kind: str
+    instance: int
+    place_m: list[float]
+    size_m: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Things:
+    """Things of one kind without names."""
+
+    count: int
+    per_ha: float
+    measure: str  # the size whose extremes follow: height, length or diameter
+    least_m: float
+    greatest_m: float
+    species: Mapping[str, int]  # counts by name, the most frequent first
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSummary:
+    """Figures of any world."""
+
+    scene: str
+    title: str
+    seed: int
+    world: str  # kind of the world
+    path: PathSummary
+    radius_m: float  # distance from the path within which things are reported
+    named: tuple[NamedThing, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ForestSummary(WorldSummary):
+    """Figures of a forest, within the radius."""
+
+    area_ha: float
+    relief: Relief
+    trees: tuple[StandRow, ...]
+    clark_evans: float | None  # none with fewer than two trees
+    things: Mapping[str, Things]  # by kind
+    trees_in_reach: int  # trees within the sensor's range
+
+
+def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
+    """Summarise the survey of a scene of this name."""
+    path_xy_m = seen.path_m[:, :2]
+    length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
+    bare = WorldSummary(
+        scene=scene,
+        title=scenario.title,
+        seed=scenario.seed,
+        world=scenario.world.kind,
+        path=PathSummary(length_m, seen.path_m[0].tolist(), seen.path_m[-1].tolist()),
+        radius_m=seen.radius_m,
+        named=tuple(
+            NamedThing(seen.names[thing.instance], thing.kind, thing.instance, thing.place_m.tolist(), thing.size_m)
+            for thing in seen.things
+            if thing.instance in seen.names
+        ),
+    )
+    if seen.hall is not None:
+        return bare
+    cells = cells_near(path_xy_m, seen.radius_m)
+    ground_m2 = len(cells) * CELL_M**2
+    xy_m, all_xy_m = (places_m(trees, "xy") for trees in (seen.near, seen.trees))
+    return ForestSummary(
+        **{name: getattr(bare, name) for name in WorldSummary.__slots__},
+        area_ha=ground_m2 / 10_000,
+        relief=relief(cells, seen.bare.height_m),
+        trees=tuple(stand_rows(seen.inventory(seen.near), seen.species, ground_m2)),
+        clark_evans=clark_evans(xy_m, all_xy_m, ground_m2) if len(xy_m) > 1 else None,
+        things=_things(seen, ground_m2),
+        trees_in_reach=len(seen.trees),
+    )
+
+
+def subtitle_of(summary: WorldSummary) -> str:
+    """Return a summary in one line."""
+    words = [f"{Path(summary.scene).stem}, seed {summary.seed}"]
+    if summary.path.length_m:
+        words.append(f"{summary.path.length_m:.0f} m of path")
+    if isinstance(summary, ForestSummary):
+        words.append(f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m")
+        if summary.trees:
+            row = summary.trees[-1]
+            words.append(f"{row.stems_per_ha:.0f} stems/ha, DBH {row.dbh_mean_cm:.0f} cm")
+            words.append(f"{row.basal_area_m2_per_ha:.0f} m2/ha, leaf area index {row.leaf_area_index:.1f}")
+    return "  |  ".join(words)
+
+
+def _things(seen: Survey, ground_m2: float) -> dict[str, Things]:
+    """Count things without names by kind, with their species and the range of their sizes."""
+    kinds = dict[str, Things]()
+    nameless = [thing for thing in seen.things if thing.instance not in seen.names]
+    for kind in sorted({thing.kind for thing in nameless}):
+        things, (measure, axis) = [thing for thing in nameless if thing.kind == kind], _MEASURES[kind]
+        sizes_m = [thing.size_m[axis] for thing in things]
+        species = dict(Counter(seen.species[one.species] for one in things if one.species).most_common())
+        per_ha = len(things) / ground_m2 * 10_000
+        kinds[kind] = Things(len(things), per_ha, measure, min(sizes_m), max(sizes_m), species)
+    return kinds

@@ -101,7 +101,7 @@ ROWS = (
     ),
     _Row("extrinsics", lambda v, _: v["apart_m"] > 1e-3 or v["turned_deg"] > 0.1, "lidar and IMU are {apart_m:.3f} m and {turned_deg:.1f} deg apart"),
     _Row("frames", lambda v, _: v["tree"], "{tree}"),
-    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the root of /tf_static is {root} instead of base_link"),
+    _Row("frame-base", lambda v, _: v["root"] != "base_link", "the root of the frames is {root} instead of base_link"),
     _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
     _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
 )  # fmt: skip

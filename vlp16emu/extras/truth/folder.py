@@ -33,10 +33,8 @@ class TruthFolder:
     path : new, empty, or with nothing in it but the truth of an earlier run, which this one then replaces as a whole
     inputs : files that the run itself reads
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made, holds something else or one of the inputs, or another run writes it
+    Raises OutputError if the folder cannot be made, holds something else or one of the inputs, or another run writes
+    it.
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:

@@ -7,10 +7,63 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
+from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
+from vlp16emu.packets.data import distance_lsb, odd_column
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
-from vlp16emu.types import Packet
+from vlp16emu.types import SURFACE, Packet, ReturnMode, Returns
+
+_ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}
+_LABELS = ("semantic", "part", "instance", "species")
+
+
+def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]:
+    """Return `SLOT` (n, 384) of whole packets, in the order of their records: block by block, and by channel.
+
+    Parameters
+    ----------
+    returns : with truth, as `pack_data` takes them
+    mode : which returns are sent
+    """
+    shape = returns.distance_m.shape[:2]
+    if mode is ReturnMode.DUAL:
+        last, odd = np.ones(shape, np.int64), odd_column(returns)
+        pairs = [_rows(unit, returns, column) for column in (last, odd)]
+        of_last = returns.distance_m[..., 1] == returns.distance_m[..., 0]
+        pairs[1]["repeat"] = (odd == 0) & of_last & (pairs[1]["echo"] != NO_ECHO)
+        rows = np.stack([pair.reshape(-1, 32) for pair in pairs], axis=1)  # two blocks to two firing sequences
+    else:
+        rows = _rows(unit, returns, np.full(shape, _ONLY_COLUMN[mode]))
+    return rows.reshape(-1, RECORDS_PER_PACKET)
+
+
+def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np.void]:
+    """Return `SLOT` (k, 16) of one return of each pulse, by its place (k, 16) on the last axis."""
+
+    def taken(values: NDArray[Any] | None) -> NDArray[Any]:
+        assert values is not None
+        return np.take_along_axis(values, column[..., None], axis=-1)[..., 0]
+
+    firings, rows = returns.firings, np.zeros(column.shape, SLOT)
+    is_sent = distance_lsb(taken(returns.distance_m)) > 0
+    rows["t_ns"] = firings.t_ns
+    rows["echo"] = np.where(is_sent, column, NO_ECHO)
+    range_m = np.where(is_sent, taken(returns.range_m), 0.0)
+    rows["range_m"], rows["share"] = range_m, np.where(is_sent, taken(returns.share), 0.0)
+    poses = unit.motion.poses_at(firings.t_ns.reshape(-1))
+    world_m = firings.origin_m + firings.direction * range_m[..., None]
+    away_m = world_m.reshape(-1, 3) - poses.world_p_body_m
+    rows["world_m"] = world_m
+    rows["sensor_m"] = matvec(poses.world_R_body.swapaxes(-1, -2), away_m).reshape(world_m.shape)
+    assert returns.surfaces is not None
+    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of no surface
+    met = surfaces[np.minimum(np.where(is_sent, taken(returns.surface), len(returns.surfaces)), len(returns.surfaces))]
+    for name in _LABELS:
+        rows[name] = met[name]
+    return rows
+
 
 SLOT = np.dtype(
     [
@@ -29,16 +82,12 @@ SLOT = np.dtype(
 )
 """Truth behind one record of a data packet."""
 
-NO_ECHO = 255
-"""Echo of a record without distance."""
-LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
-"""Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
+NO_ECHO = 255  # echo of a record without distance
+LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)  # leaf (2) or wood (1) by `PlantPart`; 0 neither
 
-_GROUP = 256
-"""Packets of a row group, 98 304 rows: what is held in memory, some 20 MB."""
+_GROUP = 256  # packets of a row group, 98 304 rows: what is held in memory, some 20 MB
 _CHANNELS = 32
-_LATE = 64
-"""By how many packets one may be late in a capture."""
+_LATE = 64  # by how many packets one may be late in a capture
 _EXPECTED = "the returns.parquet of the run that made the capture (`record --truth DIR --truth-returns`)"
 
 SLOT_COLUMNS = {
@@ -76,12 +125,7 @@ class SlotTable:
     ----------
     path : of the file, which is readable when this has been left
 
-    Raises
-    ------
-    MissingExtraError
-        If pyarrow is not installed
-    OutputError
-        If the file cannot be opened
+    Raises MissingExtraError if pyarrow is not installed; OutputError if the file cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -119,7 +163,6 @@ class SlotTable:
                 raise RunError(f"{self._path}: {error.strerror or error}; no file is written") from error
 
     def _flush(self) -> None:
-        """Write the packets that are held as a row group."""
         packets, self._held = self._held, []
         if not packets:
             return
@@ -163,12 +206,7 @@ class SlotReader:
     ----------
     path : of the table
 
-    Raises
-    ------
-    MissingExtraError
-        If pyarrow is not installed
-    InputError
-        If the file is no such table
+    Raises MissingExtraError if pyarrow is not installed; InputError if the file is no such table.
     """
 
     def __init__(self, path: Path) -> None:
@@ -198,10 +236,8 @@ class SlotReader:
         packet : (n,) row of `stamp_us`, rising
         slot : (n,) place in the packet, 32 times the block and the channel
 
-        Raises
-        ------
-        InputError
-            If the table does not hold such a packet, or has no return there: the capture is of another run
+        Raises InputError if the table does not hold such a packet, or has no return there: the capture is of another
+        run.
         """
         number = self._numbers(stamp_us)[packet]
         group = np.searchsorted(self._begin, number, side="right") - 1
@@ -227,7 +263,6 @@ class SlotReader:
             yield {name: columns[name][~columns["miss"]] for name in names}
 
     def _numbers(self, stamp_us: NDArray[np.uint32]) -> NDArray[np.int64]:
-        """Find the numbers (p,) of packets."""
         expected = self._stamps_us[self._next : self._next + len(stamp_us)]
         if np.array_equal(expected, stamp_us):
             self._next += len(stamp_us)

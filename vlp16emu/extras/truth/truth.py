@@ -1,11 +1,14 @@
-"""What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
+"""Ground truth beside what was sent: trajectory, inertial unit, GNSS, events, rig and scenario of a run."""
 
+import heapq
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
-from threading import Event
+from itertools import islice
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -13,10 +16,11 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
+from vlp16emu.engine.position import number_at, positions_due
 from vlp16emu.errors import RunError
-from vlp16emu.extras.bench.faults import arriving, earliest_ns, faults_of
+from vlp16emu.extras.bench.events import Event
+from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
-from vlp16emu.extras.truth.happenings import Happening, happenings, timetable
 from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.geodesy import to_geodetic
@@ -29,9 +33,105 @@ from vlp16emu.run.run import Run
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import Sensor, on_the_wire
 from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Happening:
+    """An event, and the packets of one kind that are due while it lasts; or one packet that an event befalls."""
+
+    begin_ns: int  # UTC, as the next
+    end_ns: int
+    event: int  # number of the table in the scene, from 1
+    unit: int  # from 1
+    kind: str
+    packets: PacketKind
+    first: int  # number of the first packet from its begin on, from 0 at the first pulse of the run
+    count: int  # packets until its end
+
+
+def happenings(
+    scenario: Scenario, units: Sequence[Unit], from_ns: int | None, until_ns: int, stop_ns: int
+) -> list[Happening]:
+    """List what begins to happen in a span of time since the first pulse.
+
+    Events that befall each packet with a probability are listed packet by packet, as these are due.
+
+    Parameters
+    ----------
+    from_ns : of the span; None with what began earlier
+    until_ns : end of the span
+    stop_ns : end of the run, and of what lasts longer
+    """
+    found = list[Happening]()
+    for place, event in enumerate(scenario.events):
+        begin_ns = event.begin_ns
+        if not event.is_random and (from_ns is None or from_ns <= begin_ns) and begin_ns < until_ns:
+            found += _whole(scenario, units[event.unit - 1], place, event, stop_ns)
+    random = [fault for fault in faults_of(scenario, units) if fault.event.is_random]
+    if random:
+        found += _single(scenario, units, random, from_ns or 0, until_ns)
+    return sorted(found)
+
+
+def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: int) -> Iterator[Happening]:
+    begin_ns, over_ns, start_ns = event.begin_ns, event.end_ns, scenario.start_ns
+    if event.effect != "power":
+        over_ns = min(over_ns, max(stop_ns, begin_ns))
+    kinds: tuple[PacketKind, ...] = (PacketKind.POSITION if event.effect == "gps" else PacketKind.DATA,)
+    for kind in kinds_of(event) if event.effect == "packets" else kinds:
+        first, until_ns = number_at(scenario, unit, kind, begin_ns), over_ns
+        if event.effect == "packets" and event.count is not None:
+            due_ns = (packet.due_ns for packet in timetable(scenario, [unit], begin_ns, over_ns) if packet.kind is kind)
+            last_ns = max(islice(due_ns, event.count), default=start_ns + begin_ns)
+            until_ns = last_ns + 1 - start_ns
+        count = number_at(scenario, unit, kind, until_ns) - first
+        times = start_ns + begin_ns, start_ns + until_ns
+        yield Happening(
+            *times, place + 1, event.unit, event.kind, kind, first - number_at(scenario, unit, kind, 0), count
+        )
+
+
+def _single(
+    scenario: Scenario, units: Sequence[Unit], faults: Sequence[PacketFault], from_ns: int, until_ns: int
+) -> Iterator[Happening]:
+    numbers = {unit.number: number_at(scenario, unit, PacketKind.DATA, from_ns) for unit in units}
+    for packet in timetable(scenario, units, from_ns, until_ns):
+        number = packet.number
+        if packet.kind is PacketKind.DATA:
+            number = numbers[packet.unit]
+            numbers[packet.unit] += 1
+        for fault in faults:
+            if fault.unit.number == packet.unit and fault.befalls(packet, number):
+                times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
+                first = number - number_at(scenario, fault.unit, packet.kind, 0)
+                yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)
+
+
+def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so that no light is cast.
+
+    Of a sensor without packets, as many firing sequences at a time.
+    """
+
+    def data(unit: Unit) -> Iterator[Packet]:
+        sequence_ns = unit.head.beams.sequence_ns
+        for rows in unit.timeline.sequences(start_ns, stop_ns):
+            for first, last in zip(rows[:, 0].tolist(), rows[:, -1].tolist(), strict=True):
+                due_ns, fired_ns = (scenario.start_ns + number * sequence_ns for number in (last + 1, first))
+                yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
+
+    def position(unit: Unit) -> Iterator[Packet]:
+        for number, due_ns in (
+            positions_due(scenario, unit, start_ns, stop_ns) if isinstance(unit.section, Sensor) else ()
+        ):
+            yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
+
+    streams = (stream(unit) for unit in units for stream in (data, position))
+    return heapq.merge(*streams, key=lambda packet: packet.due_ns)
+
 
 _TUM_HEADER = (
     "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
@@ -44,10 +144,8 @@ _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", 
 _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
 _IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
-ATTITUDE = ("qx", "qy", "qz", "qw")
-"""Columns behind them of a unit that reports its attitude: world_R_imu."""
-STAMP = "stamp_utc_s"
-"""Column behind all others of a unit whose time stamps are late."""
+ATTITUDE = ("qx", "qy", "qz", "qw")  # columns behind them of a unit that reports its attitude: world_R_imu
+STAMP = "stamp_utc_s"  # column behind all others of a unit whose time stamps are late
 
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets by which the truth goes; what leaves beside them changes no line."""
@@ -64,14 +162,8 @@ class Truth:
     of : has the engine that makes the packets, with the events so far
     span_s : of the run, since the first pulse
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be used, or holds a file that the scenario names
-    ScenarioError
-        If poses of packets are wanted of a sensor that has none
-    RunError
-        If it cannot be written: here, or later
+    Raises OutputError if the folder cannot be used, or holds a file that the scenario names; ScenarioError if poses of
+    packets are wanted of a sensor that has none; RunError if it cannot be written: here, or later.
     """
 
     def __init__(self, to: TruthTo, of: Run | PacketFeed, span_s: tuple[float, float]) -> None:
@@ -172,7 +264,6 @@ class Truth:
         return self._scenario.start_ns + (seconds_to_ns(stop_s) if first is None else first)
 
     def _write(self) -> None:
-        """Write all that was true so far."""
         for samples in self._samples:
             samples.up_to(self._seen_ns)
         self._write_events()
@@ -295,7 +386,6 @@ def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
 
 
 def _event_row(one: Happening) -> str:
-    """Write what happened as a line."""
     last = str(one.first + one.count - 1) if one.count else ""
     times = seconds_text(one.begin_ns), seconds_text(one.end_ns)
     return f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
@@ -324,7 +414,6 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
 
 
 def _extrinsics(key: str, true: Mount, given: Mount) -> dict[str, Any]:
-    """Write the extrinsics of a device, and those that its users are given where they differ."""
     return {key: _mount(true)} | ({f"given_{key}": _mount(given)} if given.has_errors else {})
 
 
@@ -367,7 +456,7 @@ def write_truth(
     start_s: float = 0.0,
     duration_s: float | None = None,
     progress: Callable[[float], None] = lambda _: None,
-    stop: Event | None = None,
+    stop: threading.Event | None = None,
 ) -> float:
     """Write the ground truth that `record` writes beside a run, byte for byte, without casting a pulse.
 
@@ -382,21 +471,14 @@ def write_truth(
     -------
     Simulated seconds
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, or holds an input of the scene
-    ScenarioError
-        If poses of packets are wanted of a sensor that has none
-    TrajectoryError
-        If the walk ends before the span does
-    RunError
-        If the disk is full; the lines before are kept
+    Raises OutputError if the folder cannot be written, or holds an input of the scene; ScenarioError if poses of
+    packets are wanted of a sensor that has none; TrajectoryError if the walk ends before the span does; RunError if the
+    disk is full; the lines before are kept.
     """
     run = emulator.run.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
     run.engine.span_ns(*span_s)  # checks the span before the folder is touched
-    done_s, stop = 0.0, stop or Event()
+    done_s, stop = 0.0, stop or threading.Event()
     with run.truth(to, span_s, of=run) as truth:
         while truth and done_s < stop_s - begin_s and not stop.is_set():
             done_s = min(done_s + 1.0, stop_s - begin_s)

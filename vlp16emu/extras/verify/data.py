@@ -1,17 +1,36 @@
-"""Data packets as columns of a chunk, and their rules: codes, time, the rotor, lasers and window."""
+"""Data and position packets as columns of a chunk, and their rules: codes, time, the rotor, lasers, window, pulse and sentences.
 
+Source: 63-9243 Rev D, section 9.3, and captures of real units.
+"""
+
+import math
+import re
 from collections.abc import Sequence
+from functools import lru_cache, reduce
+from operator import xor
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.verify.frames import HOUR_US, JITTER_US, ClockWatch, wrap_hour_us
-from vlp16emu.extras.verify.rules import Findings, Level, Row, Rule
+from vlp16emu.extras.verify.frames import (
+    HOUR_US,
+    JITTER_US,
+    SENTENCE_OFFSET,
+    ClockWatch,
+    Findings,
+    Level,
+    Row,
+    Rule,
+    is_rewritten,
+    wrap_hour_us,
+)
 from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
-from vlp16emu.types import ReturnMode
-from vlp16emu.units import S_NS, US_NS
+from vlp16emu.packets.layout import POSITION_PAYLOAD
+from vlp16emu.types import PpsState, ReturnMode
+from vlp16emu.units import MS_NS, S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
 """Share of the equal pairs of a packet; 603 packets of a real unit show 0.03 % overall and 1.1 % at most."""
@@ -21,40 +40,27 @@ _STEP_TOLERANCE_CDEG = 6
 _GAP_TOLERANCE_CDEG = 26
 """Difference of the azimuth left out from the time left out: 9 cdeg of once-per-revolution error, as
 seen on real units, at either end, and the noise of two readings and a step."""
-_GAP_TOLERANCE = 0.005
-"""Further difference in proportion to the gap, for speed control: 3 rpm of 600."""
-_CLOCK_PPM = 10
-"""Rate error of a clock that follows GPS, for a while."""
+_GAP_TOLERANCE = 0.005  # further difference in proportion to the gap, for speed control: 3 rpm of 600
+_CLOCK_PPM = 10  # rate error of a clock that follows GPS, for a while
 
-_RPM = (300, 1200)
-"""Source: 63-9243 Rev D, section 8.3, p. 50."""
-_RPM_TOLERANCE = 0.01
-"""Speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder."""
-_RPM_STEPS = 100
-"""Fewer steps than these say too little about the speed."""
+_RPM = (300, 1200)  # source: 63-9243 Rev D, section 8.3, p. 50
+_RPM_TOLERANCE = 0.01  # speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder
+_RPM_STEPS = 100  # fewer steps than these say too little about the speed
 _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
-_STILL_CDEG = 12
-"""Two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220."""
-_SET_RPM = 60
-"""Speeds that can be set are multiples of this (63-9243 Rev D, section 8.3)."""
-_HELD_RPM = 4.0
-"""Error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings."""
+_STILL_CDEG = 12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
+_SET_RPM = 60  # speeds that can be set are multiples of this (63-9243 Rev D, section 8.3)
+_HELD_RPM = 4.0  # error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
 """Lasers from the lowest to the highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
-_SHORTEST = 300
-"""Firing sequences: fewer may all look into the sky."""
-_SEEN = 0.1
-"""Share of pulses with a return from which on a laser sees something."""
+_SHORTEST = 300  # firing sequences: fewer may all look into the sky
+_SEEN = 0.1  # share of pulses with a return from which on a laser sees something
 _SECTORS = 36
-_SECTOR_RETURNS = 300
-"""Fewer returns say too little about a sector."""
-_SECTOR_BLOCKS = 20
-"""Fewer blocks say too little; a whole revolution has more in each sector."""
+_SECTOR_RETURNS = 300  # fewer returns say too little about a sector
+_SECTOR_BLOCKS = 20  # fewer blocks say too little; a whole revolution has more in each sector
 _DARKER = 0.35
 """Light of a sector as a share of that before; behind dirt that lets 0.5 through it is 0.25, as light passes twice."""
-_STEADY = 0.25
-"""Largest median change of the sectors while one turns dark."""
+_STEADY = 0.25  # largest median change of the sectors while one turns dark
 
 
 class DataChunk:
@@ -70,8 +76,7 @@ class DataChunk:
 
     def __init__(self, datagrams: Sequence[Datagram], before: bytes, *, continues: bool, ends: bool) -> None:
         n = len(datagrams)
-        self.own = slice(1 if continues else 0, n)
-        """Packets whose codes no chunk before has judged."""
+        self.own = slice(1 if continues else 0, n)  # packets whose codes no chunk before has judged
         self.judged = slice(0, n if ends else n - 1)
         """Packets whose azimuths are judged; of the last one only the next chunk knows the neighbour."""
         self.number, self.stamp_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
@@ -79,8 +84,7 @@ class DataChunk:
         blocks = payload["blocks"]
         self.dual = bool(payload["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
         self.timestamp_us = payload["timestamp_us"].astype(np.int64)
-        self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)
-        """(n, 12)."""
+        self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)  # (n, 12)
         self.distance_lsb, self.reflectivity = (
             np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
         )
@@ -274,10 +278,8 @@ class DataRules:
         self._findings = findings
         self._clock, self._optics = ClockWatch(findings), OpticsRules(findings)
         self.lost_packets = 0
-        self.covered_us = 0.0
-        """Time spanned by the packets and by those that were lost."""
-        self.left_out_us = 0.0
-        """Time during which the sensor sent nothing, by a limited field of view."""
+        self.covered_us = 0.0  # time spanned by the packets and by those that were lost
+        self.left_out_us = 0.0  # time during which the sensor sent nothing, by a limited field of view
         self._turned_cdeg = self._turned_steps = 0
 
     @property
@@ -361,3 +363,156 @@ class OpticsRules:
             begin, end = run[0] * 360 // _SECTORS, (run[-1] + 1) * 360 // _SECTORS
             found = f"{ratio[run].mean():.2f} of the light from {begin} to {end} deg, as behind a dirty window"
             self._findings.add(Rule.WINDOW, packet, found, "about as much as before")
+
+
+_HEAD_BYTES = 14  # other sensors of the family report motion from here on; software takes the zeros for a mark
+_SHORTEST_INTERVAL_NS = 1_400_000  # real units leave 1.47 ms or more between position packets
+_LATEST_S = 2  # the sentence of a second arrives during the next one, and until then its forerunner is echoed
+_UNEVEN_S = 0.25  # difference between the delays of two sentences of one receiver
+_NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show when a sentence came
+_SENTENCE_CHARACTERS = 82  # longest sentence of NMEA 0183
+_SENTENCE = re.compile(
+    rb"\$(?P<talker>[A-Z]{2})RMC,"
+    rb"((?P<time>([01]\d|2[0-3])[0-5]\d[0-5]\d)(\.\d*)?)?,"
+    rb"(?=(?P<status>[AV]),)"
+    rb"(A,\d{4}(\.\d*)?,[NS],\d{5}(\.\d*)?,[EW]|V,(\d{4}(\.\d*)?)?,[NS]?,(\d{5}(\.\d*)?)?,[EW]?),"
+    rb"(\d+(\.\d*)?)?,(\d+(\.\d*)?)?,"  # speed, course
+    rb"([0-3]\d[01]\d\d\d)?,"
+    rb"(\d+(\.\d*)?)?,[EW]?"  # magnetic variation
+    rb"(,[ADEFMNPRS]?(,[SCUV]?)?)?"  # mode since NMEA 0183 version 2.3, navigational status since 4.1
+)
+
+
+class _Sentence(NamedTuple):
+    """Contents of a sentence, and the words of its faults, empty without one."""
+
+    second: int = -1  # past the hour; -1 unless the sentence names a time
+    status: str = ""
+    malformed: str = ""
+    end: str = ""
+    checksum: str = ""
+    right: str = ""  # the checksum that it should have
+    talker: str = ""  # talker of a receiver other than GPS alone, whose sentences the manual does not name
+
+
+class PositionChunk:
+    """Columns of n consecutive position packets; the first is the last one of the chunk `before`, which has judged it."""
+
+    def __init__(self, datagrams: Sequence[Datagram], before: "PositionChunk | None") -> None:
+        self.last = datagrams[-1]
+        every = [before.last, *datagrams] if before else list(datagrams)
+        self.own = slice(1 if before else 0, None)
+        self.number, self.stamp_ns, self.identification = np.array(
+            [(each.number, each.stamp_ns, each.identification) for each in every]
+        ).T
+        payload = np.frombuffer(b"".join(each.payload for each in every), np.uint8).reshape(len(every), -1)
+        fields = payload.view(POSITION_PAYLOAD)[:, 0]
+        self.head = payload[:, :_HEAD_BYTES].max(axis=1)
+        self.has_head = self.head > 0
+        self.timestamp_us, self.pps = fields["timestamp_us"].astype(np.int64), fields["pps"]
+        self.clock_s, self.is_past_hour = self.timestamp_us * US_NS / S_NS, self.timestamp_us >= HOUR_US
+        self.state = np.array([*map(str.lower, PpsState.__members__), ""])[self.pps.clip(0, len(PpsState))]
+        self.is_no_state, is_error = self.pps >= len(PpsState), self.pps == PpsState.ERROR
+        was = np.append(PpsState.ABSENT, self.pps[:-1])
+        self.is_lost_lock = (was == PpsState.LOCKED) & (self.pps != was) & ~self.is_no_state
+        self.is_error = is_error & (was != PpsState.ERROR) & ~self.is_lost_lock
+        self._count(every)
+        self._read_sentences(every, before)
+
+    def _count(self, every: Sequence[Datagram]) -> None:
+        self.due = np.append(self.identification[0], (self.identification[:-1] + 1) % 0x10000)
+        self.missing = (self.identification - self.due) % 0x10000
+        most = np.diff(self.stamp_ns, prepend=self.stamp_ns[0]).clip(0) // _SHORTEST_INTERVAL_NS
+        is_own = np.array([not is_rewritten(each) for each in every])
+        self.is_lost = (self.missing > 0) & (self.missing <= most) & is_own
+        self.is_no_count = (self.missing > most) & is_own
+
+    def _read_sentences(self, every: Sequence[Datagram], before: "PositionChunk | None") -> None:
+        """Read the sentences, and hold their seconds against the clock and against the sentences before."""
+        areas = [each.payload[SENTENCE_OFFSET:] for each in every]
+        columns = zip(*map(_read_sentence, areas), strict=True)
+        self.second, self.status, self.malformed, self.end, self.checksum, self.right, talker = map(np.array, columns)
+        self.talker = np.where(talker == np.append("", talker[:-1]), "", talker)
+        self.named = np.array([f"{second // 60:02d}:{second % 60:02d}" for second in self.second.tolist()])
+        is_locked, is_known = self.pps == PpsState.LOCKED, self.second >= 0
+        self.is_missing = is_locked & np.array([not any(area) for area in areas])
+        place = np.maximum.accumulate(np.where(is_known, np.arange(len(every)), -1))
+        said = np.where(place >= 0, self.second[place], before.said if before else -1)
+        earlier = np.append(before.said if before else -1, said[:-1])
+        self.said: int = said[-1]
+        self.is_void = is_known & (self.status == "V") & (self.second != earlier)
+        self.late_s = (self.clock_s - self.second) % 3600
+        is_old = is_known & (self.late_s >= _LATEST_S)
+        self.is_old, self.is_off = (
+            of & ~np.append(False, of[:-1]) for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
+        )
+        """First of packets in a row whose sentence and clock disagree, with lock and without."""
+        is_next = is_locked & is_known & ~is_old & (earlier >= 0) & (self.second == (earlier + 1) % 3600)
+        is_next[1:] &= np.diff(self.stamp_ns) < _NEXT_NS
+        came_s = self.late_s[self.own][is_next[self.own]]
+        self.comes_s: float = before.comes_s if before else math.nan
+        if math.isnan(self.comes_s) and len(came_s):
+            self.comes_s = float(came_s[0])
+        self.is_uneven = is_next & (np.abs(self.late_s - self.comes_s) > _UNEVEN_S)
+
+
+class PositionRules:
+    """Checks position packets, chunk by chunk."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings, self._clock = findings, ClockWatch(findings)
+        self._before: PositionChunk | None = None
+        self.void_sentences = 0  # seconds whose sentence has the status V
+        self.lost_packets = 0
+
+    def check(self, datagrams: Sequence[Datagram]) -> None:
+        """Check packets of 512 bytes."""
+        chunk = self._before = PositionChunk(datagrams, self._before)
+        self._findings.apply(_TABLE, chunk, chunk.own)
+        for datagram, timestamp_us in zip(datagrams, chunk.timestamp_us[chunk.own].tolist(), strict=True):
+            self._clock.check(datagram.number, datagram.stamp_ns, datagram.stamp_ns // US_NS - timestamp_us)
+        self.void_sentences += int(chunk.is_void[chunk.own].sum())
+        self.lost_packets += int(chunk.missing[chunk.own][chunk.is_lost[chunk.own]].sum())
+
+
+_OLD = "no sentence after that of {named} at {clock_s:.3f} s"
+_TABLE = (
+    Row(Rule.POSITION_HEAD, "has_head", "a byte 0x{head:02x} among the first", f"{_HEAD_BYTES} zeros"),
+    Row(Rule.PPS, "is_no_state", "state {pps}", "0 .. 3"),
+    Row(Rule.PPS, "is_lost_lock", "state {pps}, {state}, from here on", "2, locked, as before"),
+    Row(Rule.PPS, "is_error", "state {pps}, {state}, from here on", "0 .. 2"),
+    Row(Rule.TIME_RANGE, "is_past_hour", "time stamp {timestamp_us} us", f"0 .. {HOUR_US - 1}"),
+    Row(Rule.LOST_PACKETS, "is_lost", "{missing} position packets missing before it", "none"),
+    Row(Rule.HEADER, "is_no_count", "position identification {identification}", "{due}, one more than before"),
+    Row(Rule.NMEA_FORMAT, "is_missing", "no sentence", "one when locked"),
+    Row(Rule.NMEA_FORMAT, "malformed", "{malformed}", "$GPRMC,time,status,... with 12 to 14 fields"),
+    Row(Rule.NMEA_FORMAT, "talker", "${talker}RMC, which some units ignore", "$GPRMC, as in the manual", Level.NOTE),
+    Row(Rule.NMEA_END, "end", "{end}", "CR LF, then NUL to the end"),
+    Row(Rule.NMEA_CHECKSUM, "checksum", "checksum {checksum}", "{right}"),
+    Row(Rule.NMEA_SECOND, "is_old", _OLD, f"one less than {_LATEST_S} s old"),
+    Row(Rule.NMEA_SECOND, "is_off", _OLD, "a clock that follows the sentences", Level.NOTE),
+    Row(Rule.NMEA_TIME, "is_uneven", "sentence {named} {late_s:.2f} s after its second", "{comes_s:.2f} s, as before"),
+)
+
+
+@lru_cache(16)
+def _read_sentence(area: bytes) -> _Sentence:
+    """Read the characters from the first of a sentence to the end of the payload; one sentence fills some 146 packets."""
+    if not any(area):
+        return _Sentence()
+    text, _, rest = area.partition(b"\0")
+    end = "characters after a NUL" if any(rest) else "" if text.endswith(b"\r\n") else f"an end of {text[-4:]!r}"
+    body, star, checksum = text.rstrip(b"\r\n").rpartition(b"*")
+    match = _SENTENCE.fullmatch(body)
+    if match is None or not star:
+        return _Sentence(malformed=repr(text[:_SENTENCE_CHARACTERS]), end=end)
+    time, talker = match["time"], match["talker"].decode()
+    right, found = f"{reduce(xor, body[1:]):02X}", checksum.decode("ascii", "replace")
+    return _Sentence(
+        second=60 * int(time[2:4]) + int(time[4:]) if time else -1,
+        status=match["status"].decode(),
+        end=end,
+        checksum="" if found == right else found or "of no digits",
+        right=right,
+        talker="" if talker == "GP" else talker,
+    )

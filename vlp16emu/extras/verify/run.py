@@ -6,30 +6,33 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.extras.verify.data import DataChunk, DataRules
-from vlp16emu.extras.verify.frames import PAYLOAD_BYTES, PORT, InOrder, check_frames, kind_of
-from vlp16emu.extras.verify.position import PositionRules
-from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
+from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
+from vlp16emu.extras.verify.frames import (
+    PAYLOAD_BYTES,
+    PORT,
+    Finding,
+    Findings,
+    InOrder,
+    Level,
+    Rule,
+    check_frames,
+    kind_of,
+)
 from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram, chosen_unit
 from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
-_CHUNK_PACKETS = 512
-"""Data packets looked at together: 0.6 MB, 0.7 s of single return."""
+_CHUNK_PACKETS = 512  # data packets looked at together: 0.6 MB, 0.7 s of single return
 _HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
 """Length of the chunks of all units together, and of the shortest."""
-_MODE_AT = -2
-"""Return mode and product end a data payload."""
+_MODE_AT = -2  # return mode and product end a data payload
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
-_SHORTEST_S = 2.0
-"""A shorter piece says too little about rates: position packets come at irregular intervals."""
+_SHORTEST_S = 2.0  # a shorter piece says too little about rates: position packets come at irregular intervals
 _RATE_TOLERANCE = 0.1
-_SILENCE_NS = S_NS // 2
-"""Position packets come every 20 ms or faster, also where lasers are off."""
-_POSITION_RATES_HZ = (146.0, 53.8)
-"""Measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50."""
+_SILENCE_NS = S_NS // 2  # position packets come every 20 ms or faster, also where lasers are off
+_POSITION_RATES_HZ = (146.0, 53.8)  # measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +75,8 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
     unit : the sensor, if there are several: its number from 1, or `address:port` with its data port
     limit_per_rule : findings kept of each rule; all are counted
 
-    Raises
-    ------
-    CaptureError
-        If the file cannot be read, or holds no VLP-16 packets at all
-    InputError
-        If there is no such unit, or there are several and none is named
+    Raises CaptureError if the file cannot be read, or holds no VLP-16 packets at all; InputError if there is no such
+    unit, or there are several and none is named.
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
@@ -104,8 +103,7 @@ class _Check:
         self._data, self._position = DataRules(findings), PositionRules(findings)
         self._in_order = {kind: InOrder(kind, findings) for kind in PORT}
         self._chunk: dict[PacketKind, list[Datagram]] = {kind: [] for kind in PORT}
-        self._before: Datagram | None = None
-        """Last data packet of the chunk before, if this one goes on from it."""
+        self._before: Datagram | None = None  # last data packet of the chunk before, if this one goes on from it
         self._factory = b""
         self._packets = Counter[PacketKind]()
         self._first: dict[PacketKind, Datagram] = {}

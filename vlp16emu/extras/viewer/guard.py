@@ -22,8 +22,7 @@ from websockets.http11 import Request, Response
 from vlp16emu.errors import OutputError
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
-_LONGEST_BYTES = 1 << 16
-"""Limit of a message of the page: a drag or a value takes some hundred bytes."""
+_LONGEST_BYTES = 1 << 16  # limit of a message of the page: a drag or a value takes some hundred bytes
 
 
 def is_ours(headers: Headers, names: frozenset[str]) -> bool:

@@ -33,12 +33,9 @@ _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (2
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
 """Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that shows on white."""
-_ERROR_CM = 6.0
-"""End of the scale of range errors: twice the +-3 cm of the data sheet."""
-_GOLDEN = 0.618034
-"""Step of the hue between instances: neighbours in number differ most."""
-_STOPS = 9
-"""Colours of a gradient."""
+_ERROR_CM = 6.0  # end of the scale of range errors: twice the +-3 cm of the data sheet
+_GOLDEN = 0.618034  # step of the hue between instances: neighbours in number differ most
+_STOPS = 9  # colours of a gradient
 _DOT = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.5em;border-radius:2px"
 
 

@@ -1,10 +1,12 @@
 """The page of a running stream, in a process of its own: packets go there without a wait."""
 
 import os
+import pickle
 import signal
+import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing import get_context
 from typing import Any, NamedTuple
@@ -15,67 +17,66 @@ import viser
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError, PacketError, RunError
 from vlp16emu.extras.sheets.survey import survey
-from vlp16emu.extras.viewer.channel import Channel
 from vlp16emu.extras.viewer.guard import guarded_server
 from vlp16emu.extras.viewer.layers import MEASURED
 from vlp16emu.extras.viewer.page import SweepView, draw_stand
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
-from vlp16emu.motion.settings import Live, Walk, takes_poses
+from vlp16emu.motion.settings import Live, takes_poses
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
-from vlp16emu.types import F8, I8, HeightField, Packet, PacketKind, Scan
+from vlp16emu.types import F8, I8, Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
 
-_HOST, _PORT = "127.0.0.1", 8016
-"""Port of `vlp16emu view`; any other if it is in use."""
-_NICE = 10
-"""Added to the niceness of the page: the stream then gets nine tenths of a core that both want."""
+_HOST, _PORT = "127.0.0.1", 8016  # port of `vlp16emu view`; any other if it is in use
+_NICE = 10  # added to the niceness of the page: the stream then gets nine tenths of a core that both want
 _RADIUS_M, _LIVE_RADIUS_M = 25.0, 35.0
 """How far from the path the stand is drawn; in a live scene as far as the body may go."""
-_EVERY_NS = 50_000_000
-"""Time between glimpses: some 40 packets, half a revolution at 600 rpm."""
-_MOST = 100
-"""Most packets of a glimpse: with their poses they fit into a message of the channel."""
-_DRAW_S = 0.1
-"""Time between pictures."""
-_BEHIND_M, _OVER_M = 9.0, 5.0
-"""Place of the camera at first."""
-_NEAR_M = 0.05
-"""The camera follows a sensor that is farther from the point that it looks at."""
-_PERSON_RADIUS_M, _PERSON_RGB = 0.2, (40, 70, 160)
+_EVERY_NS = 50_000_000  # time between glimpses: some 40 packets, half a revolution at 600 rpm
+_MOST = 100  # most packets of a glimpse: with their poses they fit into a message
+_DRAW_S = 0.1  # time between pictures
+_BEHIND_M, _OVER_M = 9.0, 5.0  # place of the camera at first
+_NEAR_M = 0.05  # the camera follows a sensor that is farther from the point that it looks at
+
+
+_MESSAGE_BYTES = 150_000  # limit of a message; a socket holds 212 992 unless net.core.wmem_default is less
+
+
+def offer(end: socket.socket, message: object) -> None:
+    """Send a message to the other process; it is lost if there is no room now, as that is slow, hangs, or is gone."""
+    with suppress(OSError):
+        end.send(pickle.dumps(message), socket.MSG_DONTWAIT)
+
+
+def take(end: socket.socket, timeout_s: float | None = None) -> Any:
+    """Return the next message; raise TimeoutError if none comes in time, EOFError if the other process is gone."""
+    end.settimeout(timeout_s)
+    data = b""
+    with suppress(ConnectionError):
+        data = end.recv(_MESSAGE_BYTES)
+    if not data:
+        raise EOFError
+    return pickle.loads(data)  # noqa: S301  # the other end is a process of ours
 
 
 class Backdrop(NamedTuple):
     """Content of the page before the first packet is sent."""
 
     pieces: list[Piece]
-    path_m: F8
-    """(n, 3) of the sensor, in a live scene the expected one; one if the sensor stands still."""
+    path_m: F8  # (n, 3) of the sensor, in a live scene the expected one; one if the sensor stands still
     hall: bool
-    turn_s: float
-    """Time of a revolution."""
-    walks: bool
-    """Whether a person carries the sensor."""
-    height_m: HeightField
-    """Ground."""
+    turn_s: float  # time of a revolution
 
 
 class Glimpse(NamedTuple):
     """Points that a sensor sent in some 50 ms, and how punctual the stream is."""
 
-    payloads: bytes
-    """(n, 1206) bytes of its data packets."""
-    since_ns: I8
-    """(n,) time of each packet's first pulse, since the first pulse of the run."""
-    world_T_sensor: F8
-    """(n, 4, 4) poses at these times."""
-    late: Lateness
-    """Lateness of all packets so far."""
-    worst_ns: int
-    """Greatest lateness since the last glimpse."""
-    delay_ns: int
-    """Time by which deadlines have been moved in all."""
+    payloads: bytes  # (n, 1206) bytes of its data packets
+    since_ns: I8  # (n,) time of each packet's first pulse, since the first pulse of the run
+    world_T_sensor: F8  # (n, 4, 4) poses at these times
+    late: Lateness  # lateness of all packets so far
+    worst_ns: int  # greatest lateness since the last glimpse
+    delay_ns: int  # time by which deadlines have been moved in all
 
 
 class WatchedSink(PacketSink):
@@ -84,8 +85,8 @@ class WatchedSink(PacketSink):
     The sending thread makes a glimpse after a packet: it then has a millisecond until the next one.
     """
 
-    def __init__(self, sink: PacketSink, pacer: Pacer, emulator: Emulator, channel: Channel) -> None:
-        self._sink, self._pacer, self._emulator, self._channel = sink, pacer, emulator, channel
+    def __init__(self, sink: PacketSink, pacer: Pacer, emulator: Emulator, page: socket.socket) -> None:
+        self._sink, self._pacer, self._emulator, self._page = sink, pacer, emulator, page
         self._late, self._worst_ns, self._offered_ns = LatenessHistogram(), 0, 0
         self._held: list[tuple[bytes, int]] = []
 
@@ -108,7 +109,7 @@ class WatchedSink(PacketSink):
         t_ns = np.array(fired_ns)
         since_ns, poses = t_ns - self._emulator.scenario.start_ns, self._emulator.world_T_sensor(t_ns)
         late = self._late.summary, self._worst_ns, self._pacer.delay_ns
-        self._channel.offer(Glimpse(b"".join(payloads), since_ns, poses, *late))
+        offer(self._page, Glimpse(b"".join(payloads), since_ns, poses, *late))
         self._held.clear()
         self._worst_ns = 0
 
@@ -117,8 +118,7 @@ class Watch(NamedTuple):
     """A page that shows a stream."""
 
     url: str
-    sink: Callable[[PacketSink, Pacer], PacketSink]
-    """Wrap a sink so that the page sees its packets."""
+    sink: Callable[[PacketSink, Pacer], PacketSink]  # wrap a sink so that the page sees its packets
 
 
 def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
@@ -128,14 +128,14 @@ def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
     radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
     walked = scenario.model_copy(update={"duration_s": duration_s})
     seen = survey(walked, min(radius_m, scenario.sensor.max_range_m), emulator.parts, expected_m)
-    hall, turn_s, walks = seen.hall is not None, 60.0 / scenario.sensor.rpm, isinstance(motion, Walk)
-    return Backdrop(list(pieces_of(seen)), seen.path_m, hall, turn_s, walks, seen.bare.height_m)
+    return Backdrop(list(pieces_of(seen)), seen.path_m, seen.hall is not None, 60.0 / scenario.sensor.rpm)
 
 
 @contextmanager
 def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
     """Start the page, and end it with the context; OutputError or RunError if it cannot be served."""
-    ours, theirs = Channel.pair()
+    # SOCK_SEQPACKET keeps messages apart, and a reader learns that the writer is gone (unix(7)).
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     page = get_context("spawn").Process(target=serve, args=(backdrop, theirs), name="page", daemon=True)
     # What is blocked here is blocked there too, for good: Ctrl-C is for the stream, and the page ends with it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -146,17 +146,17 @@ def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
     theirs.close()
     try:
         try:
-            answer = ours.take()
+            answer = take(ours)
         except EOFError:
             raise RunError("the page in the browser has ended before it began") from None
-        yield Watch(str(answer), partial(WatchedSink, emulator=emulator, channel=ours))
+        yield Watch(str(answer), partial(WatchedSink, emulator=emulator, page=ours))
     finally:
         ours.close()
         page.kill()  # it has nothing to finish, and may hang
         page.join()
 
 
-def serve(backdrop: Backdrop, channel: Channel) -> None:
+def serve(backdrop: Backdrop, stream: socket.socket) -> None:
     """Serve the page until the stream is over, and send its address when it is there."""
     os.nice(_NICE)
     with ExitStack() as stack:
@@ -165,8 +165,8 @@ def serve(backdrop: Backdrop, channel: Channel) -> None:
         except OutputError:
             server = stack.enter_context(guarded_server(_HOST, 0, "vlp16emu"))
         page = LivePage(server, backdrop)
-        channel.offer(f"http://{_HOST}:{server.get_port()}/")
-        page.run(channel)
+        offer(stream, f"http://{_HOST}:{server.get_port()}/")
+        page.run(stream)
 
 
 class LivePage:
@@ -184,17 +184,16 @@ class LivePage:
             self._view = SweepView(server, MEASURED, {}, root)
             self._follow = server.gui.add_checkbox("follow the sensor", initial_value=True)
 
-    def run(self, channel: Channel) -> None:
+    def run(self, stream: socket.socket) -> None:
         """Draw glimpses, as often as there is time for it, until the stream is over."""
         draw_s = 0.0
         while True:
             try:
-                glimpse = channel.take(_DRAW_S)
+                glimpse: Glimpse = take(stream, _DRAW_S)
             except TimeoutError:
                 continue
             except EOFError:
                 return
-            assert isinstance(glimpse, Glimpse)
             self._add(glimpse)
             if (now_s := time.monotonic()) >= draw_s and self._server.get_clients():
                 draw_s = now_s + _DRAW_S
@@ -220,23 +219,13 @@ class LivePage:
         self._parts = [part for part in self._parts if part.scan.start_ns >= oldest_ns] + [sweep]
 
     def _draw(self, glimpse: Glimpse) -> None:
-        """Draw the last revolution, the sensor and the person, and report how punctual the stream is."""
         if not self._parts:
             return
         place_m = glimpse.world_T_sensor[-1][:3, 3]
         with self._server.atomic():
             self._view.draw(self._parts)
-            if self._backdrop.walks:
-                self._draw_person(place_m)
         self._look_at(place_m)
         self._text.content = "  \n".join(_lines(glimpse, sum(len(part.world_m) for part in self._parts)))
-
-    def _draw_person(self, place_m: F8) -> None:
-        ground_m = float(self._backdrop.height_m(place_m[:1], place_m[1:2])[0])
-        tall_m = max(float(place_m[2]) - ground_m - 2 * _PERSON_RADIUS_M, 0.1)
-        middle_m = place_m[0], place_m[1], (ground_m + place_m[2]) / 2 - _PERSON_RADIUS_M
-        look: dict[str, Any] = {"cast_shadow": False, "position": middle_m}
-        self._server.scene.add_cylinder("/person", _PERSON_RADIUS_M, tall_m, _PERSON_RGB, **look)
 
     def _look_at(self, place_m: F8) -> None:
         """Move cameras with the sensor, with their direction and distance kept."""

@@ -11,30 +11,21 @@ from typing import Any
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras.sheets.survey import survey, way_m
-from vlp16emu.extras.viewer.draft import Draft
-from vlp16emu.extras.viewer.editor import Editor
+from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.layers import boxed, colours_of, entries_of, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
-from vlp16emu.extras.viewer.sweeps import Mark, SceneSweeps, Sweep, Sweeps
+from vlp16emu.extras.viewer.sweeps import SceneSweeps, Sweep, Sweeps
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.motion.settings import Walk
-from vlp16emu.sensor.beams import BeamTable
-from vlp16emu.types import F4, F8, U4, Scan
+from vlp16emu.types import F8
 
-_MOST_KEPT = 50
-"""Sweeps drawn together: 1.2 million points."""
-_LISTED = 6
-"""Most faults of a sweep that are listed."""
-_LOST_M = 30.0
-"""Length of a beam that meets nothing."""
-_SECTOR_M, _STEP_DEG = 8.0, 1.0
-"""Radius of a sector of faults, and the width of its triangles."""
-_PATH, _HIT, _LOST, _WRONG = (220, 60, 40), (255, 70, 50), (150, 160, 175), (230, 0, 60)
+_MOST_KEPT = 50  # sweeps drawn together: 1.2 million points
+_LISTED = 6  # most faults of a sweep that are listed
+_PATH = (220, 60, 40)
 
 
 def draw_stand(server: viser.ViserServer, pieces: Iterable[Piece], way_m: F8, *, hall: bool) -> viser.FrameHandle:
@@ -156,17 +147,15 @@ class Page:
         self._wake.set()
         self._time_s = 0.0
         self._kept = deque[Sweep]([sweeps.at(0.0)], maxlen=_MOST_KEPT)
-        self._marked: viser.MeshHandle | None = None
         gui, last_s = server.gui, max(sweeps.last_s, sweeps.step_s)
         with gui.add_folder("Sweep"):
             self._slider = gui.add_slider("time, s", 0.0, last_s, min(0.1, last_s), 0.0)
             self._play = gui.add_checkbox("play", initial_value=False)
             self._view = SweepView(server, layers_of_scan(self._kept[0].scan), species, root)
             self._together = gui.add_slider("sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played")
-            self._beams = gui.add_checkbox("beams", initial_value=True)
             self._text = gui.add_markdown("")
             self._faults = gui.add_html("")
-        for control in (self._slider, self._play, self._together, self._beams, *self._view.controls):
+        for control in (self._slider, self._play, self._together, *self._view.controls):
             control.on_update(lambda _: self._wake.set())
 
     def run(self) -> None:
@@ -194,25 +183,9 @@ class Page:
         shown = list(self._kept)[-int(together) :]
         with self._server.atomic():
             text = self._view.draw(shown)
-            self._draw_beams(shown[-1])
         if text:
             self._text.content = f"{text}, sweep at {time_s:.1f} s"
-        self._faults.content = boxed(escape(mark.what) for mark in shown[-1].marks[:_LISTED])
-
-    def _draw_beams(self, sweep: Sweep) -> None:
-        """Draw the first beams of a sweep, and the sectors of faulty packets."""
-        ends_m, is_hit = beams_of(sweep.scan, self._sweeps.beams)
-        lines_m = np.stack([np.zeros_like(ends_m), ends_m], axis=1)
-        rgb, shown = np.where(is_hit[:, None, None], _HIT, _LOST).repeat(2, axis=1), self._beams.value is True
-        scene = self._server.scene
-        scene.add_line_segments("/sensor/beams", lines_m, rgb.astype(np.uint8), thickness=0.015, visible=shown)
-        if self._marked is not None:
-            self._marked.remove()
-            self._marked = None
-        if sweep.marks:
-            vertices_m, faces = sectors_of(sweep.marks)
-            look: dict[str, Any] = {"color": _WRONG, "opacity": 0.45, "side": "double"}
-            self._marked = scene.add_mesh_simple("/sensor/faults", vertices_m, faces, **look)
+        self._faults.content = boxed(map(escape, shown[-1].faults[:_LISTED]))
 
     def _go_on(self, began_s: float) -> None:
         """Move the cursor to the next sweep, no faster than in real time."""
@@ -228,28 +201,3 @@ class Page:
 def within(value: object, low: float, high: float) -> float | None:
     """Return a control's value clipped to its range, or None if it is no finite number: a hostile message may set anything."""
     return min(max(float(value), low), high) if isinstance(value, int | float) and math.isfinite(value) else None
-
-
-def beams_of(scan: Scan, beams: BeamTable) -> tuple[F8, NDArray[np.bool_]]:
-    """Return the ends (L, 3) of a scan's first beams in the sensor's frame, by rising elevation, and which (L,) have a return."""
-    rising = np.sort(beams.elevation_deg)
-    first = scan.t_ns < scan.start_ns + beams.sequence_ns
-    azimuth = np.radians(scan.azimuth_deg[first][0] if first.any() else 0.0)
-    flat = np.cos(np.radians(rising))
-    ends_m = _LOST_M * np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(np.radians(rising))], axis=1)
-    ring = scan.ring[first]
-    ends_m[ring] = scan.xyz_m[first]
-    return ends_m, np.isin(np.arange(len(rising)), ring)
-
-
-def sectors_of(marks: tuple[Mark, ...]) -> tuple[F4, U4]:
-    """Return vertices (v, 3) in the sensor's frame and triangles (f, 3) of level sectors between the azimuths of marks."""
-    corners = []
-    for begin_deg, end_deg, _ in marks:
-        width_deg = (end_deg - begin_deg) % 360.0
-        edges = np.linspace(0.0, width_deg, 2 + int(width_deg / _STEP_DEG))
-        azimuth = np.radians(begin_deg + edges)
-        rim_m = _SECTOR_M * np.stack([np.cos(azimuth), -np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
-        corners.append(np.stack([np.zeros_like(rim_m[1:]), rim_m[1:], rim_m[:-1]], axis=1))
-    vertices_m = np.concatenate([np.zeros((0, 3, 3)), *corners]).reshape(-1, 3).astype(np.float32)
-    return vertices_m, np.arange(len(vertices_m), dtype=np.uint32).reshape(-1, 3)

@@ -8,42 +8,85 @@ from importlib.util import find_spec
 from itertools import chain, islice
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
-from vlp16emu.extras.canvas import Canvas
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
+from vlp16emu.extras.images.images import species_of
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
-from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
+from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
+from vlp16emu.packets.layout import LASERS
+from vlp16emu.run.options import Span
 from vlp16emu.types import F8, U1
 
-_NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}
-"""Library by suffix; of the extra 'picture'."""
+_BACKGROUND = (14, 18, 24)
+_RELIEF = 0.35
+"""How dark a pixel gets per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""
+_DARKEST = 0.3
+_NEIGHBOUR_PX = 2
+
+
+class Canvas:
+    """A picture of a size in pixels, width and height, that points of `dot_px` are added to."""
+
+    def __init__(self, size: tuple[int, int], dot_px: tuple[int, int] = (2, 2)) -> None:
+        self.size, self._dot_px = size, dot_px
+        self.clear()
+
+    def clear(self) -> None:
+        """Take away all points."""
+        width, height = self.size
+        self._near = np.full(height * width, -np.inf)
+        self._rgb = np.zeros((height * width, 3), np.uint8)
+
+    def add(self, pixels: Pixels, rgb: U1) -> None:
+        """Draw points at pixels (n,) in colours (n, 3); what lies outside is left out."""
+        width, height = self.size
+        order = np.argsort(pixels[2], kind="stable")
+        column, row, near, rgb = *(of[order] for of in pixels), rgb[order]
+        for x in range(self._dot_px[0]):
+            for y in range(self._dot_px[1]):
+                inside = (column + x >= 0) & (column + x < width) & (row + y >= 0) & (row + y < height)
+                pixel = (row[inside] + y) * width + column[inside] + x
+                in_front = near[inside] > self._near[pixel]
+                # Points come by nearness, and of several at one pixel numpy keeps the last.
+                self._near[pixel[in_front]] = near[inside][in_front]
+                self._rgb[pixel[in_front]] = rgb[inside][in_front]
+
+    def image(self) -> U1:
+        """Return the picture (height, width, 3), with relief."""
+        width, height = self.size
+        near = self._near.reshape(height, width)
+        drawn = np.isfinite(near)
+        behind, flat = np.zeros((height, width)), np.where(drawn, near, -1e6)
+        for axis in (0, 1):
+            for step in (-_NEIGHBOUR_PX, _NEIGHBOUR_PX):
+                behind += np.clip(np.roll(flat, step, axis) - flat, 0.0, 2.0)
+        light = np.maximum(np.exp(-_RELIEF * behind), _DARKEST)
+        rgb = np.where(drawn[..., None], self._rgb.reshape(height, width, 3) * light[..., None], _BACKGROUND)
+        return np.rint(rgb).astype(np.uint8)
+
+
+_NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # library by suffix; of the extra 'picture'
 _FRAMES_PER_S, _ELEVATION_DEG = 10, 32.0
-_AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0
-"""What is in the picture around, below and above the path of the sensor."""
-_SHARE = 0.93
-"""Share of the points in a sweep that the box of a capture in its sensor holds."""
+_AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0  # what is in the picture around, below and above the path of the sensor
+_SHARE = 0.93  # share of the points in a sweep that the box of a capture in its sensor holds
 _CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
-_DEEP_M, _CIRCLE_RGB = -1e3, (58, 68, 82)
-"""Circles of range about the sensor are behind all points."""
+_DEEP_M, _CIRCLE_RGB = -1e3, (58, 68, 82)  # circles of range about the sensor are behind all points
 _SENSOR_RGB = (255, 70, 50)
 _MOST_ENTRIES = 12
-_MILLIONS = 100_000
-"""Points from which on they are counted in millions."""
-_FROM_DEG = 205.0
-"""Bearing of the eye, unless another is wanted: light falls from the south."""
-_STATIONS = 200
-"""Number of places along a path."""
-_FEWEST_COLUMNS = 800
-"""Firing sequences of a revolution at 1200 rpm are some 900."""
+_MILLIONS = 100_000  # points from which on they are counted in millions
+_FROM_DEG = 205.0  # bearing of the eye, unless another is wanted: light falls from the south
+_STATIONS = 200  # number of places along a path
+_FEWEST_COLUMNS = 800  # firing sequences of a revolution at 1200 rpm are some 900
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,19 +106,15 @@ class View:
     """Layout of a picture: the places of a sweep's points, and the words beside them."""
 
     size: tuple[int, int]
-    pixels: Callable[[F8], Pixels]
-    """Pixels of places (n, 3)."""
-    places: Callable[[Sweep], F8]
-    """Places (n, 3) of the points of a sweep that are shown, NaN for the others."""
+    pixels: Callable[[F8], Pixels]  # pixels of places (n, 3)
+    places: Callable[[Sweep], F8]  # places (n, 3) of the points of a sweep that are shown, NaN for the others
     sensor: Callable[[Sweep], F8 | None] = lambda _: None
     """Place (3,) of the sensor, or None if it is not in the picture."""
     px_per_m: float | None = None
     """Scale of a view in which the points of all sweeps add up; None if it shows one sweep at a time."""
     dot_px: tuple[int, int] = (2, 2)
-    circles_m: F8 | None = None
-    """(k, 3) points of circles of range."""
-    labels: tuple[tuple[float, float, str], ...] = ()
-    """Words at columns and rows, from below, of a still."""
+    circles_m: F8 | None = None  # (k, 3) points of circles of range
+    labels: tuple[tuple[float, float, str], ...] = ()  # words at columns and rows, from below, of a still
 
 
 def check_suffix(path: Path) -> None:
@@ -92,54 +131,61 @@ def check_suffix(path: Path) -> None:
             raise MissingExtraError(name, "picture", f"a picture in {suffix}")
 
 
-def sweeps_of_capture(path: Path, trajectory: Path | None, start_s: float, duration_s: float | None) -> Iterator[Sweep]:
-    """Yield the revolutions of a capture, by a trajectory or as they are in the sensor; those beyond its poses are left out."""
-    way = None if trajectory is None else Trajectory(trajectory, 1, TrajectoryErrors())
-    first_ns = None
-    for scan in decode(path):
-        first_ns = scan.start_ns if first_ns is None else first_ns
-        since_s = (scan.start_ns - first_ns) / 1e9
-        if duration_s is not None and since_s >= start_s + duration_s:
-            return
-        if since_s >= start_s and (way is None or way.has(scan.t_ns).all()):
-            yield by_trajectory(scan, way)
+class Source(NamedTuple):
+    """Sweeps of a picture, and what surrounds them."""
+
+    sweeps: Iterator[Sweep]  # one after another; memory does not grow with them
+    way_m: F8 | None  # (k, 3) path of the sensor; None to look around the origin
+    rings: int  # number of lasers of the sensor
+    species: Mapping[int, str]  # names by number
+    inputs: Collection[Path]  # files that are read, which the picture may not replace
 
 
-def way_of(trajectory: Path | None) -> F8 | None:
-    """Return places (k, 3) along a whole trajectory."""
-    if trajectory is None:
-        return None
-    way = Trajectory(trajectory, 1, TrajectoryErrors())
-    begin_s, end_s = way.span_s
-    t_ns = (1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64)
-    return way.poses_at(t_ns)[1]
+def source_of_capture(capture: Path, trajectory: Path | None, span: Span, *, whole: bool) -> Source:
+    """Return the revolutions of a capture, or unless `whole` the first one; those beyond the poses of a trajectory are left out.
+
+    Without a trajectory points are as in the sensor.
+    """
+    way, way_m, inputs = None, None, [capture]
+    if trajectory is not None:
+        way, inputs = Trajectory(trajectory, 1, TrajectoryErrors()), [capture, trajectory]
+        begin_s, end_s = way.span_s
+        way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
+
+    def sweeps() -> Iterator[Sweep]:
+        first_ns, stop_s = None, math.inf if span.duration_s is None else span.start_s + span.duration_s
+        for scan in decode(capture):
+            first_ns = scan.start_ns if first_ns is None else first_ns
+            since_s = (scan.start_ns - first_ns) / 1e9
+            if since_s >= stop_s:
+                return
+            if since_s >= span.start_s and (way is None or way.has(scan.t_ns).all()):
+                yield by_trajectory(scan, way)
+
+    return Source(islice(sweeps(), None if whole else 1), way_m, LASERS, {}, inputs)
 
 
-def draw_picture(
-    sweeps: Iterator[Sweep],
-    path: Path,
-    look: PictureLook,
-    *,
-    way_m: F8 | None,
-    rings: int,
-    species: Mapping[int, str],
-    stop: Event,
-    inputs: Collection[Path] = (),
-) -> PictureRun:
+def source_of_scene(emulator: Emulator, span: Span) -> Source:
+    """Return the revolutions of a scene's first sensor, with labels."""
+    scenario, parts = emulator.scenario, emulator.parts
+    ends_s = scenario.span_s(span.start_s, span.duration_s, where="--start")
+    t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
+    way_m, rings = parts.motion.poses_at(t_ns).world_p_body_m, len(parts.units[0].head.beams.elevation_deg)
+    sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
+    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.run.files)
+
+
+def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
     InputError if there is no revolution, or none with such a layer; OutputError, MissingExtraError as `check_suffix`.
 
     Parameters
     ----------
-    sweeps : one after another; memory does not grow with them
     path : .png, .gif or .mp4
-    way_m : (k, 3) path of the sensor; None to look around the origin
-    rings : number of lasers of the sensor
-    species : names by number
     stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
-    inputs : files that are read, which the picture may not replace
     """
+    sweeps, way_m, rings, species, inputs = source
     spare(inputs, path)
     check_suffix(path)
     suffix = path.suffix.lower()
@@ -167,7 +213,6 @@ def draw_picture(
 
 
 def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View:
-    """Return the view of a look: around the path, or without one around the sensor."""
     if look.view == "image":
         return laser_rows(look.size, rings)
     if look.view == "sweep":
@@ -250,8 +295,6 @@ def laser_rows(size: tuple[int, int], rings: int) -> View:
 
 
 class _Drawing(Canvas):
-    """A canvas for sweeps in the colours of a layer."""
-
     def __init__(self, view: View, colour: str, species: Mapping[int, str]) -> None:
         super().__init__(view.size, view.dot_px)
         self.view, self.colour, self._species, self.revolutions, self.points = view, colour, species, 0, 0

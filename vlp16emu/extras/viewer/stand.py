@@ -21,19 +21,15 @@ Rgb = tuple[int, int, int]
 
 _FACES = 300_000
 """Triangles of all plants and things without stems, about: crowns look like crowns, and a browser without a graphics card draws a picture every second or two."""
-_FEWEST, _MOST = 6, 3_000
-"""Faces of one mesh of one thing; between these limits in proportion to its size."""
+_FEWEST, _MOST = 6, 3_000  # faces of one mesh of one thing; between these limits in proportion to its size
 _MOST_GROWN = 3.5
 """Limit of the growth of a leaf in length: larger ones look wrong; a crown that would need them is drawn less dense."""
-_BRANCHES = 0.25
-"""Faces of branches, as a share of those of leaves, which largely hide them."""
-_SIDES, _RINGS = 6, 7
-"""Sides and rings of a stem."""
+_BRANCHES = 0.25  # faces of branches, as a share of those of leaves, which largely hide them
+_SIDES, _RINGS = 6, 7  # sides and rings of a stem
 _DENSE_M = 6.0
 """Ground cover is complete up to this distance from the path; beyond it thins out with the square of the distance."""
 _GOLDEN = 0.618034
-_CELL_M = 1.0
-"""Cell of the ground mesh."""
+_CELL_M = 1.0  # cell of the ground mesh
 _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
 """Parts too fine to be seen among leaves."""
 _ONE = np.eye(3, 4)[None]
@@ -45,15 +41,11 @@ class Piece:
 
     name: str
     vertices_m: F4
-    faces: U4
-    """(f, 3) triangles."""
+    faces: U4  # (f, 3) triangles
     colour: Rgb
-    position_m: F8
-    """(n, 3) in the world."""
-    wxyz: F8
-    """(n, 4) unit quaternions."""
-    scale: F8
-    """(n, 3) along the axes of the mesh."""
+    position_m: F8  # (n, 3) in the world
+    wxyz: F8  # (n, 4) unit quaternions
+    scale: F8  # (n, 3) along the axes of the mesh
 
 
 def pieces_of(seen: Survey) -> Iterator[Piece]:
@@ -114,7 +106,6 @@ def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
 
 
 def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
-    """Simplify a mesh in the way that suits its kind."""
     if part is PlantPart.STEM and isinstance(key, TileKey | SaplingKey):
         return slim_stem(mesh)
     if part is PlantPart.LEAF:
@@ -180,7 +171,6 @@ def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
 
 
 def _ground(seen: Survey) -> Mesh:
-    """Return the ground within the radius, in squares."""
     low, high = seen.bounds_m
     x_m, y_m = (np.arange(np.floor(a), np.ceil(b) + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
     x, y = (grid.ravel() for grid in np.meshgrid(x_m, y_m, indexing="ij"))

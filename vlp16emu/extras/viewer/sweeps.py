@@ -1,6 +1,6 @@
 """Sweeps by time: of a scene, computed on demand, and of a capture, with the faults of its packets."""
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -16,44 +16,28 @@ from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import LabelsOf, scans_in
 from vlp16emu.extras.options import TrajectoryErrors
-from vlp16emu.extras.verify import Finding, Rule, verify_units
+from vlp16emu.extras.verify import Rule, verify_units
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scenario import load
-from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable
 from vlp16emu.types import F8, I8, Labels, Scan
 
-_TURNS = 2.2
-"""Span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed."""
-_KEPT = 300
-"""Sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file."""
-_MARKED = 10_000
-"""Most findings of a rule that are marked; all are counted."""
-_PASSED_OVER = Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE
-"""Rules for which a packet is not read."""
+_TURNS = 2.2  # span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed
+_KEPT = 300  # sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file
+_MARKED = 10_000  # most findings of a rule that are shown; all are counted
 _ABOUT_POINTS = (
-    *_PASSED_OVER,
-    *(Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE, Rule.FROZEN, Rule.AZIMUTH_STEP),
-    *(Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
+    *(Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE, Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE),
+    *(Rule.FROZEN, Rule.AZIMUTH_STEP, Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
 )
-"""Rules whose findings are marked; with the others, such as late packets, points are right."""
-
-
-class Mark(NamedTuple):
-    """A fault between two azimuths of a sweep."""
-
-    begin_deg: float
-    end_deg: float
-    what: str
+"""Rules whose findings are shown with a sweep; with the others, such as late packets, points are right."""
 
 
 class Sweep(NamedTuple):
     """A revolution of the sensor."""
 
     scan: Scan
-    world_m: F8
-    """(n, 3) points in the world."""
-    marks: tuple[Mark, ...] = ()
+    world_m: F8  # (n, 3) points in the world
+    faults: tuple[str, ...] = ()  # lines about its broken packets
 
 
 def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
@@ -89,7 +73,7 @@ class SceneSweeps:
         units = emulator.parts.units
         if unit > len(units):
             raise InputError("--unit", f"found {unit}", f"at most {len(units)}, the sensors of the scene")
-        self._emulator, self._unit, self.beams = emulator, unit, units[unit - 1].head.beams
+        self._emulator, self._unit = emulator, unit
         self.step_s = 60.0 / emulator.scenario.sensor.rpm
         end_s = min(emulator.scenario.duration_s, emulator.parts.motion.run_time_s)
         self._span_s = min(_TURNS * self.step_s, end_s)
@@ -123,24 +107,24 @@ class CaptureSweeps:
         found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
         """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
-        self.species = {} if truth is None else _species(truth)
-        """Names of species by number."""
-        reader, packets, self._starts_ns = self._reader(), list[I8](), list[int]()
+        self.species = {} if truth is None else _species(truth)  # names of species by number
+        packets, self._starts_ns = list[I8](), list[int]()
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
-            """Keep frame, time and azimuths of the packets; return no labels."""
-            azimuth_cdeg = chunk.fields["blocks"]["azimuth_cdeg"][:, [0, -1]]
-            packets.append(np.column_stack([chunk.number, chunk.utc_ns, azimuth_cdeg]))
+            """Keep frame and time of the packets; return no labels."""
+            packets.append(np.stack([chunk.number, chunk.utc_ns]))
             return {}
 
         try:
-            self._starts_ns.extend(scan.start_ns for scan in self._scans(reader, note))
+            self._starts_ns.extend(scan.start_ns for scan in self._scans(note))
         except CaptureError as error:
             self.health.append(str(error))
         if not self._starts_ns:
             raise InputError(str(path), "no whole revolution", "a capture of at least two")
-        self.beams: BeamTable = BEAM_TABLES[reader.summary.model]
-        self._marks = _marks(np.concatenate(packets), found.findings)
+        self._faults = [one for one in found.findings if one.rule in _ABOUT_POINTS]
+        frame, t_ns = np.concatenate(packets, axis=1)
+        after = np.searchsorted(frame, [one.packet for one in self._faults])
+        self._faults_ns: list[int] = t_ns[np.minimum(after, len(t_ns) - 1)].tolist()
         self.last_s = (self._starts_ns[-1] - self._starts_ns[0]) / 1e9
         self.step_s = self.last_s / max(len(self._starts_ns) - 1, 1) or 0.1
         self._reading: Generator[Scan] | None = None
@@ -153,15 +137,16 @@ class CaptureSweeps:
         if wanted not in self._held and (self._reading is None or wanted < self._next):
             self.close()
             truth = None if self._folder is None else CaptureTruth(self._folder, self._number, None)
-            self._reading, self._next = self._scans(self._reader(), partial(_labels, truth)), 0
+            self._reading, self._next = self._scans(partial(_labels, truth)), 0
         while self._reading is not None and wanted not in self._held:
             self._held[self._next] = next(self._reading)
             self._next += 1
             if len(self._held) > _KEPT:
                 del self._held[min(self._held)]
         scan, ends_ns = self._held[wanted], [*self._starts_ns[1:], np.iinfo(np.int64).max]
-        marks = tuple(mark for t_ns, mark in self._marks if scan.start_ns <= t_ns < ends_ns[wanted])
-        return by_trajectory(scan, self._way)._replace(marks=marks)
+        faults = zip(self._faults_ns, self._faults, strict=True)
+        shown = tuple(str(one) for t_ns, one in faults if scan.start_ns <= t_ns < ends_ns[wanted])
+        return by_trajectory(scan, self._way)._replace(faults=shown)
 
     def close(self) -> None:
         """Close the capture."""
@@ -169,11 +154,9 @@ class CaptureSweeps:
             self._reading.close()
             self._reading = None
 
-    def _reader(self) -> CaptureReader:
+    def _scans(self, labels_of: LabelsOf) -> Generator[Scan]:
         clock = packet_clock(self._path, self._unit)
-        return CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
-
-    def _scans(self, reader: CaptureReader, labels_of: LabelsOf) -> Generator[Scan]:
+        reader = CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
         for scan in scans_in(reader, labels_of):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
@@ -185,27 +168,10 @@ def _species(folder: Path) -> dict[int, str]:
 
 
 def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
-    """Return the arrays of `Labels` of the points of packets."""
     if truth is None:
         return {}
     rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
     return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}
-
-
-def _marks(packets: I8, findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
-    """Return the marks of findings with their times (UTC in ns), by frame, time and azimuths (n, 4) of the packets read."""
-    frame, t_ns, first_cdeg, last_cdeg = packets.T
-    marks = list[tuple[int, Mark]]()
-    for finding in findings:
-        after = min(int(np.searchsorted(frame, finding.packet)), len(frame) - 1)
-        is_read = frame[after] == finding.packet
-        if finding.rule not in _ABOUT_POINTS or not (is_read or finding.rule in _PASSED_OVER):
-            continue
-        begin_deg, end_deg = first_cdeg[after] / 100, last_cdeg[after] / 100
-        if finding.rule is Rule.LOST_PACKETS or not is_read:
-            begin_deg, end_deg = last_cdeg[max(after - 1, 0)] / 100, begin_deg
-        marks.append((int(t_ns[after]), Mark(begin_deg, end_deg, str(finding))))
-    return marks
 
 
 Sweeps = SceneSweeps | CaptureSweeps

@@ -121,7 +121,7 @@ def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -
 
 
 def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, free_share: float = 1.0) -> PointPattern:
-    """Plant rows, of which a random share of the plants is still there; `free_share` of the ground is off trails.
+    """Plant rows, a random share still there; `free_share` of the ground is off trails.
 
     Raises GeometryError where more are to be left, with those on trails gone, than were planted.
     """
@@ -175,7 +175,7 @@ def pattern_of(
 
 
 def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> Array:
-    """Random numbers in [0, 1), (n, columns), of which the first two are made places on a tile; n is `mean` on average."""
+    """Random numbers in [0, 1), (n, columns), the first two scaled to places on a tile; n is `mean` on average."""
     draws = rng.random((rng.poisson(mean), columns))
     draws[:, :2] = (draws[:, :2] + np.array([ix, iy])) * TILE_M
     return draws

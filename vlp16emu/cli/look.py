@@ -1,18 +1,64 @@
-"""`vlp16emu view`: a page in the browser with the stand, the path and what the sensor sees."""
+"""Verbs that show what a sensor sees: picture and view."""
 
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import SceneOrCapture, Settings
-from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import Progress
+from vlp16emu.cli.printer import finish
+from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.extras.options import PictureLook
 from vlp16emu.options import Option
-from vlp16emu.run.options import WhichUnit
+from vlp16emu.run.options import Span, WhichUnit
 
 if TYPE_CHECKING:
     import viser
+
+
+def picture(
+    scene: args.SceneOrCapture,
+    out: Annotated[
+        Path,
+        Option("File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.", name="OUT"),
+    ],
+    look: PictureLook,
+    span: Span,
+    *,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    trajectory: args.TrajectoryFile = None,
+    as_json: args.AsJson = False,
+) -> None:
+    """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
+
+    Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
+    revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
+    """
+    from vlp16emu.extras.plots import check_matplotlib
+
+    check_matplotlib()
+    from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
+    from vlp16emu.packets.capture import is_capture_name
+
+    check_suffix(out)
+    if look.from_deg is not None and look.view != "slant":
+        raise InputError("--from", f"found beside --view {look.view}", "--view slant")
+    is_capture = is_capture_name(scene)
+    if trajectory is not None and not is_capture:
+        raise InputError("--trajectory", "found beside a scene", "a capture")
+    with ExitStack() as stack:
+        stop, _ = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(0.0, "drawing"))
+        if is_capture:
+            is_film = out.suffix.lower() != ".png"
+            source = source_of_capture(Path(scene), trajectory, span, whole=is_film or trajectory is not None)
+        else:
+            emulator = make_emulator(scene, settings, ideal=ideal)
+            source = source_of_scene(emulator, span)
+            stack.enter_context(emulator.engine.windows.stopped_by(stop))
+        made = draw_picture(source, out, look, stop)
+    finish(made, as_json=as_json)
 
 
 def view(

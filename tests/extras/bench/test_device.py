@@ -1,13 +1,15 @@
-"""What is set on a sensor, and what of it survives."""
+"""What is set on a sensor, what of it survives, and its converters against the formulas of the manual, applied the other way."""
 
 import json
+import math
 from dataclasses import replace
 
 import pytest
 
 from vlp16emu.errors import InputError, OutputError, RunError
-from vlp16emu.extras.bench.state import DeviceSettings
-from vlp16emu.types import ReturnMode
+from vlp16emu.extras.bench.device import DeviceSettings, DeviceStatus, diagnostics
+from vlp16emu.types import PpsState, ReturnMode
+from vlp16emu.units import S_NS
 
 OTHERS = DeviceSettings(
     1200, ReturnMode.DUAL, False, (90, 270), True, 12_345, "10.0.0.7", 3000, 3001,
@@ -104,3 +106,69 @@ def test_settings_that_cannot_be_saved_are_not_taken_for_saved(make, tmp_path):
     with pytest.raises((InputError, RunError)):
         device.save()
     assert device.power_up == DeviceSettings()
+
+
+WARM = DeviceStatus(
+    t_ns=1_779_267_600 * S_NS, pps=PpsState.ABSENT, position="", motor_rpm=600.0, motor_on=True,
+    phase_locked=False, phase_cdeg=0, laser_on=True, powered_for_s=7200.0,
+)  # fmt: skip
+
+
+def volts(raw):
+    return raw * 5 / 4096
+
+
+def celsius(raw):
+    """63-9243 Rev D, section 10.2.3.2."""
+    return -1481.96 + math.sqrt(2.1962e6 + (1.8639 - volts(raw)) / 3.88e-6)
+
+
+def boards(**changes):
+    tree = diagnostics(replace(WARM, **changes))["volt_temp"]
+    return tree["bot"], tree["top"]
+
+
+def test_the_formulas_give_the_check_numbers_of_real_units():
+    """1037 counts are 51.1 degrees, 2628 are -181 V: what the tests below read with."""
+    assert celsius(1037) == pytest.approx(51.1, abs=0.05)
+    assert 101 * (volts(2628) - 5) == pytest.approx(-181, abs=0.5)
+
+
+@pytest.mark.parametrize("t_s", range(0, 60, 7))
+def test_a_healthy_sensor_reads_as_real_units_do(t_s):
+    """Rails, input, high voltage and temperatures of a warm unit are within 1 % of those on record, at any time."""
+    bottom, top = boards(t_ns=WARM.t_ns + t_s * S_NS)
+    real_bottom = {"i_out": 2087, "pwr_1_2v": 986, "lm20_temp": 1037, "pwr_5v": 2056, "pwr_2_5v": 2047,
+                   "pwr_3_3v": 2706, "pwr_v_in": 891, "pwr_1_25v": 0}  # fmt: skip
+    real_top = {"hv": 2628, "ad_temp": 602, "lm20_temp": 1018, "pwr_5v": 2078, "pwr_2_5v": 2047, "pwr_3_3v": 2687,
+                "pwr_5v_raw": 2190, "pwr_vccint": 976}  # fmt: skip
+    assert bottom == {name: pytest.approx(raw, rel=0.01) for name, raw in real_bottom.items()}
+    assert top == {name: pytest.approx(raw, rel=0.01) for name, raw in real_top.items()}
+
+
+def test_boards_warm_up_over_the_first_minutes():
+    """From 25 degrees at power-up, over more than half of the way after two minutes, to 51 and 53 after ten."""
+    readings = [[celsius(board["lm20_temp"]) for board in boards(powered_for_s=s)] for s in (0.0, 120.0, 600.0)]
+    for cold, between, warm in zip(*readings, strict=True):
+        assert cold == pytest.approx(25, abs=0.5)
+        assert between > (cold + warm) / 2
+        assert warm == pytest.approx(52, abs=1.7)
+
+
+def test_values_move_slightly_and_the_same_way_every_time():
+    """Within a minute every converter but the unused one shows more than one value, and never jumps; a time has its values."""
+    seen = [boards(t_ns=WARM.t_ns + s * S_NS) for s in range(62)]
+    assert seen == [boards(t_ns=WARM.t_ns + s * S_NS) for s in range(62)]
+    for side in (0, 1):
+        for name in seen[0][side]:
+            counts = [boards_[side][name] for boards_ in seen]
+            assert max(counts) - min(counts) in range(1, 8) or name == "pwr_1_25v", name
+
+
+def test_the_current_follows_motor_and_laser():
+    """0.48 A at 600 rpm, more at 1200, less without lasers, least at rest."""
+    states = ((1200.0, True), (600.0, True), (600.0, False), (0.0, False))
+    currents = [10 * (volts(boards(motor_rpm=rpm, laser_on=on)[0]["i_out"]) - 2.5) for rpm, on in states]
+    assert currents == sorted(currents, reverse=True)
+    assert len(set(currents)) == 4
+    assert currents[1] == pytest.approx(0.48, abs=0.03)

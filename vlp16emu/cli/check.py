@@ -1,0 +1,232 @@
+"""Verbs that check and compare: verify, compare, fit and score."""
+
+import json
+from contextlib import nullcontext
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName
+from vlp16emu.cli.printer import print_json, print_rows, rows_of, tree_of
+from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.extras.options import ScoreInputs
+from vlp16emu.options import Option
+
+if TYPE_CHECKING:
+    from vlp16emu.extras.compare import Compared
+    from vlp16emu.extras.verify import Verification
+
+
+def verify(
+    file: Annotated[
+        Path,
+        Option(
+            "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst; with --for a bag of any sensor.",
+            name="FILE.pcap",
+        ),
+    ],
+    *,
+    unit: UnitName = None,
+    slam: Annotated[
+        str | None,
+        Option(
+            "Check a bag (.mcap, .bag or a folder of ROS 2) for a SLAM program instead, such as fast-lio2 or kiss-icp, or all of "
+            "them: what it would read wrong, and which of its parameters to set.",
+            "NAME",
+            "--for",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check a capture against the rules of VLP-16 traffic, or a bag for SLAM programs.
+
+    Names each broken rule with the number of the packet, as Wireshark counts. Each of several units is checked
+    by itself, unless --unit names one. Notes are what settings, receivers, old firmware or recorders account for. Exits with 0 if no rule is
+    broken, whatever the notes, else with 1.
+    """
+    if slam is not None:
+        _verify_bag(file, unit, slam, as_json=as_json)
+        return
+    if file.suffix.lower() in (".mcap", ".bag") or (file / "metadata.yaml").is_file():
+        raise InputError(str(file), "a bag", "a capture, or --for with the name of a SLAM program, or all")
+    from vlp16emu.extras.verify import verify_units
+    from vlp16emu.packets import chosen_unit, units_in
+
+    if file.is_fifo():  # its units are looked for first
+        raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
+    units = units_in(file) if unit is None else [chosen_unit(file, unit, where="--unit")]
+    if len(units) < 2:
+        results = {str(file): verify_units(file, units or [None])[0]}
+        tree = {"file": file} | _tree(results[str(file)])
+    else:
+        results = dict(zip(map(str, units), verify_units(file, units), strict=True))
+        trees = [{"unit": unit} | _tree(result) for unit, result in results.items()]
+        tree = {"file": file, "clean": all(tree["clean"] for tree in trees), "units": trees}
+    if as_json:
+        print_json(tree)
+    else:
+        for whose, result in results.items():
+            _print(whose, result)
+    if not tree["clean"]:
+        raise typer.Exit(1)
+
+
+def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> None:
+    from vlp16emu.extras.slam import fitness
+
+    if unit is not None:
+        raise InputError("--unit", f"found {unit}", "no unit with --for")
+    result = fitness(file, slam)
+    if as_json:
+        programs = {name: {"fit": not result.of(name), "findings": result.of(name)} for name in result.programs}
+        print_json({"file": file, "fit": not result.findings, "bag": result.summary, "programs": programs})
+    else:
+        for finding in result.findings:
+            print(finding)
+        counts = {name: len(result.of(name)) for name in result.programs}
+        verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
+        print_rows(
+            f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts
+        )
+    if result.findings:
+        raise typer.Exit(1)
+
+
+def _tree(result: "Verification") -> dict[str, Any]:
+    counted = {name: getattr(result, name) for name in ("position_packets", "other_frames", "lost_packets")}
+    return {
+        "clean": result.is_clean,
+        "packets": result.data_packets,
+        **counted,
+        "void_sentences": result.void_sentences,
+        "duration_s": result.span_s,
+        "rpm": result.rpm,
+        "cut": result.is_cut,
+        "broken_rules": result.counts,
+        "notes": result.notes,
+        "findings": result.findings,
+    }
+
+
+def _print(whose: str, result: "Verification") -> None:
+    for finding in result.findings:
+        print(finding)
+    tree = _tree(result)
+    counts = tree.pop("broken_rules"), tree.pop("notes")
+    rows = rows_of({name: value for name, value in tree.items() if name not in ("clean", "findings") and value})
+    for what, numbers in zip(("broken", "note"), counts, strict=True):
+        rows |= {f"{what}: {rule}": str(number) for rule, number in numbers.items()}
+    print_rows(f"{whose}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)
+
+
+def compare(
+    file: CaptureFile,
+    other: Annotated[Path, Option("The capture to compare it with.", name="OTHER.pcap")],
+    *,
+    picture: Annotated[
+        Path | None, Option("Draw spectra and histograms; needs the extra 'picture'.", "OUT.png")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two captures, ours or real ones, by what distinguishes units.
+
+    Each statistic comes with the difference as a multiple of the spread of real units; above 1 real units do not differ so much. A
+    minute of each capture is read at most. Scatter of ranges and of reflectivity also depends on what a capture shows:
+    walls compare with walls, foliage with foliage.
+    """
+    from vlp16emu.extras.compare import compared, draw, read_sequences
+    from vlp16emu.extras.plots import check_matplotlib
+    from vlp16emu.output import OutputFile, spare
+
+    if picture is not None:
+        check_matplotlib()
+        spare((file, other), picture)
+    sequences = read_sequences(file), read_sequences(other)
+    rows = compared(*sequences)
+    if picture is not None:
+        with OutputFile(picture, where=f"--picture {picture}") as output, output.writing() as opened:
+            draw(opened, *sequences, (file.name, other.name))
+    apart = [row.name for row in rows if row.apart]
+    if as_json:
+        found = [row._asdict() for row in rows]
+        print_json({"files": [str(file), str(other)], "apart": apart, "statistics": found})
+        return
+    print_rows(
+        f"{file} and {other}", {"": "     first     second   distance", **{row.text: _line(row) for row in rows}}
+    )
+    print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
+
+
+def _line(row: "Compared") -> str:
+    unlike = [name for name, is_unlike in zip(("first", "second"), row.unlike, strict=True) if is_unlike]
+    notes = (["differs"] if row.apart else []) + [f"{name} like no real unit" for name in unlike]
+    return f"{row.first:10.4g} {row.second:10.4g} {row.distance:10.2f}  {', '.join(notes)}".rstrip()
+
+
+def fit(
+    file: CaptureFile, *, out: Annotated[Path | None, Option("Write them to a file instead.", "UNIT.toml")] = None
+) -> None:
+    """Print the [noise] and [sensor] tables of the unit that made a capture, for a scene file.
+
+    The beat of its ranges has the phase of the capture's first pulse. A minute is read at most.
+    """
+    from vlp16emu.extras.compare import fitted, read_sequences
+    from vlp16emu.output import OutputFile, spare
+
+    if out is not None:
+        spare((file,), out)
+    text = _toml(fitted(read_sequences(file)))
+    if out is None:
+        print(text, end="")
+        return
+    with OutputFile(out, where=f"--out {out}") as output, output.writing() as opened:
+        opened.write(text.encode())
+    print(f"wrote {out}")
+
+
+def _toml(tables: dict[str, dict[str, object]]) -> str:
+    """Write tables of numbers, texts and truths, which are written as in JSON."""
+    return "\n".join(
+        f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())
+        for name, table in tables.items()
+    )
+
+
+def score(
+    inputs: ScoreInputs,
+    *,
+    out: Annotated[Path | None, Option("Write score.json and score.html; needs the extra 'score'.", "DIR")] = None,
+    require: Annotated[
+        list[str] | None, Option("A threshold; exit code 1 if it is missed. Repeatable.", "SCORE<NUMBER")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Score a pipeline's trajectory, map, labels and stems against the truth of a run.
+
+    Scores what is given, from files of any tool. Exit code 1 if a threshold is missed.
+    """
+    from vlp16emu.extras.plots import check_matplotlib
+    from vlp16emu.extras.score.card import limits_of, make_card, page
+    from vlp16emu.output import report
+
+    limits = limits_of(require or ())
+    if out is not None:
+        check_matplotlib()
+    with report(out, ("score.json", "score.html")) if out else nullcontext() as files:
+        card = make_card(inputs)
+        missed = card.missed(limits)
+        tree = {"written_by": f"vlp16emu {version('vlp16emu')}", "inputs": card.inputs, "scores": card.scores}
+        tree = tree_of({**tree, "notes": card.notes, "trees": card.trees, "missed": missed})
+        if files:
+            files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
+            files[1].write(page(card, missed).encode())
+    if as_json:
+        print_json(tree)
+    else:
+        print_rows("scores", {name: f"{value:.6g}" for name, value in card.scores.items()})
+        for line in missed:
+            print(f"missed: {line}")
+    if missed:
+        raise typer.Exit(1)

@@ -1,0 +1,406 @@
+"""The sensor as its web interface sees it: settings, status, diagnostics, and the JSON documents and forms that show and set them (63-9243 Rev D, section 10.2).
+
+A real unit answers some bad requests with 200 and ignores them. Here every value that the sensor does not take, and every
+unknown key, is ignored with the whole request, and the answer says why.
+"""
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from ipaddress import IPv4Address
+from pathlib import Path
+from threading import Lock
+from typing import Annotated, Any, NamedTuple
+from urllib.parse import parse_qsl
+
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from vlp16emu.errors import InputError, Vlp16emuError, readable
+from vlp16emu.explain import explain
+from vlp16emu.output import OutputFile
+from vlp16emu.sensor.settings import Address, Port
+from vlp16emu.types import PpsState, ReturnMode, SensorModel
+from vlp16emu.units import S_NS
+
+_ALL_ONES = 0xFFFF_FFFF
+_MOST_BYTES = 10_000  # of saved settings, which are some 400
+
+
+def _address(expected: str, is_good: Callable[[IPv4Address], bool]) -> AfterValidator:
+    def checked(text: str) -> str:
+        try:
+            known = IPv4Address(text)
+        except ValueError:
+            raise ValueError(expected) from None
+        if not is_good(known):
+            raise ValueError(expected)
+        return str(known)
+
+    return AfterValidator(checked)
+
+
+def _has_ones_first(mask: IPv4Address) -> bool:
+    zeros = int(mask) ^ _ALL_ONES
+    return bool(int(mask)) and not zeros & (zeros + 1)
+
+
+_Receiver = _address(
+    "the IPv4 address of a host, or 255.255.255.255",
+    lambda at: not (at.is_unspecified or at.is_multicast or (at.is_reserved and int(at) != _ALL_ONES)),
+)
+_Gateway = _address("the IPv4 address of a router, or 0.0.0.0", lambda at: not (at.is_multicast or at.is_reserved))
+_Mask = _address("a network mask such as 255.255.255.0", _has_ones_first)
+_WholeDegree = Annotated[int, Field(ge=0, le=359)]
+
+
+@checked_dataclass(frozen=True, slots=True, config=ConfigDict(strict=True, extra="forbid"))
+class DeviceSettings:
+    """Settings of the web interface, with the defaults of the factory (63-9243 Rev D, section 10.2).
+
+    Raises pydantic.ValidationError if a value is none that the sensor takes; also from `dataclasses.replace`.
+    """
+
+    rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
+    """Speed of the rotor; others upset speed control and phase lock (section 8.3)."""
+    return_mode: ReturnMode = ReturnMode.STRONGEST
+    """Echoes that are sent."""
+    laser_on: bool = True
+    """False: no data packets; position packets go on."""
+    fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)
+    """First and last azimuth that is sent; (0, 359) is all around."""
+    phase_lock_on: bool = False
+    """Whether the rotor follows the pulse of the GPS receiver."""
+    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0
+    """Rotor angle at each pulse, in 0.01 degree."""
+    host: Annotated[str, _Receiver] = "255.255.255.255"
+    """IPv4 address that packets are sent to."""
+    data_port: Port = 2368
+    """Destination port of data packets."""
+    position_port: Port = 8308
+    """Destination port of position packets."""
+    address: Address = "192.168.1.201"
+    """IPv4 address of the sensor."""
+    mask: Annotated[str, _Mask] = "255.255.255.0"
+    """Of its network."""
+    gateway: Annotated[str, _Gateway] = "192.168.1.1"
+    """Of its network."""
+    dhcp: bool = False
+    """Whether it asks a server for them."""
+
+
+_SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
+
+
+class DeviceInfo(NamedTuple):
+    """Constants of a unit: names, versions, serial number."""
+
+    serial: str  # digits, as on the label
+    model: SensorModel
+    mac: bytes  # 6 bytes
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceStatus:
+    """The sensor at an instant."""
+
+    t_ns: int  # UTC of the emulated instant
+    pps: PpsState
+    position: str  # as the sensor writes it, such as `49 00.00N 200 .00W`; empty without a fix
+    motor_rpm: float
+    motor_on: bool
+    phase_locked: bool
+    phase_cdeg: int  # rotor angle at the latest pulse, in 0.01 degree
+    laser_on: bool
+    powered_for_s: float  # since power-up: boards warm up
+
+
+class Device:
+    """The settings of one sensor, for all threads that read and change them.
+
+    Raises InputError if the file is none that has been saved.
+
+    Parameters
+    ----------
+    factory : what is set where nothing has been saved
+    status : gives the sensor as it is now; called from the thread of the web server, and must not wait
+    is_up : returns whether the sensor answers, as it does not while it starts
+    changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` where the sensor starts
+        again; must not wait; if it raises, nothing changes
+    info : serial number and the like
+    saved : file that saved settings are kept in from run to run; None to keep them for this run
+    """
+
+    def __init__(
+        self,
+        factory: DeviceSettings,
+        *,
+        status: Callable[[], DeviceStatus],
+        is_up: Callable[[], bool],
+        changed: Callable[..., None],
+        info: DeviceInfo,
+        saved: Path | None = None,
+    ) -> None:
+        self.status, self.is_up, self.info = status, is_up, info
+        self._changed, self._file, self._lock = changed, saved, Lock()
+        self.power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
+        """Settings after the next power-up: those that were saved last, otherwise those of the factory."""
+        self.settings = self.power_up
+
+    def change(self, update: Callable[[DeviceSettings], DeviceSettings], *, restarts: bool = False) -> None:
+        """Replace the settings by `update(settings)`; errors as of `changed`."""
+        with self._lock:
+            before = self.settings
+            self.settings = after = update(before)
+            if after == before and not restarts:
+                return
+            try:
+                self._changed(before, after, restarts=restarts)
+            except Vlp16emuError:
+                self.settings = before
+                raise
+
+    def adopt(self, update: Callable[[DeviceSettings], DeviceSettings]) -> None:
+        """Replace the settings as the sensor has already been set by another way, such as an event of the scene."""
+        with self._lock:
+            self.settings = update(self.settings)
+
+    def restart(self) -> None:
+        """Start again from the settings after power-up; those that are not saved are lost."""
+        self.change(lambda _: self.power_up, restarts=True)
+
+    def save(self) -> None:
+        """Keep what is set for the next power-up; `OutputError` or `RunError` if the file cannot be written."""
+        with self._lock:
+            if self._file is not None:
+                with OutputFile(self._file) as output, output.writing() as file:
+                    file.write(_SETTINGS.dump_json(self.settings, indent=2) + b"\n")
+            self.power_up = self.settings
+
+
+def explained(error: ValidationError) -> tuple[str, str, str]:
+    """Field of the settings, what was found and what was expected."""
+    return explain(error, _SETTINGS.json_schema())
+
+
+def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
+    """Read settings that were saved; keys that are left out are the factory's."""
+    expected = "settings that a sensor has saved"
+    with readable(path, expected, InputError, most_bytes=_MOST_BYTES):
+        text = path.read_text(encoding="utf-8")
+    try:
+        tree = json.loads(text)
+        if isinstance(tree, dict):
+            tree = _SETTINGS.dump_python(factory, mode="json") | tree
+        return _SETTINGS.validate_json(json.dumps(tree))
+    except ValidationError as error:
+        key, found, wanted = explained(error)
+        raise InputError(f"{path}: {key}", found, wanted) from None
+    except (ValueError, RecursionError):
+        raise InputError(str(path), "no JSON", expected) from None
+
+
+_COUNTS_PER_V = 4096 / 5
+_AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1  # of the surroundings, and of the boards in the end
+_WARM_UP_S = 150.0  # in which a board comes nearer to its last temperature by a factor of e
+_SWAY_C = 0.2  # by which a temperature goes up and down
+_REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
+"""Current of the electronics, of the lasers and of the motor: together 0.48 A at 600 rpm."""
+
+
+_RAILS = {
+    "bot": {"pwr_1_2v": (1.2036, 11), "pwr_5v": (5.020 / 2, 13), "pwr_2_5v": (2.499, 17), "pwr_3_3v": (3.3032, 19)}
+    | {"pwr_v_in": (11.964 / 11, 23)},
+    "top": {"hv": (5 - 181 / 101, 29), "ad_temp": (0.735, 31), "pwr_5v": (5.073 / 2, 37), "pwr_2_5v": (2.499, 41)}
+    | {"pwr_3_3v": (3.280, 43), "pwr_5v_raw": (5.347 / 2, 47), "pwr_vccint": (1.1914, 59)},
+}
+"""Volts at the converters of both boards, and the period of their small movement in seconds."""
+
+
+def diagnostics(status: DeviceStatus) -> dict[str, object]:
+    """Make `diag.json`: counts of the converters, which follow the state.
+
+    Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values are those of healthy units; how they move is an
+    assumption.
+    """
+
+    def counts(volts: float, period_s: int) -> int:
+        return round(volts * _COUNTS_PER_V + 0.8 * _sine(status, period_s))
+
+    current_a = _REST_A + _LASER_A * status.laser_on + _MOTOR_A_PER_RPM * status.motor_rpm
+    boards = {board: {name: counts(*of) for name, of in rails.items()} for board, rails in _RAILS.items()}
+    boards["bot"] |= {"i_out": counts(2.5 + current_a / 10, 7), "pwr_1_25v": 0}
+    for board, last_c, period_s in (("bot", _BOTTOM_C, 61), ("top", _TOP_C, 53)):
+        boards[board]["lm20_temp"] = _lm20(_warmed(last_c, status, period_s))
+    return {"volt_temp": boards, "vhv": 412, "adc_nf": 14, "ixe": 1}
+
+
+def _lm20(temperature_c: float) -> int:
+    """Read a thermometer: T = -1481.96 + sqrt(2.1962e6 + (1.8639 - V) / 3.88e-6)."""
+    return round((1.8639 - 3.88e-6 * ((temperature_c + 1481.96) ** 2 - 2.1962e6)) * _COUNTS_PER_V)
+
+
+def _warmed(last_c: float, status: DeviceStatus, period_s: int) -> float:
+    missing = math.exp(-status.powered_for_s / _WARM_UP_S)
+    return last_c - (last_c - _AMBIENT_C) * missing + _SWAY_C * _sine(status, period_s)
+
+
+def _sine(status: DeviceStatus, period_s: int) -> float:
+    return math.sin(2 * math.pi * (status.t_ns % (period_s * S_NS)) / (period_s * S_NS))
+
+
+_MODELS = {SensorModel.VLP_16: "VLP-16", SensorModel.PUCK_LITE: "Puck LITE", SensorModel.PUCK_HI_RES: "Puck Hi-Res"}
+"""The first is on record; the others are named as their data sheets do (assumption)."""
+_FIRMWARE = Path(__file__).with_name("firmware.json")
+"""Images 3.0.41.1, and 1.9.3.0 to fall back on, and their states: invented, and of one piece."""
+_PARTS = {
+    f"/cgi/{name}.json": part for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
+}
+"""What is read alone, and its name in the snapshot of all."""
+_MOST_KEYS = 16
+
+
+class FormError(ValueError):
+    """A form that changes nothing, with the reason."""
+
+
+def _whole(text: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,5}", text, re.ASCII):
+        raise ValueError("a whole number")
+    return int(text)
+
+
+def _is_on(text: str) -> bool:
+    if text not in ("on", "off"):
+        raise ValueError("on or off")
+    return text == "on"
+
+
+def _return_mode(text: str) -> ReturnMode:
+    modes = {mode.capitalize(): mode for mode in ReturnMode}
+    if text not in modes:
+        raise ValueError(" or ".join(modes))
+    return modes[text]
+
+
+def _switch(on: bool) -> str:
+    return "On" if on else "Off"
+
+
+class _Key(NamedTuple):
+    """A setting of the web interface."""
+
+    form: str  # last part of the path that it is sent to, and the table that shows it; empty for the outermost
+    name: str
+    field: str  # of `DeviceSettings`
+    read: Callable[[str], object] = _whole
+    shown: Callable[[Any], object] = str
+    end: int | None = None  # which end of the field of view it is
+
+
+_KEYS = (
+    _Key("", "rpm", "rpm", shown=int),
+    _Key("", "returns", "return_mode", _return_mode, str.capitalize),
+    _Key("", "laser", "laser_on", _is_on, _switch),
+    _Key("fov", "start", "fov_deg", shown=int, end=0),
+    _Key("fov", "end", "fov_deg", shown=int, end=1),
+    _Key("host", "addr", "host", str),
+    _Key("host", "dport", "data_port"),
+    _Key("host", "tport", "position_port"),
+    _Key("net", "addr", "address", str),
+    _Key("net", "mask", "mask", str),
+    _Key("net", "gateway", "gateway", str),
+    _Key("net", "dhcp", "dhcp", _is_on, _switch),
+    _Key("phaselock", "enabled", "phase_lock_on", _is_on, _switch),
+    _Key("phaselock", "offset", "phase_lock_cdeg"),
+)
+_FORMS = {f"/cgi/setting/{key.form}".rstrip("/"): key.form for key in _KEYS}
+_ACTIONS: Mapping[str, tuple[bytes, Callable[[Device], None]]] = {
+    "/cgi/save": (b"submit", Device.save),
+    "/cgi/reset": (b"reset_system", Device.restart),
+}
+PATHS = frozenset((*_FORMS, *_ACTIONS))  # paths that take forms
+
+
+def document(path: str, device: Device) -> object | None:
+    """Return the document of a path, as it is now; None if there is none."""
+    if path not in (*_PARTS, "/cgi/snapshot.hdl"):
+        return None
+    status = device.status()
+    snapshot = {
+        "config": _settings(device.settings),
+        "diag": diagnostics(status),
+        "status": _status(status),
+        "info": _info(device.info),
+    }
+    return snapshot[_PARTS[path]] if path in _PARTS else snapshot
+
+
+def submit(path: str, body: bytes, device: Device) -> None:
+    """Do what a form of one of `PATHS` asks for, or nothing of it.
+
+    Raises `FormError` if it has a key or a value that the sensor does not take; others as of `Device`.
+    """
+    if path in _ACTIONS:
+        word, act = _ACTIONS[path]
+        if body not in (word, b"data=" + word):
+            raise FormError(f"body: found {_quoted(body)}, expected {word.decode()}")
+        act(device)
+        return
+    try:
+        pairs = parse_qsl(body.decode("ascii"), keep_blank_values=True, strict_parsing=True, max_num_fields=_MOST_KEYS)
+    except ValueError:
+        pairs = []
+    if not pairs:
+        raise FormError(f"body: found {_quoted(body)}, expected key=value")
+
+    device.change(lambda settings: reduce(partial(_with, _FORMS[path]), pairs, settings))
+
+
+def _with(form: str, settings: DeviceSettings, pair: tuple[str, str]) -> DeviceSettings:
+    (name, text), keys = pair, {key.name: key for key in _KEYS if key.form == form}
+    if name not in keys:
+        raise FormError(f"{name[:40]!r}: unknown key, expected {' or '.join(keys)}")
+    key = keys[name]
+    try:
+        value = key.read(text)
+        if key.end is not None:
+            value = (value, settings.fov_deg[1]) if key.end == 0 else (settings.fov_deg[0], value)
+        return replace(settings, **{key.field: value})  # type: ignore[arg-type]  # checked by the class
+    except ValidationError as error:
+        _, found, expected = explained(error)
+        raise FormError(f"{name}: {found}, expected {expected}") from None
+    except ValueError as error:
+        raise FormError(f"{name}: found {text[:40]!r}, expected {error}") from None
+
+
+def _quoted(body: bytes) -> str:
+    return repr(body[:40].decode("ascii", "replace"))
+
+
+def _settings(settings: DeviceSettings) -> dict[str, Any]:
+    """Write what is set, with the types that units send: numbers of ports and of the phase are texts."""
+    tree = dict[str, Any]()
+    for key in _KEYS:
+        value = getattr(settings, key.field)
+        table = tree.setdefault(key.form, {}) if key.form else tree
+        table[key.name] = key.shown(value if key.end is None else value[key.end])
+    return tree
+
+
+def _status(status: DeviceStatus) -> dict[str, object]:
+    motor = {"state": _switch(status.motor_on), "rpm": round(status.motor_rpm), "lock": _switch(status.phase_locked)}
+    return {
+        "gps": {"pps_state": status.pps.name.capitalize(), "position": status.position},
+        "motor": motor | {"phase": status.phase_cdeg},
+        "laser": {"state": _switch(status.laser_on)},
+    }
+
+
+def _info(info: DeviceInfo) -> dict[str, object]:
+    own = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
+    firmware: dict[str, object] = json.loads(_FIRMWARE.read_text(encoding="utf-8"))
+    return own | firmware
