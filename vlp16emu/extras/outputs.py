@@ -42,7 +42,7 @@ class OutputFolder:
         path: Path,
         *,
         stranger: Callable[[Path], str | None] = lambda folder: min(
-            (path.name for path in folder.iterdir()), default=None
+            (one.name for one in folder.iterdir()), default=None
         ),
         expected: str = "a new or empty folder",
         inputs: Iterable[Path] = (),
