@@ -59,7 +59,7 @@ EXTRAS_TAKE = {
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "truth"},
-    "plan": {"doctor", "keep_up"},
+    "plan": {"keep_up"},
     "replay": {"bench"},
     "images": {"camera", "options", "outputs", "palette", "truth"},
     "live": {"bench", "recorded"},
