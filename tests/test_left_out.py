@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from woods import LINES
 
 import vlp16emu.engine.engine as page
 from vlp16emu.emulator import Emulator
@@ -46,7 +47,7 @@ def first(*settings, scene="static_bench", truth=False):
 
 def birch(*settings):
     """Scene of a walk with little around it."""
-    return load("birch_walk", ["sensor.max_range_m=15", "world.stems_per_ha=150", "seed=5", *settings])
+    return load("birch_walk", [*LINES, *settings])
 
 
 def test_a_beam_without_width_has_no_footprint(monkeypatch):
@@ -229,7 +230,7 @@ def test_a_stream_of_a_walk_loads_no_library_it_does_not_need(tmp_path, monkeypa
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     unneeded = ["dpkt", "rich.progress", "trimesh", "vlp16emu.extras.verify"]
     unneeded += [f"scipy.{part}" for part in ("interpolate", "linalg", "ndimage", "optimize", "spatial", "special")]
-    sets = "sensor.max_range_m=15", "world.near_m=8", "world.stems_per_ha=100", "world.stones.cover=0.01"
+    sets = "sensor.max_range_m=8", "world.near_m=5", "world.stems_per_ha=50", "world.stones.cover=0.01"
     words = [word for each in sets for word in ("--set", each)]
     ports = "--data-port", "23680", "--position-port", "23681"
     walk = "stream", "birch_walk", "--duration", "0.05", "--no-audit", *words, *ports, "--json"

@@ -1,8 +1,8 @@
-"""Windows of `tools/unmask`: features and patches of made-up records."""
+"""Windows of `tools/unmask`: features of made-up records."""
 
 import numpy as np
 import pytest
-from unmask_windows import PATCHES, SEQUENCES, features_of, patches_of, windows
+from unmask_windows import SEQUENCES, features_of, windows
 
 from vlp16emu.extras.compare import Sequences
 
@@ -25,8 +25,6 @@ def wall():
         stamp_ns=packet * 1_327_104,
         packet=packet,
         last=None,
-        first_position_id=None,
-        mac=b"",
     )
 
 
@@ -46,11 +44,3 @@ def test_features_count_what_is_there(wall):
     assert found["no_return.beside.0.9"] == 1
     assert found["no_return.above_100"] == 0
     assert np.isnan(found["loss.at_step_150"])
-
-
-def test_a_stratum_says_what_stood_there(wall):
-    """Patches of a wall with lost records and of one without are of two strata; values of one laser on one surface are equal."""
-    raw, stratum = patches_of(next(windows(wall)), np.random.default_rng(0))
-    assert raw.shape[0] == len(stratum) == PATCHES
-    assert np.nanmax(np.abs(raw[:, :11])) == 0
-    assert set((stratum // 10 % 10).tolist()) == {2, 3}

@@ -14,8 +14,6 @@ from sklearn.metrics import roc_auc_score
 Array = np.ndarray
 SCENE_SHARE = 0.3
 """Share of the variance over emulated windows that is between scenes, from which on a feature is one of the scene."""
-TRAINED = 40_000
-"""Patches learnt at most."""
 
 
 class Data:
@@ -26,7 +24,6 @@ class Data:
         self.names, self.features = file["names"], file["features"]
         self.groups = np.array([name.partition(".")[0] for name in self.names])
         self.unit, self.scene, self.seed = file["unit"], file["scene"], file["seed"]
-        self.patches, self.stratum = file["patches"], file["stratum"]
         self.real = self.scene == "real"
         self.units = {is_real: list(dict.fromkeys(self.unit[self.real == is_real])) for is_real in (True, False)}
 
@@ -48,7 +45,7 @@ def shown_by_all(data: Data) -> Array:
 
 def folds(data: Data) -> Iterator[tuple[str, Array, Array]]:
     """Yield each real unit with the windows that are learnt without it, and those that are ranked: seeds are halved."""
-    even = np.array([int(seed or 0) % 2 == 0 for seed in data.seed])
+    even = np.array([int(seed) % 2 == 0 for seed in data.seed])
     for unit in data.units[True]:
         out = data.unit == unit
         yield unit, (data.real & ~out) | (~data.real & ~even), out | (~data.real & even)
@@ -77,24 +74,6 @@ def summarised(
     whole = np.where(np.isfinite(x), x, np.nanmedian(x[learnt], axis=0))
     model = tree().fit(whole[learnt], positive[learnt], weights_of(data, learnt, positive))
     return model.decision_function(whole[ranked]), model, whole
-
-
-def raw(data: Data, learnt: Array, ranked: Array, positive: Array) -> Array:
-    """Return mean logits of the patches of windows; in each stratum both classes weigh alike, so that it tells nothing."""
-    count, channels = data.patches.shape[1:]
-    x, y = data.patches[learnt].reshape(-1, channels), np.repeat(positive[learnt], count)
-    weight = np.repeat(weights_of(data, learnt, positive), count)
-    strata, of = np.unique(data.stratum, return_inverse=True)
-    of = of.reshape(data.stratum.shape)
-    mass = np.stack([np.bincount(of[learnt].ravel(), weight * (y == own), len(strata)) for own in (False, True)])
-    # A stratum weighs as much as the class that has less of it: one that a class lacks is not learnt, and tells nothing.
-    weight *= (mass.min(axis=0) / np.maximum(mass, 1e-30))[y.astype(int), of[learnt].ravel()]
-    rows = np.random.default_rng(0).choice(
-        len(x), min(TRAINED, (weight > 0).sum()), replace=False, p=weight / weight.sum()
-    )
-    model = tree().fit(x[rows], y[rows])
-    logit = model.decision_function(data.patches[ranked].reshape(-1, channels)).reshape(-1, count)
-    return (logit * (mass.min(axis=0) > 0)[of[ranked]]).mean(axis=1)
 
 
 def null(data: Data, x: Array) -> list[float]:
@@ -131,7 +110,10 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
         carried += importance(model, filled[ranked]) if whole else 0.0
     chance = null(data, x) if whole else []
     between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if whole else ""
-    print(f"| {title} ({len(names)}) | {line(areas)} | {between} |", flush=True)
+    print(
+        f"| {title} ({len(names)}) | {np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in areas)} | {between} |",
+        flush=True,
+    )
     if not whole:
         return
     for i in np.argsort(-carried)[:5]:
@@ -140,10 +122,6 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
         real = " ".join(f"{np.nanmedian(x[data.unit == unit, i]):.3g}" for unit in data.units[True])
         ours = " ... ".join(f"{value:.3g}" for value in np.nanquantile(x[~data.real, i], (0.1, 0.5, 0.9)))
         print(f"| - {names[i]} | {max(single, 1 - single):.2f} | {real} | {ours} |")
-
-
-def line(areas: list[float]) -> str:
-    return f"{np.mean(areas):.2f} | {' '.join(f'{one:.2f}' for one in areas)}"
 
 
 def main() -> None:
@@ -161,10 +139,6 @@ def main() -> None:
     for group in dict.fromkeys(data.groups[of_unit]):
         report(data, of_unit & (data.groups == group), f"{group} alone")
     report(data, counts & of_scene & (data.groups != "arrival"), "features of scenes")
-    areas = [
-        roc_auc_score(data.real[ranked], raw(data, learnt, ranked, data.real)) for _, learnt, ranked in folds(data)
-    ]
-    print(f"| raw patches | {line(areas)} | |")
     print(
         f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: {', '.join(data.names[counts & of_scene])}"
     )

@@ -1,4 +1,4 @@
-"""Raw windows of a capture for `tools/unmask`: features that presume little, and patches of records as they are."""
+"""Windows of a capture for `tools/unmask`: features that presume little."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -7,12 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from vlp16emu.extras.compare import Sequences
-from vlp16emu.extras.compare.losses import commonest
+from vlp16emu.extras.compare.statistics import commonest
 
 SEQUENCES = 600
 """Firing sequences of a window: 25 packets of single return."""
-PATCH, PATCHES = 12, 128
-"""Records of a patch, all of one laser, and patches taken of a window."""
 FLAT_LSB = 20
 """Most change of range between neighbours on one surface: 40 mm."""
 LEVELS = tuple(pairwise((0, 5, 20, 60, 101)))
@@ -170,29 +168,3 @@ def _clocks(out: Features, window: Sequences) -> None:
     out.shape("stamp", clock_us - clock_us[0] - np.polyval(line, window.packet))
     out["stamp.rate"] = float(line[0] / window.packet_us - 1)
     out.shape("arrival", np.diff(late_us))
-
-
-def patches_of(window: Sequences, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Take patches of records of one laser as they are (PATCHES, channels), NaN where there is none, with their strata.
-
-    Changes of range, codes of returns less their median, codes of no-returns over the commonest of the laser, codes of the
-    lasers beside, and steps of the azimuth. A stratum says what stood there: level, range, returns and edges.
-    """
-    d, r = window.distance_lsb, window.reflectivity
-    first, laser = draw.integers(0, len(d) - PATCH, PATCHES), draw.integers(0, 16, PATCHES)
-    row, levels = first[:, None] + np.arange(PATCH), np.where(d > 0, r, np.nan)
-    distance, silent = np.where(d > 0, d, np.nan)[row, laser[:, None]], np.where(d > 0, np.nan, r)[row, laser[:, None]]
-    returned = levels[row, laser[:, None]]
-    middles = np.nan_to_num(np.ma.median(np.ma.masked_invalid(np.stack([returned, distance])), axis=2).filled(0.0))
-    level, far, change = middles[0], middles[1], np.diff(distance, axis=1)
-    beside = [levels[row, (laser[:, None] + by) % 16][:, 5:7] - level[:, None] for by in (2, -2)]
-    steps = np.diff(window.azimuth_cdeg)[np.minimum(row[:, ::2] // 2, len(window.azimuth_cdeg) - 2)]
-    multiple = silent / np.maximum(commonest(d == 0, r)[laser], 1)[:, None]
-    raw = np.concatenate([change, returned - level[:, None], multiple, *beside, steps, level[:, None]], axis=1)
-    parts = (
-        np.digitize(level, (2, 4, 8, 15, 30, 60)),
-        np.digitize(np.isfinite(distance).sum(axis=1), (1, 9, 11, 12)),
-        np.digitize(np.abs(np.nan_to_num(change)).max(axis=1), (FLAT_LSB, 150, 700)),
-        np.digitize(far, (1, 1000, 3000)),
-    )
-    return raw.astype(np.float32), sum(part * 10**place for place, part in enumerate(parts))

@@ -124,19 +124,6 @@ def keeps_up_with(times: Sequence[FellBehind], scenario: Scenario, speed: float)
     return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []
 
 
-def speed_beside_sender(engine_speed: float, sender_share: float, threads: int, cores: int) -> float:
-    """Return the engine's speed if the sending thread takes its share of the same cores.
-
-    Parameters
-    ----------
-    engine_speed : simulated seconds per second without other work
-    sender_share : processor seconds per second of the sending thread, in [0, 1)
-    threads : workers of the engine
-    cores : of the machine
-    """
-    return engine_speed * min((cores - sender_share) / min(threads, cores), 1.0)
-
-
 @dataclass(frozen=True, slots=True)
 class KeptUp:
     """Rung of a stream, as measured on this machine."""

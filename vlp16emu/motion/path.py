@@ -110,12 +110,7 @@ class Path:
 
 @numba.njit(cache=True, nogil=True)
 def limit_slope(values: Array, step: Array) -> None:
-    """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] at most.
-
-    Parameters
-    ----------
-    step : (n - 1,) not negative
-    """
+    """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] >= 0 at most."""
     for i in range(values.size - 1):
         values[i + 1] = min(values[i + 1], values[i] + step[i])
     for i in range(values.size - 2, -1, -1):

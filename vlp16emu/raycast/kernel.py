@@ -59,18 +59,20 @@ def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, sur
 
 
 @numba.njit(cache=True, nogil=True)
-def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2) -> U4:
+def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2, first_round: U4) -> U4:
     """Cast the sub-rays of every pulse, by rounds of eight.
 
     Parameters
     ----------
-    count : (k, L) output, sub-rays of each pulse; n in all
+    count : (k, L) output, sub-rays of each pulse
+    first_round : (3, k L r) output, bits of the ranges, surfaces, bits of the cosines of the first r of each, in order of
+        pulses: the place of most is known before they are cast
 
     Returns
     -------
-    (3, n) in order of pulses: bits of the ranges, surfaces, bits of the cosines
+    (3, n) the same of all others, in order of pulses
     """
-    batch, pulses = cast.batch, PACKET * count.shape[1]
+    batch, pulses, lasers = cast.batch, PACKET * count.shape[1], count.shape[1]
     set_filter(cast.packet)
     groups = [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
     for first in cast.light.order:
@@ -82,16 +84,40 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
             _cast_near(cast, beyond, budget, first, todo, have, rays)
             if passage is not None:
                 go_on(passage, cast, todo, rays, reach_of(have, budget.adaptive))
-            todo, have = _settle(cast, budget, todo, have, rays), have + rays
-        groups[first // PACKET] = _taken(batch, first, count)
+            if have == 0:
+                todo = _settle_first(cast, budget, first_round, first * lasers, rays)
+            else:
+                todo = _settle(cast, budget, todo, have, rays)
+            have += rays
+        groups[first // PACKET] = _further(batch, min(ROUND, budget.most), first, count)
     n = ZERO
     for group in groups:
         n += group.shape[1]
-    hits, n = np.empty((3, n), np.uint32), ZERO
+    further, n = np.empty((3, n), np.uint32), ZERO
     for group in groups:
-        hits[:, n : n + group.shape[1]] = group
+        further[:, n : n + group.shape[1]] = group
         n += group.shape[1]
-    return hits
+    return further
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
+    """Fill hits (3, n) from those of first rounds and the others, as of `cast_pulses`, in order of pulses."""
+    pulses, lasers = count.size, count.shape[1]
+    each = first_round.shape[1] // pulses
+    for row in range(3):
+        of_first, rest, out = first_round[row], further[row], hits[row]
+        begin = at = used = ZERO
+        for pulse in range(pulses):
+            more = count[pulse // lasers, pulse % lasers] - each
+            if more or pulse == pulses - 1:
+                stop = each * (pulse + 1)
+                for a in range(stop - begin):
+                    out[at + a] = of_first[begin + a]
+                at, begin = at + stop - begin, stop
+                for a in range(more):
+                    out[at + a] = rest[used + a]
+                at, used = at + more, used + more
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -180,8 +206,41 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
+def _settle_first(cast: Cast, budget: RayBudget, first_round: U4, begin: int, count: int) -> int:
+    """Put the hits of the first round of all pulses in their place; list the pulses that need another, and return how many.
+
+    Parameters
+    ----------
+    first_round : as of `cast_pulses`
+    begin : number of the first pulse in it
+    """
+    batch, reflectance = cast.batch, cast.near.reflectance
+    hits, row, met, most, left = batch.hits, batch.row, batch.surface, batch.scratch.shape[1], 0
+    surface, lasers = first_round[1], met.shape[0] // PACKET
+    range_m, cosine = first_round[0].view(np.float32), first_round[2].view(np.float32)
+    for q in range(met.shape[0]):
+        at = count * (begin + q % PACKET * lasers + q // PACKET)
+        for lane in range(count):
+            range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
+            surface[at + lane], cosine[at + lane] = met[q, lane], row[q, COSINE + lane]
+        batch.have[q] = count
+        needs_more, stop = count < budget.most, at + count
+        if needs_more and budget.adaptive:
+            ranges, surfaces, cosines = range_m[at:stop], surface[at:stop], cosine[at:stop]
+            needs_more = not enough(ranges, surfaces, cosines, reflectance, budget, batch.scratch)
+        if needs_more:
+            for lane in range(count):
+                to = q * most + lane
+                hits.range_m[to], hits.surface[to] = range_m[at + lane], surface[at + lane]
+                hits.cos_incidence[to] = cosine[at + lane]
+            batch.todo[left] = q
+            left += 1
+    return left
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _settle(cast: Cast, budget: RayBudget, todo: int, have: int, count: int) -> int:
-    """Take the hits of a round; list the pulses that need another, and return how many."""
+    """Take the hits of a further round; list the pulses that need another, and return how many."""
     batch, reflectance = cast.batch, cast.near.reflectance
     hits, row, met, left = batch.hits, batch.row, batch.surface, 0
     range_m, surface, cosine = hits.range_m, hits.surface, hits.cos_incidence
@@ -205,21 +264,19 @@ def _settle(cast: Cast, budget: RayBudget, todo: int, have: int, count: int) -> 
 
 
 @numba.njit(cache=True, nogil=True)
-def _taken(batch: Batch, first: int, count: U2) -> U4:
-    """Count the hits of eight sequences and return them in order of pulses, (3, n) as in `cast_pulses`."""
+def _further(batch: Batch, each: int, first: int, count: U2) -> U4:
+    """Count the hits of eight sequences and return those behind the first `each` in order of pulses, (3, n) as `cast_pulses`."""
     most, n = batch.scratch.shape[1], ZERO
     for q in range(PACKET * count.shape[1]):
         count[first + q % PACKET, q // PACKET] = batch.have[q]
-        n += batch.have[q]
-    hits, n = np.empty((3, n), np.uint32), ZERO
-    range_bits, surface, cosine_bits = hits[0], hits[1], hits[2]
-    range_m, cosine = range_bits.view(np.float32), cosine_bits.view(np.float32)
+        n += batch.have[q] - each
+    further, n = np.empty((3, n), np.uint32), ZERO
+    range_m, cosine = further[0].view(np.float32), further[2].view(np.float32)
     for i in range(PACKET):
         for j in range(count.shape[1]):
-            begin, own = (PACKET * j + i) * most, batch.have[PACKET * j + i]
-            for s in range(own):
-                range_m[n + s] = batch.hits.range_m[begin + s]
-                surface[n + s] = batch.hits.surface[begin + s]
-                cosine[n + s] = batch.hits.cos_incidence[begin + s]
-            n += own
-    return hits
+            begin = (PACKET * j + i) * most
+            for s in range(each, batch.have[PACKET * j + i]):
+                range_m[n], further[1, n] = batch.hits.range_m[begin + s], batch.hits.surface[begin + s]
+                cosine[n] = batch.hits.cos_incidence[begin + s]
+                n += 1
+    return further

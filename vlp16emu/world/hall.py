@@ -33,10 +33,6 @@ class HallWorld:
     """A closed room with things in it; a `World` that is in reach as a whole.
 
     Raises GeometryError for a thing that is not wholly inside.
-
-    Parameters
-    ----------
-    section : what the user wrote
     """
 
     materials = ("room", "box", "pole", "sphere")  # names by `SURFACE` material number
@@ -53,8 +49,8 @@ class HallWorld:
         self.names = {_WALL_INSTANCE: "walls", **{i + 2: thing.name for i, thing in enumerate(things)}}
         surfaces = np.zeros(2 + len(things), SURFACE)
         surfaces["reflectance"] = [section.wall_reflectance] * 2 + [thing.brightness for thing in things]
-        surfaces["texture"][:2] = section.texture  # what stands in it is of known brightness and shape
-        surfaces["relief_m"][:2] = section.relief_m
+        surfaces["texture"] = [section.texture] * 2 + [thing.texture for thing in things]
+        surfaces["relief_m"][:2] = section.relief_m  # what stands in it is of known shape
         surfaces["material"] = [0, 0, *[1] * len(boxes), *[2] * len(poles), *[3] * len(spheres)]
         surfaces["semantic"] = Semantic.OTHER
         surfaces["semantic"][0] = Semantic.GROUND

@@ -187,13 +187,7 @@ class WorldSection(Section):
     """The user's own things; they may lie anywhere."""
 
     def site(self, seed: int) -> Site:
-        """Return the ground, on which the path and then the world are made.
-
-        Raises
-        ------
-        GeometryError
-            If it cannot be made as it is written
-        """
+        """Return the ground, on which path and world are made; raises GeometryError if it cannot be made as it is written."""
         site: Site = door(self.site_door)(self, seed)
         return site
 
@@ -232,6 +226,8 @@ class HallThing(Finish):
 
     name: str
     """Name in reports."""
+    texture: Texture = 0.0
+    """Share by which its reflectance varies over patches, as that of the walls does; none unless set, so that it is of known brightness."""
 
 
 class HallBox(HallThing):
@@ -280,7 +276,7 @@ class Hall(WorldSection):
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
     texture: Texture = 0.16
     """Share by which it varies over patches of some 0.2 m, one sigma over all; pieces of a wall of some 1.6 m differ
-    by a factor of e. Things in the hall have none. With 0.16 neighbouring returns from walls scatter as on real units."""
+    by a factor of three. With 0.16 neighbouring returns from walls scatter as on real units."""
     relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     """How far walls, floor and ceiling stand out and back over patches of a few centimetres, one sigma; ground truth has
     it too. Walls of the rooms that real sensors stood in have 0.002 to 0.005 m; without it, the hall is flat."""

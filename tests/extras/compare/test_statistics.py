@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from vlp16emu.extras.compare.losses import dual_returns, lost_records, no_returns
-from vlp16emu.extras.compare.rotation import rotation
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import on_lattice, statistics_of
+from vlp16emu.extras.compare.statistics import dual_returns, lost_records, no_returns, rotation, statistics_of
 from vlp16emu.extras.compare.surfaces import beat_of, codes, gains, range_noise, reflectivity_noise, stretches_of
 from vlp16emu.extras.compare.table import REAL, Known
 
@@ -28,8 +26,6 @@ def sequences_of(distance_lsb=None, reflectivity=None, **others):
         "stamp_ns": 10**18 + 1_327_104 * packet,
         "packet": packet,
         "last": None,
-        "first_position_id": None,
-        "mac": b"",
     }
     return Sequences(**fields | others)
 
@@ -140,15 +136,13 @@ def test_top_codes_are_counted_among_returns():
 
 @pytest.mark.parametrize("age_us", [0.0, 1.2])
 def test_the_tick_of_the_reading_is_found(age_us):
-    """Azimuths as old as the last tick of 1.2 us, at 0.5 us of the sensor's clock: height within what chance gives, and where it jumps."""
+    """Azimuths as old as the last tick of 1.2 us, at 0.5 us of the sensor's clock: height within what chance gives."""
     block = np.arange(COUNT // 2)
     clock_us = 17.25 + 110.592 * block
     old_us = (clock_us - 0.5) % 1.2 * (age_us / 1.2)
     azimuth = np.floor(123.4 + 0.36 * (clock_us - old_us) + DRAW.normal(0, 0.2, len(block))).astype(int)
     found = rotation(sequences_of(azimuth_cdeg=azimuth))
     assert abs(found["rotation.tick_us"]) == pytest.approx(age_us, abs=0.25)
-    if age_us:
-        assert found["rotation.tick_at_us"] == pytest.approx(0.5, abs=0.1)
 
 
 def test_steps_of_an_even_ruler_have_no_excess():
@@ -165,15 +159,12 @@ def test_steps_of_an_even_ruler_have_no_excess():
 
 
 def test_clocks_are_held_against_each_other():
-    """A sensor 20 ppm fast, and a host 5 ppm slow against it; a unit just switched on counts from a whole second, another one does not."""
+    """A sensor 20 ppm fast, and a host 5 ppm slow against it."""
     packet = np.arange(COUNT // 24)
     clock_ns = np.floor((17.25 + 1327.104 * packet) * (1 + 20e-6)).astype(int) * 1000
     found = statistics_of(sequences_of(clock_ns=clock_ns, stamp_ns=10**18 + (clock_ns * (1 - 5e-6)).astype(int)))
     assert found["clock.error_ppm"] == pytest.approx(20, abs=0.1)
     assert found["clock.host_ppm"] == pytest.approx(-5, abs=0.1)
-    since = np.floor(1327.104 * (packet + 40)).astype(int)
-    assert on_lattice(sequences_of(clock_ns=(since + 1_234_000_000) * 1000))
-    assert not on_lattice(sequences_of(clock_ns=(since + 1_234_000_123) * 1000))
 
 
 def test_ranges_of_real_units_are_widened_by_half():

@@ -5,10 +5,8 @@ import math
 import numpy as np
 
 from vlp16emu.errors import InputError
-from vlp16emu.extras.compare.losses import commonest
-from vlp16emu.extras.compare.rotation import local, turning_of
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import statistics_of
+from vlp16emu.extras.compare.statistics import commonest, local, statistics_of, turning_of
 from vlp16emu.extras.compare.surfaces import Statistics, beat_of, stretches_of
 from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
@@ -17,8 +15,8 @@ from vlp16emu.sensor import Sensor
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
 _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
-_EQUAL_STEPS, _COARSEST = 2.9, 5.0
-"""Step of bright codes over their scatter and the share of equal neighbours, from our own packets; and its limit."""
+_EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
+"""Step of bright codes over their scatter and the share of equal neighbours, from our own packets; its limit; where it is one, and set."""
 _ELSE_MM = 2.6
 """White error that the detector and the 2 mm of a code add to that of the settings, from our own packets."""
 _LEAST_SILENT = 50
@@ -55,7 +53,8 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["reflectivity_noise_share"] = round(scatter / _LEVEL, 4)
         # What is rounded to a step is equal to its neighbour by that step over its scatter.
         step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
-        out["reflectivity_step"] = round(min(step, _COARSEST), 2)
+        at_top = 1.0 + (step - 1.0) * (_TOP - _FROM) / (_LEVEL - _FROM)
+        out["reflectivity_step"] = round(min(max(at_top, 0.0), _COARSEST), 2)
     if "residue.odd_spread" in found:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "reflectivity.gain_spread" in found:

@@ -1,7 +1,7 @@
 """Firing sequences of a capture, numbered through gaps."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets import layout
-from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram
+from vlp16emu.packets.capture import Capture, CapturedUnit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
@@ -44,10 +44,6 @@ class Sequences:
     """(p,) from 0, numbered through gaps."""
     last: tuple[NDArray[np.int64], NDArray[np.int64]] | None
     """Distances and reflectivities (n, 16) of the even blocks, in dual return."""
-    first_position_id: int | None
-    """IP identification of the first position packet, if there is one."""
-    mac: bytes
-    """Address of the sender on the link."""
 
     @property
     def is_dual(self) -> bool:
@@ -75,30 +71,17 @@ def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
         If it is no capture, holds less than a revolution or two return modes, or its rotor has no speed of a VLP-16
     """
     with Capture(path) as capture:
-        packets, first_position_id = _packets(one for one in capture if unit is None or unit.owns(one))
+        own = (one for one in capture if len(one.payload) == layout.DATA_BYTES and (unit is None or unit.owns(one)))
+        packets = list(islice(own, _MOST_PACKETS))
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
     fields = np.frombuffer(b"".join(packet.payload for packet in packets), layout.DATA_PAYLOAD)
     if len(modes := np.unique(fields["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
     sequences = _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
-    sequences = replace(sequences, first_position_id=first_position_id, mac=packets[0].mac)
     if not _RPM[0] <= sequences.rpm <= _RPM[1]:
         raise CaptureError(str(path), f"a rotor at {sequences.rpm:.1f} rpm", "300 to 1200 rpm")
     return sequences
-
-
-def _packets(datagrams: Iterator[Datagram]) -> tuple[list[Datagram], int | None]:
-    """Collect the data packets of a minute, and the IP identification of the first position packet."""
-    packets, first_position_id = [], None
-    for one in datagrams:
-        if len(one.payload) == layout.DATA_BYTES:
-            packets.append(one)
-        elif len(one.payload) == layout.POSITION_BYTES and first_position_id is None:
-            first_position_id = one.identification
-        if len(packets) == _MOST_PACKETS:
-            break
-    return packets, first_position_id
 
 
 def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64]) -> Sequences:
@@ -125,8 +108,6 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64])
         stamp_ns=stamp_ns,
         packet=packet,
         last=_of_lasers(fields["blocks"][:, ::2]) if dual else None,
-        first_position_id=None,
-        mac=b"",
     )
 
 

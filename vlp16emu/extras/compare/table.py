@@ -7,9 +7,8 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vlp16emu.extras.compare.rotation import local, turning_of
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import statistics_of
+from vlp16emu.extras.compare.statistics import local, statistics_of, turning_of
 from vlp16emu.extras.compare.surfaces import stretches_of
 from vlp16emu.extras.plots import plotted
 
@@ -68,7 +67,7 @@ REAL: Mapping[str, Known] = MappingProxyType(
         "lost.at_steps_below_1.4_m": Known(0.08108, 0.2859, "records lost at steps of 0.3 to 1.4 m"),
         "lost.at_steps_above_1.4_m": Known(0.1512, 0.6111, "records lost at steps of more"),
         "no_return.above_0": Known(0.7794, 1, "no-returns of code above 0"),
-        "no_return.above_100": Known(0.0005556, 0.001896, "no-returns of code above 100"),
+        "no_return.above_100": Known(0.008562, 0.03873, "no-returns beside returns, above 100"),
         "no_return.equal": Known(0.7814, 0.9935, "equal neighbours among no-returns"),
         "no_return.mean": Known(3.0, 57.0, "mean code of no-returns"),
         "no_return.raised_beside_bright": Known(0.3272, 0.8882, "no-returns raised beside bright returns"),
@@ -87,9 +86,6 @@ REAL: Mapping[str, Known] = MappingProxyType(
         "residue.mod_4": Known(0.005477, 0.01426, "unevenness of ranges modulo 4"),
         "dual.one_without": Known(0.005053, 0.005053, "pairs with one return of two"),
         "dual.unequal_no_returns": Known(0.0006483, 0.0006483, "no-returns of unequal code in a pair"),
-        "start.stamps_count_from_it": Known(0, 0, "stamps count from a whole second"),
-        "start.round_values": Known(0, 0, "round values in the first packets"),
-        "start.arrivals_are_due": Known(0, 0, "host's clock agrees with the sensor's"),
         "clock.error_ppm": Known(-0.9034, 140, "sensor's clock against its firings, ppm"),
         "clock.host_ppm": Known(-15, 20.51, "host's clock against the sensor's, ppm"),
         "clock.arrival_us": Known(14.08, 161.8, "unevenness of arrivals, us"),

@@ -1,4 +1,4 @@
-"""A run that is flown while it is streamed: the port at which poses come in, and the way from the first pose to the report, and to the table that repeats it."""
+"""A run that is flown while it is streamed: from the port of its poses to the report, and to the table that repeats it."""
 
 import select
 import socket

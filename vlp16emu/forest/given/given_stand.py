@@ -55,16 +55,9 @@ def read_stem_list(
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
     species' own equations, neighbours and residual spread, drawn by the seed as the taper is; a stem without lean is upright.
 
-    Raises GeometryError naming file, line and column of what is missing, no number, out of its limits, no species, or
-    listed twice.
-
-    Parameters
-    ----------
-    origin_m : easting, northing and height that become (0, 0, 0) in the scene
-
-    Returns
-    -------
-    (n,) `TREE` in the order of the list; what is by chance or by the ground (id, z, crown azimuth, prototype, reflectance) is still 0
+    Returns trees (n,) `TREE` in the order of the list, whose id, z, crown azimuth, prototype and reflectance, by chance or by the
+    ground, are still 0; easting, northing and height of the origin become (0, 0, 0) in the scene. Raises GeometryError naming
+    file, line and column of what is missing, no number, out of its limits, no species, or listed twice.
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():
@@ -175,6 +168,7 @@ class GivenStand:
         self._source = Path(section.stem_list)
         trees = read_stem_list(self._source, plants.trees, section.origin_m, seed)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
+        self.species = [one.name for one in self._species]
         self._season, self._dead_branches = section.season, section.dead_branches
         trees = _completed(seed, trees, self._species)
         if section.crooked_stems:
@@ -188,11 +182,6 @@ class GivenStand:
         self.per_ha = float(count.max()) / _HA_PER_TILE  # where they are densest
         self._prototypes = _prototypes(trees)
         self._all = trees
-
-    @property
-    def species(self) -> list[str]:
-        """Names of the species of its trees."""
-        return [one.name for one in self._species]
 
     def check(self, path: Polyline, reach_m: float) -> None:
         """Raise GeometryError, naming the tree that is nearest, where no crown is within reach of a path."""

@@ -84,10 +84,6 @@ class StemForms:
         wave = 0.6 * cos(many * theta + wander - a) + 0.4 * cos(few * theta - wander - b)
         return depth_m / 2 * wave
 
-    def leader_top_m(self, fork_m: Array, height_m: Array) -> Array:
-        """Height (n,) of the second leader's tip, of forks and trees of these heights (n,)."""
-        return fork_m + _LEADER_TOP * (height_m - fork_m)
-
     def leader_aside_m(self, above_m: Array, fork_m: Array) -> Array:
         """Distance (n, r, 2) of second leaders from the first, at heights (n, r), of forks at heights (n,)."""
         _, _, _, slope, gap_m, towards = (column[:, None] for column in self.forks.T)
@@ -236,7 +232,7 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
 def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:
     """Second leaders of stems, with circles at shares (k,) of the way from fork to tip; with the first they are as thick as one stem."""
     own, forms = trees[rings.forked], rings.forms.of(rings.forked)
-    length_m = forms.leader_top_m(rings.fork_m, own["height_m"]) - rings.fork_m
+    length_m = (rings.fork_m + _LEADER_TOP * (own["height_m"] - rings.fork_m)) - rings.fork_m
     above_m = rings.fork_m[:, None] + length_m[:, None] * shares
     radius_m = _radius_m(own, above_m, table) * np.sqrt(forms.forks[:, 2:3]) * (shares < 1)
     return Leaders(own, forms, rings.fork_m, above_m, radius_m)
