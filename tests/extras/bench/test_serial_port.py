@@ -94,16 +94,26 @@ def test_pulses_are_on_the_line(line, felt):
 def test_a_device_that_comes_back_is_found(device, monkeypatch):
     """While it is away sentences are dropped, and the next one after its return is the first that comes out."""
     monkeypatch.setattr("vlp16emu.extras.bench.outlets._RETRY_S", 0.05)
+    sent = []
+
+    def send(text=SENTENCE):
+        sent.append(text)
+        sink.send(sentence(text))
+
+    def is_idle():  # a sentence still in the queue would be the first out
+        return sink.result.messages + sink.result.dropped == len(sent)
+
     with SerialSink(SerialPort(str(device.path), 9600, "--gps-out")) as sink:
         for times in (1, 2):
-            sink.send(sentence())
+            send()
             device.read(len(SENTENCE))
             device.pull_out()
-            until(lambda times=times: sink.send(sentence()) or sink.result.dropped > 4 * times)
+            until(lambda times=times: send() or sink.result.dropped > 4 * times)
+            until(is_idle)
             device.plug_in()
-            until(lambda times=times: sink.send(sentence(b"back")) or len(sink.result.away) == times)
+            until(lambda times=times: send(b"back") or len(sink.result.away) == times)
             assert device.read(4) == b"back"
-            until(sink._waiting.empty)
+            until(is_idle)
             tty.tcflush(device.master, tty.TCIFLUSH)
     assert len(sink.result.away) == 2
     assert all(0.0 < away.away_s < 5.0 for away in sink.result.away)
