@@ -27,7 +27,7 @@ ROOMS = (
     "random.py",
     "raycast",
     "returns",
-    "run/host_clock.py",
+    "run/stream.py",
     "sensor",
     "trig.py",
     "types.py",
