@@ -69,7 +69,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "events": "vlp16emu.extras.bench.changes:with_events",
         "events_of_scene": "vlp16emu.extras.bench.events:checked",
         "events_schema": "vlp16emu.extras.bench.events:tables",
-        "far": "vlp16emu.foliage.far_caster:FarCaster",
+        "far": "vlp16emu.foliage.far:FarCaster",
         "faults": "vlp16emu.extras.bench.faults:arriving",
         "frames": "vlp16emu.extras.captures.containers:frames",
         "field": "vlp16emu.extras.field:in_the_field",
