@@ -59,9 +59,9 @@ def test_patches_have_the_size_of_what_they_are_on(places_m, away_m, part, size_
 
     one = at(0.0)
     same = {steps: np.isclose(at(steps), one, atol=1e-4).mean() for steps in (0.05, 1.0)}
-    assert same[0.05] > 0.9
+    assert same[0.05] > 0.88
     assert 0.2 < same[1.0] < 0.5
-    assert abs(np.corrcoef(one, at(5.0))[0, 1]) < 0.03
+    assert abs(np.corrcoef(one, at(5.0))[0, 1]) < 0.06
 
 
 def test_a_patch_looks_the_same_from_everywhere(places_m):
