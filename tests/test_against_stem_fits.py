@@ -11,8 +11,8 @@ from vlp16emu.types import PlantPart, Semantic
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SPRUCE = ["sensor.max_range_m=20.0", "sensor.return_mode=strongest", "seed=3"]
-WALK_S = 5.0
+SPRUCE = ["sensor.max_range_m=14.0", "sensor.return_mode=strongest", "seed=3"]
+WALK_S = 3.0
 
 
 @pytest.fixture(scope="module", params=["false", "true"], ids=["round", "crooked"])

@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 import velodyne_decoder
+from woods import LINES
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, decode_data
@@ -12,15 +13,8 @@ from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-DURATION_S = 1.2
-SETTINGS = [
-    "seed=5",
-    "world.stems_per_ha=150",
-    "sensor.max_range_m=25.0",
-    "sensor.eccentricity_deg=0.0",
-    "sensor.azimuth_noise_deg=0.0",
-    "beam.model=none",
-]
+DURATION_S = 0.6
+SETTINGS = [*LINES, "sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0", "beam.model=none"]
 
 
 @pytest.mark.parametrize("mode", ["strongest", "dual"])

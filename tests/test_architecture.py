@@ -21,7 +21,7 @@ FLOORS = (
     {"emulator"},
     {"run"},
     {"engine"},
-    {"scan", "scenario"},
+    {"scenario"},
     {"forest"},
     {"foliage"},
     {"raycast", "returns", "sinks"},
@@ -58,15 +58,15 @@ EXTRAS_TAKE = {
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
-    "handle": {"bench", "truth"},
-    "plan": {"doctor", "keep_up"},
-    "replay": {"bench"},
-    "images": {"camera", "options", "palette", "truth"},
+    "handle": {"bench", "clouds", "truth"},
+    "plan": {"keep_up"},
+    "replay": {"bench", "free_ports"},
+    "images": {"camera", "options", "outputs", "palette", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
     "slam": {"truth"},
-    "truth": {"bench"},
+    "truth": {"bench", "outputs"},
     "viewer": {"camera", "clouds", "images", "options", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
@@ -75,11 +75,11 @@ FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floo
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("output.py", "raycast/embree", "sinks/pacing.py"),
+    "ctypes": ("extras/outputs.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
-    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/doctor.py", "extras/viewer/"),
+    "socket": ("sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py", "extras/viewer/"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }

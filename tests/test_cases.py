@@ -41,66 +41,28 @@ def packets(number: int) -> Callable[[Any], bool]:
     return lambda tree: tree["packets"] == number
 
 
-TSHARK = "tshark: datagrams of UDP length 1214"
-LINKS = [Case("decode", f, "", 0, packets(20), TSHARK) for f in ("01-sll.pcap", "03-rawip.pcap", "03b-null.pcap")]
-ARCHIVES = [Case("decode", file, "", 0, packets(37), TSHARK) for file in ("05-rotated.pcap.gz", "05b.pcap.zst")]
+TSHARK, MAC = "tshark: datagrams of UDP length 1214", "velodyne#532: only the MAC differs"
 FIELDS = "NMEA 0183: fields may be empty; the unit echoes what it gets"
 CASE_LIST = [
-    *LINKS,
-    *ARCHIVES,
+    Case("decode", "01-sll.pcap", "", 0, packets(20), TSHARK),
+    Case("decode", "03-rawip.pcap", "", 0, packets(20), TSHARK),
+    Case("decode", "03b-null.pcap", "", 0, packets(20), TSHARK),
+    Case("decode", "05-rotated.pcap.gz", "", 0, packets(37), TSHARK),
+    Case("decode", "05b.pcap.zst", "", 0, packets(37), TSHARK),
     Case("decode", "04-wireshark.pcapng", "", 0, packets(20), TSHARK),
     Case("decode", "07-fragments.pcap", "", 0, packets(20), "RFC 791, section 3.2, reassembly; tshark"),
-    Case(
-        "verify",
-        "07-fragments.pcap",
-        "",
-        1,
-        lambda t: t["broken_rules"] == {"header": 20} and len(t["findings"]) == 1,
-        "made so: 20 datagrams for one cause",
-    ),
+    Case("verify", "07-fragments.pcap", "", 1, lambda t: t["broken_rules"] == {"header": 20} and len(t["findings"]) == 1, "made so: 20 datagrams for one cause"),
     Case("verify", "01-sll.pcap", "", 0, only_notes(), "tshark: the same datagrams as on Ethernet"),
-    Case(
-        "bag",
-        "10-clock1970.pcap",
-        "",
-        0,
-        lambda t: t["clocks"] == ["host"] and t["messages"],
-        "README: a bag or a line",
-    ),
-    Case(
-        "bag",
-        "10-clock1970.pcap",
-        "--clock sensor",
-        2,
-        lambda e: "-9.973 s since 1970" in e,
-        "MCAP: log_time is a uint64",
-    ),
-    Case(
-        "decode", "12-suspend.pcap", "", 0, lambda t: 9000.03 < t["duration_s"] < 9000.05, "both clocks go on by 2.5 h"
-    ),
-    Case(
-        "bag",
-        "12-suspend.pcap",
-        "",
-        0,
-        lambda t: 9000 < t["duration_s"] < 9000.1,
-        "velodyne#384, #462: hour per packet",
-    ),
+    Case("bag", "10-clock1970.pcap", "", 0, lambda t: t["clocks"] == ["host"] and t["messages"], "README: a bag or a line"),
+    Case("bag", "10-clock1970.pcap", "--clock sensor", 2, lambda e: "-9.973 s since 1970" in e, "MCAP: log_time is a uint64"),
+    Case("decode", "12-suspend.pcap", "", 0, lambda t: 9000.03 < t["duration_s"] < 9000.05, "both clocks go on by 2.5 h"),
+    Case("bag", "12-suspend.pcap", "", 0, lambda t: 9000 < t["duration_s"] < 9000.1, "velodyne#384, #462: hour per packet"),
     Case("decode", "14-ntp-fwd.pcap", "", 0, lambda t: 0.03 < t["duration_s"] < 0.05, "the sensor's clock runs on"),
-    Case(
-        "decode",
-        "15-dup.pcap",
-        "",
-        0,
-        lambda t: t["repeats"] == t["packets"] + t["position_packets"],
-        "each pulse once",
-    ),
-    Case("decode", "18-same-ip.pcap", "", 2, lambda e: "2 units" in e, "velodyne#532: only the MAC differs"),
-    Case("decode", "18-same-ip.pcap", "--unit 2", 0, packets(15), "velodyne#532: only the MAC differs"),
-    Case("verify", "18-same-ip.pcap", "", 0, lambda t: len(t["units"]) == 2 and t["clean"], "velodyne#532"),
-    Case(
-        "bag", "18-same-ip.pcap", "--unit 1", 0, lambda t: len(t["clocks"]) == 1, "velodyne#532: only the MAC differs"
-    ),
+    Case("decode", "15-dup.pcap", "", 0, lambda t: t["repeats"] == t["packets"] + t["position_packets"], "each pulse once"),
+    Case("decode", "18-same-ip.pcap", "", 2, lambda e: "2 units" in e, MAC),
+    Case("decode", "18-same-ip.pcap", "--unit 2", 0, packets(15), MAC),
+    Case("verify", "18-same-ip.pcap", "", 0, lambda t: len(t["units"]) == 2 and t["clean"], MAC),
+    Case("bag", "18-same-ip.pcap", "--unit 1", 0, lambda t: len(t["clocks"]) == 1, MAC),
     Case("verify", "19-foreign.pcap", "", 0, only_notes(), "velodyne#306: the unit on 2368 is sound"),
     Case("decode", "19-foreign.pcap", "", 0, packets(26), "velodyne#306: the unit on 2368 is sound"),
     Case("decode", "20-fov10-20.pcap", "", 0, lambda t: t["rpm"] == pytest.approx(1200, abs=1), "recorded at 1200 rpm"),
@@ -109,10 +71,8 @@ CASE_LIST = [
     Case("verify", "22-pps-absent.pcap", "", 0, lambda t: t["notes"] == {"nmea-second": 1}, "made so: 25 min apart"),
     Case("bag", "24-nogps.pcap", "", 0, lambda t: t["host_ahead_s"] == [pytest.approx(-964.198, abs=1e-3)], "made so"),
     Case("verify", "25-gnrmc.pcap", "", 0, lambda t: t["notes"] == {"nmea-format": 1}, "the manual names GPRMC only"),
-    Case(
-        "verify", "26-relayed.pcap", "", 1, lambda t: t["broken_rules"] == {"ports": 2}, "two streams, one cause each"
-    ),
-]
+    Case("verify", "26-relayed.pcap", "", 1, lambda t: t["broken_rules"] == {"ports": 2}, "two streams, one cause each"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("case", CASE_LIST, ids=lambda case: f"{case.verb} {case.file} {case.options}".rstrip())

@@ -1,13 +1,13 @@
 """Settings that come from the web interface while a stream is sent."""
 
 import json
-import socket
 import threading
 import urllib.error
 import urllib.request
 
 import numpy as np
 import pytest
+from listening import opened, port_of
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras.bench.options import Http
@@ -31,14 +31,8 @@ class Receiver:
     """Two sockets that a stream is sent to; payloads in order of arrival, by kind."""
 
     def __init__(self):
-        self.sockets = []
-        for _ in range(2):
-            opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
-            opened.bind(("127.0.0.1", 0))
-            opened.settimeout(30.0)
-            self.sockets.append(opened)
-        self.ports = [opened.getsockname()[1] for opened in self.sockets]
+        self.sockets = [opened(), opened()]
+        self.ports = [port_of(one) for one in self.sockets]
 
     def data(self, wanted):
         """Receive data packets until one is wanted; give all of them."""
@@ -59,8 +53,8 @@ class Receiver:
 
     def close(self):
         """Close both."""
-        for opened in self.sockets:
-            opened.close()
+        for one in self.sockets:
+            one.close()
 
 
 class Live:
@@ -108,9 +102,9 @@ class Live:
 @pytest.fixture
 def receiver():
     """Somebody who listens."""
-    opened = Receiver()
-    yield opened
-    opened.close()
+    both = Receiver()
+    yield both
+    both.close()
 
 
 def stamps_us(payloads):

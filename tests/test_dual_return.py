@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from woods import LINES
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-THIN = ("seed=5", "world.stems_per_ha=150", "sensor.max_range_m=25.0", "sensor.return_mode=dual")
-OWN = ("noise.reflectivity_noise=0.0", "noise.gain_spread=0.0")
+OWN = ("sensor.return_mode=dual", "noise.reflectivity_noise=0.0", "noise.gain_spread=0.0")
 RESOLUTION_M, NOISE_M, ERROR_M = 1.0, 0.3, 0.05
 """How far apart two returns are; by how much noise may bring them together, at the detection threshold six sigmas of each are
 0.38 m; and the error of a range that is bright enough to be strongest: bias, at most 3 cm, and noise."""
@@ -18,7 +18,7 @@ RESOLUTION_M, NOISE_M, ERROR_M = 1.0, 0.3, 0.05
 @pytest.fixture(scope="module", params=["typical", "ideal"])
 def pairs(request):
     """Blocks (n, 12) of one revolution as on the wire, and strongest, last and second strongest (n, 6, 32, 3) in steps of distance."""
-    emulator = Emulator("birch_walk", [*THIN, *OWN, f"noise.preset={request.param}"])
+    emulator = Emulator("birch_walk", [*LINES, *OWN, f"noise.preset={request.param}"])
     sent = [packet.payload for packet in emulator.packets(0.0, 0.1) if len(packet.payload) == DATA_PAYLOAD.itemsize]
     returned = np.concatenate([r.distance_m for r in emulator.returns(0.0, 0.1)])[: 12 * len(sent)]
     steps = np.rint(returned.astype(float) / DISTANCE_LSB_M).reshape(len(sent), 6, 32, 3)

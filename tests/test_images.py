@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from woods import THIN
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
@@ -90,10 +91,9 @@ def test_points_lie_on_their_pixels(hall, seen):
 
 def test_points_of_a_walk_lie_on_the_pixels_of_a_forest(tmp_path):
     """From a walking sensor, 98 % of the points of the next 20 ms that are off edges have their pixel's instance and depth."""
-    settings = {"seed": 5, "world.stems_per_ha": 150, "sensor.max_range_m": 20.0}
-    walk = Emulator("birch_walk", settings, ideal=True)
-    write_images(walk, tmp_path / "views", kind="panorama", size=(2048, 512), start_s=5.0, duration_s=0.1)
-    write_points(walk, tmp_path / "points.npz", start_s=5.0, duration_s=0.02, truth=True)
+    walk = Emulator("birch_walk", THIN, ideal=True)
+    write_images(walk, tmp_path / "views", kind="panorama", size=(2048, 512), start_s=0.0, duration_s=0.1)
+    write_points(walk, tmp_path / "points.npz", start_s=0.0, duration_s=0.02, truth=True)
     with np.load(tmp_path / "points.npz") as points:
         column, row, depth_m, inside = pixels_of(tmp_path / "views", points["world_m"])
         instance = points["instance"][inside]
@@ -108,7 +108,7 @@ def test_points_of_a_walk_lie_on_the_pixels_of_a_forest(tmp_path):
 
 def test_sunlit_ground_is_brighter_than_shade(tmp_path):
     """Under trees the same surface seen at the same slant comes in light and in shade; in a hall there is no sun."""
-    walk = Emulator("birch_walk", {"seed": 5, "world.stems_per_ha": 150, "sensor.max_range_m": 20.0}, ideal=True)
+    walk = Emulator("birch_walk", THIN, ideal=True)
     write_images(walk, tmp_path / "views", kind="pinhole", size=(320, 240), duration_s=0.1)
     ground = png(tmp_path / "views", "semantic") == 1
     rows = np.flatnonzero(ground.sum(axis=1) > 100)[-5:]

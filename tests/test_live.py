@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from listening import Listener
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, OutputError, TrajectoryError
@@ -52,30 +53,6 @@ class Drone(threading.Thread):
                 sender.sendto(b"noise", ("127.0.0.1", self.port))
 
 
-class Listener(threading.Thread):
-    """Takes what comes to a port of its own."""
-
-    def __init__(self):
-        super().__init__(daemon=True)
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(0.1)
-        self.port, self.over, self.payloads = self.socket.getsockname()[1], threading.Event(), []
-        self.came = threading.Event()
-
-    def run(self):
-        """Listen until it is over and nothing waits any more."""
-        while True:
-            try:
-                self.payloads.append(self.socket.recv(2048))
-                self.came.set()
-            except TimeoutError:
-                if self.over.is_set():
-                    break
-        self.socket.close()
-
-
 def free_port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -92,16 +69,14 @@ class Flown:
         settings = [*BARE, LIVE, *ports, "gps.connected=true"]
         begun, path = threading.Event(), folder / "flown.csv"
         drone = Drone(port, begun, pose)
-        for thread in (drone, data, position):
-            thread.start()
+        drone.start()
         poses = PosesIn(f"udp://127.0.0.1:{port}", path, self.lines.append)
         self.streamed = Emulator("static_bench", settings).stream(
             duration_s=RUN_S, poses=poses, opened=lambda _: begun.set()
         )
-        for thread in (drone, data, position):
-            thread.over.set()
-            thread.join()
-        self.sent = {PacketKind.DATA: data.payloads, PacketKind.POSITION: position.payloads}
+        drone.over.set()
+        drone.join()
+        self.sent = {PacketKind.DATA: data.end(), PacketKind.POSITION: position.end()}
         self.again = Emulator("static_bench", [*settings, f"motion.flown={path}"])
         packets = list(self.again.packets(0.0, RUN_S))
         self.repeated = {kind: [p.payload for p in packets if p.kind is kind] for kind in self.sent}
@@ -177,11 +152,9 @@ def test_a_flight_is_put_into_the_present():
     data = Listener()
     ports = [f"sensor.data_port={data.port}", "sensor.position_port=10", "gps.connected=true"]
     emulator = Emulator("static_bench", [LIVE, *ports])
-    data.start()
     bring = partial(emulator.put_pose, (0.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))
     streamed = emulator.stream(duration_s=3600.0, poses=PosesIn(news=lambda _: bring()), now=True, stop=data.came)
-    data.over.set()
-    data.join()
+    data.end()
     first = streamed.sent.first
     assert streamed.sent.moved_s > 0
     assert abs(first.sensor_ns - first.truth_ns - streamed.sent.moved_s * S_NS) < US_NS  # stamps are whole us

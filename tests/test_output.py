@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.output import OutputFile, OutputFolder, report
+from vlp16emu.extras.outputs import OutputFolder, report
+from vlp16emu.output import OutputFile
 
 CHILD = """
 import sys

@@ -1,10 +1,10 @@
 """Captures sent again."""
 
-import socket
 from itertools import islice
 from threading import Event
 
 import pytest
+from listening import opened, port_of, waiting
 
 from vlp16emu import Emulator, replay
 from vlp16emu.errors import CaptureError, InputError
@@ -27,30 +27,17 @@ def capture(tmp_path_factory):
 @pytest.fixture
 def listening():
     """A socket on a free port of the loopback."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4_000_000)
-        receiver.settimeout(0)
+    with opened() as receiver:
         yield receiver
-
-
-def received(receiver):
-    """All that has arrived."""
-    payloads = []
-    while True:
-        try:
-            payloads.append(receiver.recv(2048))
-        except BlockingIOError:
-            return payloads
 
 
 def test_a_capture_is_sent_as_it_is(capture, listening):
     """All payloads arrive in their order and unchanged, and the report counts them."""
-    port = listening.getsockname()[1]
+    port = port_of(listening)
     report = replay(capture, data_port=port, position_port=port)
     with Capture(capture) as datagrams:
         payloads = [datagram.payload for datagram in datagrams]
-    assert received(listening) == payloads
+    assert waiting(listening) == payloads
     assert report.packets + report.position_packets == len(payloads)
     assert report.sent.simulated_s == pytest.approx(0.3, abs=0.01)
     assert (report.passes, report.sent.moved_s, report.left_out, report.interrupted) == (1, 0, 0, False)
@@ -72,7 +59,7 @@ def test_time_goes_on_from_pass_to_pass(capture):
 
 def test_a_loop_ends_when_it_is_to_stop(capture, listening):
     """The stop event ends a replay in its second pass."""
-    port, stop = listening.getsockname()[1], Event()
+    port, stop = port_of(listening), Event()
     report = replay(
         capture,
         data_port=port,
@@ -88,9 +75,9 @@ def test_a_loop_ends_when_it_is_to_stop(capture, listening):
 
 def test_the_present_is_in_the_bytes(capture, listening):
     """With `now` the stamps of all packets are the capture's, moved by the same whole seconds, and of this hour."""
-    port = listening.getsockname()[1]
+    port = port_of(listening)
     report = replay(capture, data_port=port, position_port=port, now=True)
-    arrived = received(listening)
+    arrived = waiting(listening)
     for packet, payload in zip(Replay(capture), arrived, strict=True):
         stamp_us = int.from_bytes(payload[1200:1204] if len(payload) == 1206 else payload[198:202], "little")
         assert stamp_us * 1000 == (stamp_ns(packet) + report.sent.moved_s * S_NS) % HOUR_NS

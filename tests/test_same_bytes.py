@@ -129,36 +129,29 @@ def files() -> list[Path]:
     return found
 
 
-@pytest.mark.parametrize("path", files(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_no_library_decides_a_byte(path: Path) -> None:
+def test_no_library_decides_a_byte() -> None:
     """No file on the way to a packet calls an elementary function of a library, BLAS or LAPACK, or raises to a power."""
-    allowed = ALLOWED.get(str(path.relative_to(PACKAGE)), "\n")
-    found = not_ieee(ast.parse(path.read_text(encoding="utf-8")))
-    assert [finding for finding in found if allowed not in finding] == []
+    for path in files():
+        allowed = ALLOWED.get(str(path.relative_to(PACKAGE)), "\n")
+        found = not_ieee(ast.parse(path.read_text(encoding="utf-8")))
+        assert [finding for finding in found if allowed not in finding] == [], path
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "y = math.sin(x)",
-        "y = np.exp(x)",
-        "y = np.linalg.norm(x)",
-        "y = a @ b",
-        "a @= b",
-        "y = a.dot(b)",
-        "y = x**2",
-        "x **= 0.5",
-        "from scipy.interpolate import CubicSpline",
-        "import pymap3d",
-        "from math import exp",
-        "y = np.argsort(x)",
-        "y = rng.lognormal(0.0, 1.0)",
-        "f = numba.njit(fastmath={'contract'})(f)",
-    ],
-)
-def test_the_scan_finds(line: str) -> None:
+def test_the_scan_finds() -> None:
     """Each kind of forbidden call, operator and import is found."""
-    assert len(list(not_ieee(ast.parse(line)))) == 1
+    calls = (
+        "math.sin(x)",
+        "np.exp(x)",
+        "np.linalg.norm(x)",
+        "a @ b",
+        "a.dot(b)",
+        "x**2",
+        "np.argsort(x)",
+        "rng.lognormal(0.0)",
+    )
+    lines = "a @= b", "x **= 0.5", "from scipy.interpolate import CubicSpline", "import pymap3d", "from math import exp"
+    for line in (*(f"y = {call}" for call in calls), *lines, "f = numba.njit(fastmath={'contract'})(f)"):
+        assert len(list(not_ieee(ast.parse(line)))) == 1, line
 
 
 WALK = {

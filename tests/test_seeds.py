@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from woods import LINES
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
@@ -10,13 +11,7 @@ from vlp16emu.types import Semantic
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SHORT = [
-    "world.stems_per_ha=150",
-    "sensor.max_range_m=15.0",
-    "beam.model=none",
-    "seed=5",
-    "sensor.start_azimuth_deg=0.1",
-]
+SHORT = [*LINES, "beam.model=none", "sensor.start_azimuth_deg=0.1"]
 
 
 def scan(*settings):

@@ -1,7 +1,5 @@
 """Which skips continuous integration takes."""
 
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,15 +21,20 @@ def test_known():
 """
 
 
-@pytest.mark.parametrize(
-    ("value", "counts"), [("true", "1 failed, 1 skipped, 1 xfailed"), ("", "2 skipped, 1 xfailed")]
-)
-def test_a_skip_fails_with_ci_unless_it_is_on_the_list(tmp_path, value, counts):
-    """With CI=true a test that lacks a program fails, as does a file; one whose captures are not there is skipped."""
-    shutil.copy(Path(__file__).with_name("conftest.py"), tmp_path)
+def test_a_skip_fails_with_ci_unless_it_is_on_the_list(tmp_path, monkeypatch):
+    """With CI=true a test that lacks a program fails; one whose captures are not there is skipped, and an expected failure stays one."""
+    (tmp_path / "conftest.py").write_text(Path(__file__).with_name("conftest.py").read_text())
     (tmp_path / "test_some.py").write_text(SKIPS)
+    monkeypatch.setenv("CI", "true")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", tmp_path, tmp_path]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=tmp_path, env={**os.environ, "CI": value}
-    )
-    assert counts in done.stdout
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert "1 failed, 1 skipped, 1 xfailed" in done.stdout
+
+
+@pytest.mark.parametrize(("ci", "outcome"), [("true", "failed"), ("", "skipped")])
+def test_without_ci_a_skip_stays_one(request, monkeypatch, ci, outcome):
+    """Where programs of others are not installed, their tests are skipped."""
+    (conftest,) = (one for one in request.config.pluginmanager.get_plugins() if hasattr(one, "ALLOWED_SKIPS"))
+    monkeypatch.setenv("CI", ci)
+    report = pytest.TestReport("test", ("", 0, ""), {}, "skipped", ("", 0, "no such program"), "call")
+    assert conftest._without_skip(report).outcome == outcome

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 import velodyne_decoder
 from scipy.spatial.transform import Rotation
+from woods import THIN
 
 from vlp16emu.cli.app import run as command
 from vlp16emu.emulator import Emulator
@@ -41,9 +42,7 @@ def data_payloads(path):
 def run(request, tmp_path_factory):
     """A quarter of a second among birches without noise: emulator, capture and truth."""
     folder = tmp_path_factory.mktemp("slots")
-    settings = [f"sensor.return_mode={request.param}", "noise.preset=ideal", "world.stems_per_ha=300"]
-    settings.append("sensor.max_range_m=25.0")
-    emulator = Emulator("birch_walk", settings)
+    emulator = Emulator("birch_walk", THIN | {"sensor.return_mode": request.param, "noise.preset": "ideal"})
     to = TruthTo(folder / "truth", rate_hz=2000, per_return=True)
     emulator.record(folder / "walk.pcap", duration_s=SPAN_S, truth=to)
     return emulator, folder / "walk.pcap", to.folder
@@ -190,18 +189,21 @@ def nodes_of(path):
 
 def test_labels_are_those_of_the_nearest_surface(tmp_path):
     """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on no other one."""
-    settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=inf", "sensor.max_range_m=14"]
+    settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=inf", "sensor.max_range_m=10"]
     settings.append("duration_s=0.5")
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
-    assert command(["forest", "spruce_walk", *options, "--radius", "14", "--glb", str(tmp_path / "twin.glb")]) == 0
+    assert command(["forest", "spruce_walk", *options, "--radius", "10", "--glb", str(tmp_path / "twin.glb")]) == 0
     table = parquet.read_table(tmp_path / "t" / "returns.parquet")
-    rows = table.filter(compute.less(table["range_m"], 10.0))
-    rows = rows.take(np.random.default_rng(1).choice(len(rows), 400, replace=False))
+    rows = table.filter(compute.less(table["range_m"], 8.0))
+    rows = rows.take(np.random.default_rng(1).choice(len(rows), 200, replace=False))
     points = np.column_stack([rows[f"world_{axis}_m"].to_numpy() for axis in "xyz"])
     own = list(zip(*(rows[name].to_pylist() for name in ("semantic", "part", "instance", "species")), strict=True))
     nearest = [{} for _ in own]
     for labels, triangles in nodes_of(tmp_path / "twin.glb"):
+        low, high = triangles.min(axis=(0, 1)) - 2 * EDGE_M, triangles.max(axis=(0, 1)) + 2 * EDGE_M
+        if not ((points >= low) & (points <= high)).all(axis=1).any():
+            continue
         low, high = triangles.min(axis=1) - 2 * EDGE_M, triangles.max(axis=1) + 2 * EDGE_M
         for i in np.flatnonzero(((points >= low.min(axis=0)) & (points <= high.max(axis=0))).all(axis=1)):
             close = ((points[i] >= low) & (points[i] <= high)).all(axis=1)
@@ -214,6 +216,6 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
         for mine, found in zip(own, nearest, strict=True)
         if sum(gap < EDGE_M for gap in found.values()) == 1
     ]
-    assert len(clear) > 300, edges
+    assert len(clear) > 150, edges
     assert [found for mine, found in clear] == [mine for mine, found in clear]
     assert len({mine[1] for mine, _ in clear}) >= 3

@@ -210,8 +210,8 @@ def use(monkeypatch):
 
 
 SMALL = (
-    "sensor.max_range_m=12",
-    "world.near_m=5",
+    "sensor.max_range_m=8",
+    "world.near_m=4",
     "world.stems_per_ha=150",
     "world.species=[{species='scots_pine',share=1,dbh_cm=28,height_m=22}]",
     "world.regeneration.species=['scots_pine']",
@@ -224,7 +224,7 @@ SMALL = (
 def recorded(scene, *settings):
     """Digest of the first packets of a scene."""
     digest = hashlib.sha256()
-    for packet in Emulator(load(scene, (*SMALL, *settings))).packets(0.0, 0.1):
+    for packet in Emulator(load(scene, (*SMALL, *settings))).packets(0.0, 0.05):
         digest.update(packet.payload)
     return digest.hexdigest()
 

@@ -41,11 +41,8 @@ class _Elementary(Protocol):
 class _Both:
     """Function of float64 for arrays, and compiled for kernels.
 
-    Compiled it keeps its order, whatever the caller asks for (`fastmath`), and divides by 0 as numpy does.
-
-    Parameters
-    ----------
-    inlined : whether it becomes a part of each kernel that calls it, as loops need that do four at once
+    Compiled it keeps its order, whatever the caller asks for (`fastmath`), and divides by 0 as numpy does. If `inlined`, it
+    becomes a part of each kernel that calls it, as loops need that do four at once.
     """
 
     def __init__(self, function: Callable[..., Any], *, inlined: bool = False) -> None:

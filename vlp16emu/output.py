@@ -1,17 +1,14 @@
 """Outputs of runs: written beside their names, which they take when they are whole, by one run at a time."""
 
-import ctypes
 import errno
 import fcntl
 import json
 import logging
 import os
 import re
-import shutil
 import sys
-import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -21,9 +18,6 @@ STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
 
 _LONGEST_NAME_BYTES = 240  # of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added
 _RIGHTS = 0o777
-_MARK, _MARK_WITHIN = b"vlp16emu", 4096
-"""What the files of a report name as their writer, and in how many of their first bytes."""
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
 _log = logging.getLogger(__name__)
 
@@ -33,7 +27,8 @@ class OutputFile:
 
     It is written as NAME.xxxxxxxx.part, a new file beside its name, and takes the name when it is kept. Until then the
     earlier file stays, whatever ends the run. It gets the rights of the file that it replaces, and a link stays a
-    link. A pipe or a device is written straight.
+    link. A pipe or a device is written straight. Raises OutputError if it cannot be opened, is one of the inputs, or another
+    run writes it.
 
     Parameters
     ----------
@@ -41,11 +36,6 @@ class OutputFile:
     where : its name in error lines; `path` if left out
     buffering : as for `open`
     inputs : files that the run reads, and that may not be replaced
-
-    Raises
-    ------
-    OutputError
-        If it cannot be opened, is one of the inputs, or another run writes it.
     """
 
     def __init__(
@@ -54,7 +44,7 @@ class OutputFile:
         self._where = where or str(path)
         self._final: Path | None = None
         spare(inputs, path)
-        with _opening(self._where, "a file that can be written"):
+        with opening(self._where, "a file that can be written"):
             if path == STDOUT:
                 self.file: BinaryIO = os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering)
             elif path.exists() and not path.is_file():  # opening a folder fails, with the system's reason
@@ -76,13 +66,7 @@ class OutputFile:
 
     @contextmanager
     def writing(self) -> Iterator[BinaryIO]:
-        """Write the whole file, which is then kept.
-
-        Raises
-        ------
-        RunError
-            If it cannot be written to its end.
-        """
+        """Write the whole file, which is then kept; raises RunError if it cannot be written to its end."""
         try:
             yield self.file
             self.keep()
@@ -124,135 +108,10 @@ class OutputFile:
         self.leave()
 
 
-def _name(path: Path) -> str:
-    return path.name
-
-
-class OutputFolder:
-    """A folder to be written; a context manager that keeps it unless an error leaves the block.
-
-    It is made as NAME.xxxxxxxx.part and takes its name as `OutputFile` does, in one step: what stood under the name until
-    then is as it was, or all of it is replaced.
-
-    Parameters
-    ----------
-    path : the folder; missing parents are made
-    stranger : name of the first entry of a folder of that name that is not of an earlier run, None if there is none; by
-        default a folder that has any entry is refused
-    expected : what error lines call a folder that may be written
-    inputs : files that the run reads, and that may not be in the folder
-
-    Raises
-    ------
-    OutputError
-        If it cannot be made, holds something else or one of the inputs, or another run writes it.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        *,
-        stranger: Callable[[Path], str | None] = lambda folder: min(map(_name, folder.iterdir()), default=None),
-        expected: str = "a new or empty folder",
-        inputs: Iterable[Path] = (),
-    ) -> None:
-        self._where, self._stranger, self._expected = str(path), stranger, expected
-        with _opening(self._where, "a folder that can be written"):
-            self._final = final_name(path)
-            if self._final.is_mount() or self._final == Path.cwd():  # which cannot be renamed, or not under our feet
-                raise OutputError(self._where, "is a mount point or the working folder", "a folder in it")
-            self._check()
-            for file in self._final.iterdir() if self._final.exists() else ():
-                spare(inputs, file)
-            self._final.parent.mkdir(parents=True, exist_ok=True)
-            self.path = _part(self._final)
-            self.path.mkdir()
-            opened = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            self._close = weakref.finalize(self, os.close, opened)
-            try:
-                _claim(opened, self.path, self._final, self._where)
-            except OutputError:
-                self.discard()
-                raise
-            if self._final.exists():
-                _take_rights(opened, self._final.stat())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is None:
-            self.keep()
-        self.discard()
-
-    def keep(self) -> None:
-        """Give the folder its name; `RunError` if it cannot take it."""
-        try:
-            self._check()
-            if self._final.exists():
-                _exchange(self.path, self._final)
-                _remove(self.path)
-            else:
-                self.path.rename(self._final)
-        except (OSError, OutputError) as error:
-            found = error.strerror if isinstance(error, OSError) else error.found
-            raise RunError(f"{self._where}: {found}; it is left as {self.path}") from error
-        finally:
-            self._close()
-
-    def leave(self) -> None:
-        """Let an incomplete folder stay, without its final name, at `path`."""
-        self._close()
-
-    def discard(self) -> None:
-        """Remove a folder that is neither kept nor left."""
-        if self._close.alive:
-            shutil.rmtree(self.path, ignore_errors=True)
-            self._close()
-
-    def _check(self) -> None:
-        if self._final.exists() and (found := self._stranger(self._final)) is not None:
-            raise OutputError(self._where, f"holds {found}", self._expected)
-
-
 def write_json(path: Path, tree: Mapping[str, Any]) -> None:
     """Write a file of one JSON object, in place of an earlier one; errors as for `OutputFile`."""
     with OutputFile(path) as output, output.writing() as file:
         file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
-
-
-@contextmanager
-def report(folder: Path, names: Iterable[str]) -> Iterator[list[BinaryIO]]:
-    """Open the files of a report in a folder, which is made; they take their names together at the end of the block.
-
-    Each file says within its first 4096 bytes that vlp16emu has written it, and replaces none that does not say so.
-
-    Raises
-    ------
-    OutputError
-        If the folder or a file cannot be made, or a file that no report has is in its place
-    RunError
-        If a file cannot be written to its end
-    """
-    where = f"--out {folder}"
-    with ExitStack() as stack:
-        with _opening(where, "a folder that can be written"):
-            folder.mkdir(parents=True, exist_ok=True)
-            for path in (folder / name for name in names):
-                if path.is_file():
-                    with path.open("rb") as file:
-                        is_report = _MARK in file.read(_MARK_WITHIN)
-                    if not is_report:
-                        raise OutputError(where, f"{path.name} is there, and no earlier report", "another folder")
-        outputs = [stack.enter_context(OutputFile(folder / name, where=f"{where}/{name}")) for name in names]
-        try:
-            yield [output.file for output in outputs]
-            for output in outputs:
-                output.file.flush()
-        except OSError as error:
-            raise RunError(f"{where}: {error.strerror or error}; no file is written") from error
-        for output in outputs:
-            output.keep()
 
 
 def final_name(path: Path) -> Path:
@@ -264,13 +123,7 @@ def final_name(path: Path) -> Path:
 
 
 def spare(inputs: Iterable[Path], output: Path) -> None:
-    """Refuse to write over a file that is read.
-
-    Raises
-    ------
-    OutputError
-        If `output` is one of `inputs` by device and inode, whatever its name.
-    """
+    """Raise OutputError if `output` is one of the files that are read, by device and inode, whatever its name."""
     for file in inputs:
         with suppress(OSError):  # one of them does not exist
             if file.samefile(output):
@@ -278,17 +131,9 @@ def spare(inputs: Iterable[Path], output: Path) -> None:
 
 
 def lock(opened: int, where: str) -> None:
-    """Keep other runs off a file or folder until it is closed; warn if its file system has no locks.
+    """Keep other runs off a file or folder, by its descriptor, until it is closed; warn if its file system has no locks.
 
-    Parameters
-    ----------
-    opened : its descriptor
-    where : its name in error lines
-
-    Raises
-    ------
-    OutputError
-        If another run has locked it.
+    Raises OutputError, in the name of `where`, if another run has locked it.
     """
     try:
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -312,7 +157,8 @@ def _holder(opened: int) -> str:
 
 
 @contextmanager
-def _opening(where: str, expected: str) -> Iterator[None]:
+def opening(where: str, expected: str) -> Iterator[None]:
+    """Raise OutputError in the name of `where` if the block cannot open something."""
     try:
         yield
     except (OSError, ValueError) as error:  # a name with a NUL or half a character is a ValueError
@@ -329,7 +175,8 @@ def _stem(final: Path) -> str:
     return sha256(name).hexdigest()
 
 
-def _part(final: Path) -> Path:
+def part_beside(final: Path) -> Path:
+    """Return a new name beside `final` for what is not whole yet."""
     return final.with_name(f"{_stem(final)}.{os.urandom(4).hex()}.part")
 
 
@@ -338,20 +185,21 @@ def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
     before = final.stat() if final.exists() else None
     if before and not os.access(final, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    part = _part(final)
+    part = part_beside(final)
     file = part.open("xb", buffering)  # which neither empties a file nor follows a link
     try:
-        _claim(file.fileno(), part, final, where)
+        claim(file.fileno(), part, final, where)
     except OutputError:
         part.unlink()
         file.close()
         raise
     if before:
-        _take_rights(file.fileno(), before)
+        take_rights(file.fileno(), before)
     return file
 
 
-def _take_rights(opened: int, before: os.stat_result) -> None:
+def take_rights(opened: int, before: os.stat_result) -> None:
+    """Give a new file or folder owner, group and mode of the one that it replaces, as far as that is allowed."""
     for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
         with suppress(OSError):  # only root may give files away
             os.fchown(opened, owner, group)
@@ -359,7 +207,7 @@ def _take_rights(opened: int, before: os.stat_result) -> None:
         os.fchmod(opened, before.st_mode & _RIGHTS)
 
 
-def _claim(opened: int, part: Path, final: Path, where: str) -> None:
+def claim(opened: int, part: Path, final: Path, where: str) -> None:
     """Lock a new file or folder, and refuse it if another run is writing one of the same final name."""
     lock(opened, where)
     ours = re.compile(rf"{re.escape(_stem(final))}\.[0-9a-f]{{8}}\.part")
@@ -372,26 +220,3 @@ def _claim(opened: int, part: Path, final: Path, where: str) -> None:
                 lock(other, where)
             finally:
                 os.close(other)
-
-
-def _exchange(one: Path, other: Path) -> None:
-    """Swap two names in one step, or in three on a file system that cannot."""
-    swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if swap and swap(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0:
-        return
-    aside = _part(other)
-    other.rename(aside)
-    try:
-        one.rename(other)
-    except OSError:
-        aside.rename(other)
-        raise
-    aside.rename(one)
-
-
-def _remove(folder: Path) -> None:
-    """Remove the flat folder of an earlier run; a file that cannot be removed stays, beside the new folder."""
-    with suppress(OSError):
-        for file in folder.iterdir():
-            file.unlink()
-        folder.rmdir()

@@ -214,11 +214,6 @@ def _rounded_beyond(edge: float, numbers: Any) -> Any:
 
 
 def generator(seed: int, purpose: IntEnum, *key: int) -> np.random.Generator:
-    """Return a numpy generator for a thing that stands still, such as a tile or a tree.
-
-    Parameters
-    ----------
-    key : integers that name the thing, negative ones allowed
-    """
+    """Return a numpy generator for a thing that stands still, such as a tile or a tree, named by integers of either sign."""
     words = [seed & 0xFFFFFFFF, seed >> 32, int(purpose), *(k & 0xFFFFFFFFFFFFFFFF for k in key)]
     return _Generator(np.random.Philox(np.random.SeedSequence(words)))

@@ -16,13 +16,7 @@ INCLUSIVE = 1.0 + 2.0**-21
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Return the nearest whole number of nanoseconds.
-
-    Raises
-    ------
-    InputError
-        for NaN and infinity
-    """
+    """Return the nearest whole number of nanoseconds; raises InputError for NaN and infinity."""
     if not math.isfinite(seconds):
         raise InputError("time", f"found {seconds} s", "a finite number")
     return round(seconds * S_NS)

@@ -1,7 +1,6 @@
 """Error against run time from the command line."""
 
 import json
-import sys
 
 import pytest
 
@@ -33,14 +32,6 @@ def test_people_get_a_table_and_an_advice(cli):
     assert "adaptive target_m=" in out
     assert out.splitlines()[-1].startswith("For a mean error of ")
     assert "…" not in out
-
-
-def test_a_missing_library_is_named_before_the_work(cli, monkeypatch, tmp_path):
-    """Without matplotlib --out fails at once and says how to get it."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    outcome = cli(*RUN, "--out", tmp_path)
-    assert outcome.code == 2
-    assert "pip install 'vlp16emu[picture]'" in outcome.err
 
 
 def test_a_run_tells_its_error(cli, tmp_path):

@@ -33,7 +33,8 @@ while True:
 """
 
 IN_NAMESPACE = """
-import array, fcntl, json, socket, struct, subprocess, sys
+import array, contextlib, fcntl, io, json, socket, struct, subprocess, sys
+from vlp16emu.cli.app import run
 
 def ip(words):
     subprocess.run(["ip", *words.split()], check=True)
@@ -42,9 +43,11 @@ def stream(*words):
     command = [sys.executable, "-m", "vlp16emu", "stream", "static_bench", *words, "--json"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
-def ended(process):
-    out, err = process.communicate(timeout=100)
-    return {"code": process.returncode, "out": out, "err": err}
+def ended(*words):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run(["stream", "static_bench", *words, "--json"])
+    return {"code": code, "out": out.getvalue(), "err": err.getvalue()}
 
 receiver = subprocess.Popen(
     ["unshare", "--net", sys.executable, "-c", sys.argv[1]], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -62,11 +65,11 @@ value = array.array("I", [0x17, 0])
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
     fcntl.ioctl(control, 0x8946, struct.pack("16sP", b"sensor0", value.buffer_info()[0]))
 outcomes = {}
-outcomes["without address"] = ended(stream("--as-sensor"))
-outcomes["without interface"] = ended(stream("--interface", "sensor9"))
+outcomes["without address"] = ended("--as-sensor")
+outcomes["without interface"] = ended("--interface", "sensor9")
 ip("addr add 192.168.1.201/24 dev sensor0")
 ip("addr add 192.168.1.202/24 dev sensor0")
-outcomes["whole"] = ended(stream("--interface", "sensor0", "--duration", "0.1", "--set", "rig=[{}]"))
+outcomes["whole"] = ended("--interface", "sensor0", "--duration", "0.1", "--set", "rig=[{}]")
 report = json.loads(outcomes["whole"]["out"])
 outcomes["frames"] = [receiver.stdout.readline().strip() for _ in range(report["packets"] + report["position_packets"])]
 going = stream("--interface", "sensor0", "--duration", "3600")
@@ -80,7 +83,8 @@ outcomes["unplugged"] = going.poll()
 subprocess.run([*other_end, "up"], check=True)
 outcomes["plugged in"] = [receiver.stdout.readline().strip() for _ in range(50)]
 ip("link del sensor0")
-outcomes["vanished"] = ended(going)
+out, err = going.communicate(timeout=100)
+outcomes["vanished"] = {"code": going.returncode, "out": out, "err": err}
 receiver.kill()
 print(json.dumps(outcomes))
 """

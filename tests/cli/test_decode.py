@@ -80,20 +80,9 @@ def test_dual_return_counts_both_records(cli, dual):
     assert tree["gps"]["sentence"].startswith("$GPRMC,0")
 
 
-def test_chunks_leave_no_trace(bench, monkeypatch):
-    """Read in chunks of 7 packets the points are those of all packets decoded at once."""
-    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 7)
-    whole = decode_data(payloads(bench), keep_no_returns=False)
-    with CaptureReader(bench) as reader:
-        chunks = [points for points, *_ in reader.points()]
-    assert len(chunks) > 50
-    for name in ("azimuth_deg", "distance_m", "xyz_m", "reflectivity", "ring", "time_ns"):
-        np.testing.assert_array_equal(np.concatenate([getattr(chunk, name) for chunk in chunks]), getattr(whole, name))
-
-
 def test_each_packet_is_decoded_once(bench, monkeypatch):
-    """Chunks do not overlap: a packet's points need no packet but itself."""
-    decoded = []
+    """Chunks of 7 packets do not overlap, and their points are those of all packets decoded at once."""
+    decoded, whole = [], decode_data(payloads(bench), keep_no_returns=False)
 
     def noted(chunk, **options):
         decoded.append(chunk)
@@ -102,9 +91,10 @@ def test_each_packet_is_decoded_once(bench, monkeypatch):
     monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 7)
     monkeypatch.setattr("vlp16emu.packets.reading.decode_data", noted)
     with CaptureReader(bench) as reader:
-        for _ in reader.points():
-            pass
+        chunks = [points for points, *_ in reader.points()]
     np.testing.assert_array_equal(np.concatenate(decoded), payloads(bench))
+    for name in ("azimuth_deg", "distance_m", "xyz_m", "reflectivity", "ring", "time_ns"):
+        np.testing.assert_array_equal(np.concatenate([getattr(chunk, name) for chunk in chunks]), getattr(whole, name))
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 2_000])

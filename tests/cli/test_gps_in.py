@@ -2,12 +2,12 @@
 
 import os
 import pty
-import socket
 import threading
 import time
 import tty
 
 import pytest
+from listening import opened, port_of, waiting
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, OutputError
@@ -34,14 +34,9 @@ def wire():
 @pytest.fixture
 def listening():
     """A pair of sockets that a stream is sent to, and its settings."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    for opened in sockets:
-        opened.bind(("127.0.0.1", 0))
-        opened.settimeout(60)
-    ports = [opened.getsockname()[1] for opened in sockets]
-    yield sockets, {"sensor.data_port": ports[0], "sensor.position_port": ports[1], "beam.model": "none"}
-    for opened in sockets:
-        opened.close()
+    with opened(60) as data, opened(60) as position:
+        ports = {"sensor.data_port": port_of(data), "sensor.position_port": port_of(position)}
+        yield (data, position), ports | {"beam.model": "none"}
 
 
 def test_a_receiver_on_a_terminal_locks_the_sensor(wire, listening):
@@ -61,12 +56,7 @@ def test_a_receiver_on_a_terminal_locks_the_sensor(wire, listening):
         time.sleep(max(due_ns - time.monotonic_ns(), 0) / S_NS)  # a receiver's pace is that of real time
         sentence = rmc(GnssFix(FIRST_NS + second * S_NS, True, 62.0, 25.0, 1.0, 10.0))
         os.write(ours, sentence)
-        sockets[1].setblocking(False)
-        try:
-            while True:
-                sockets[1].recv(2048)
-        except BlockingIOError:
-            sockets[1].settimeout(60)
+        waiting(sockets[1])
         for _ in range(20):  # 0.14 s
             last = decode_position(sockets[1].recv(2048))
         states.append(last.pps)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from listening import opened, port_of
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras.bench.gps_in import parse_rmc
@@ -36,11 +37,8 @@ SILENT = ["--data-port", "9", "--position-port", "10"]
 @pytest.fixture
 def receiver():
     """A socket of the loopback."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
-        opened.bind(("127.0.0.1", 0))
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        opened.settimeout(240.0)
-        yield opened
+    with opened(240.0) as socket_of_ours:
+        yield socket_of_ours
 
 
 @pytest.fixture
@@ -75,7 +73,7 @@ def port_free():
 def test_samples_leave_at_their_time(cli, receiver):
     """With --now samples arrive when they say that they were taken, by the clock of this machine, and none is missing."""
     arrived_ns, frames = [], []
-    to = f"udp://127.0.0.1:{receiver.getsockname()[1]}"
+    to = f"udp://127.0.0.1:{port_of(receiver)}"
 
     def listen():
         with suppress(TimeoutError):
@@ -107,7 +105,7 @@ def test_samples_leave_at_their_time(cli, receiver):
 def test_sentences_are_those_of_the_position_packets(cli, receiver, cable):
     """Live and moved into the present, the port gives the bytes that position packets echo; the report has a row for it."""
     port, _, passed = cable
-    position = ["--data-port", "9", "--position-port", receiver.getsockname()[1]]
+    position = ["--data-port", "9", "--position-port", port_of(receiver)]
     outcome = cli("stream", "static_bench", *position, *OPTIONS, "--duration", "2", "--now", "--gps-out", port)
     assert outcome.code == 0
     assert f"sentences         2 to {port}; no pulses, as it has no line DTR" in outcome.out

@@ -5,9 +5,9 @@ import csv
 import numpy as np
 import pytest
 import trimesh
+from woods import LINES, WORDS
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 
@@ -30,27 +30,6 @@ def points(cli, tmp_path):
     return call
 
 
-def test_points_are_those_of_the_packets(cli, tmp_path, bench, points):
-    """Without encoder errors the points are those that a recording decodes to, but for the steps of the wire."""
-    decoded = tmp_path / "decoded.npz"
-    assert cli("decode", bench, "--out", decoded).code == 0
-    own, _ = points(duration=0.5)
-    with np.load(decoded) as wire:
-        n = len(wire["ring"])  # the last packet is not full at the end of the span
-        assert 0 <= len(own["ring"]) - n < 384
-        for name in ("ring", "laser", "reflectivity"):
-            np.testing.assert_array_equal(own[name][:n], wire[name])
-        # The wire has steps of 1 us and 0.01 deg, both cut off; decoding takes a packet's mean speed.
-        late_ns = own["since_start_ns"][:n] - wire["clock_ns"]
-        assert 0 <= late_ns.min() <= late_ns.max() < 1_000
-        turned_deg = (own["azimuth_deg"][:n] - wire["azimuth_deg"] + 180) % 360 - 180
-        assert -0.002 < turned_deg.min() <= turned_deg.max() < 0.012
-        off_m = own["distance_m"][:n] - wire["distance_m"]
-        assert np.abs(off_m).max() <= DISTANCE_LSB_M / 2 + 1e-5
-        reach_m = DISTANCE_LSB_M / 2 + np.radians(0.012) * own["distance_m"][:n] + 1e-5
-        assert (np.linalg.norm(own["sensor_m"][:n] - wire["xyz_m"], axis=1) < reach_m).all()
-
-
 def test_both_frames_are_reported(points):
     """A sensor that stands turned has the same points in the world, turned back and lifted to its height."""
     own, _ = points("--set", "motion.yaw_deg=90.0", "--set", "motion.x_m=2.0")
@@ -61,8 +40,7 @@ def test_both_frames_are_reported(points):
 
 def test_a_walk_has_points_in_the_world_pulse_by_pulse(points):
     """On a walk a point in the world is origin + distance * direction of its own pulse."""
-    settings = ["seed=5", "world.stems_per_ha=150", "sensor.max_range_m=15.0"]
-    settings += ["sensor.preset=steady", "noise.preset=ideal"]
+    settings = [*LINES, "sensor.preset=steady", "noise.preset=ideal"]
     settings += ["sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0"]
     own, _ = points(*(word for setting in settings for word in ("--set", setting)), scene="birch_walk")
     emulator, world_m = Emulator(load("birch_walk", settings)), []
@@ -137,8 +115,7 @@ def test_fog_is_of_no_class(points):
 
 def test_leaves_are_distinguished_from_wood(points):
     """In a forest every point on a leaf is labelled leaf, on any other part of a plant wood, elsewhere neither."""
-    settings = ["seed=5", "world.stems_per_ha=150", "sensor.max_range_m=15.0"]
-    own, _ = points("--truth", *(word for s in settings for word in ("--set", s)), scene="birch_walk")
+    own, _ = points("--truth", *WORDS, scene="birch_walk")
     assert {0, 1, 2} == set(own["leaf_wood"])
     assert (own["leaf_wood"] == 2).tolist() == (own["part"] == PlantPart.LEAF).tolist()
     assert (own["leaf_wood"] == 0).tolist() == (own["part"] == PlantPart.NONE).tolist()

@@ -1,17 +1,16 @@
 """Scenes over UDP."""
 
-import contextlib
 import json
 import re
 import signal
 import socket
 import struct
 import sys
-import threading
 import time
 
 import numpy as np
 import pytest
+from listening import Listener
 
 from vlp16emu.packets import Capture
 from vlp16emu.packets.position import STAMP_LEAD_NS
@@ -20,34 +19,8 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 PERIOD_NS = 1_327_104
 STOPPED_S = 5.0
-SO_RCVBUFFORCE, SO_TIMESTAMPNS = 33, 35
+SO_TIMESTAMPNS = 35
 """Source: asm-generic/socket.h."""
-
-
-class Listener(threading.Thread):
-    """Takes what comes to a free port of the loopback, until an empty datagram comes."""
-
-    def __init__(self):
-        super().__init__(daemon=True)
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        with contextlib.suppress(PermissionError):  # else a busy machine loses what does not fit
-            self.socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 1 << 23)
-        self.socket.bind(("127.0.0.1", 0))
-        self.address, self.payloads = self.socket.getsockname(), []
-        self.start()
-
-    def run(self):
-        """Listen."""
-        with self.socket:
-            self.payloads.extend(iter(lambda: self.socket.recv(2048), b""))
-
-    def end(self):
-        """Give all payloads that were sent before."""
-        if self.is_alive():
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as last:
-                last.sendto(b"", self.address)
-        self.join()
-        return self.payloads
 
 
 @pytest.fixture
@@ -62,7 +35,7 @@ def listeners():
 @pytest.fixture
 def ports(listeners):
     """Options for the ports of `listeners`."""
-    data_port, position_port = (each.address[1] for each in listeners)
+    data_port, position_port = (each.port for each in listeners)
     return "--data-port", data_port, "--position-port", position_port
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras import keep_up
-from vlp16emu.extras.keep_up import LADDER, choose, settings_that_keep_up, speed_beside_sender
+from vlp16emu.extras.keep_up import LADDER, choose, settings_that_keep_up
 from vlp16emu.scenario import load
 
 FEW, ONE_RAY, SHORT = (rung.options for rung in LADDER[2:])
@@ -31,13 +31,6 @@ def test_settings_that_are_on_already_are_not_named():
     """With one ray and a short reach only a lower speed is left."""
     scenario = load("reference_forest", ["beam.model=none", "sensor.max_range_m=40"])
     assert settings_that_keep_up(scenario, 0.8, 1.0) == ["--speed 0.64"]
-
-
-def test_the_sender_takes_its_share_only_where_no_core_is_free():
-    """On two cores 10 % of a core cost two workers a twentieth, and one worker nothing."""
-    assert speed_beside_sender(2.0, 0.1, 2, 2) == pytest.approx(1.9)
-    assert speed_beside_sender(2.0, 0.1, 1, 2) == 2.0
-    assert speed_beside_sender(2.0, 0.1, 8, 2) == pytest.approx(1.9)
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_random_walk_spreads_with_the_root_of_time(unit):
     """Over many units the bias after n samples is normal with the root of n, within and beyond a stretch."""
     for sample in (900, 4096, 100_000):
         ends = [
-            unit(gyro_walk_rad_s2_sqrt_hz=1.0, rate_hz=1, seed=s).read(sample, 1).angular_rate_rad_s for s in range(80)
+            unit(gyro_walk_rad_s2_sqrt_hz=1.0, rate_hz=1, seed=s).read(sample, 1).angular_rate_rad_s for s in range(150)
         ]
         assert stats.kstest(np.ravel(ends) / np.sqrt(sample), "norm").pvalue > 0.001
 

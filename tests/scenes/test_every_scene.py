@@ -34,8 +34,8 @@ def test_the_plot_is_where_its_receiver_is():
 @pytest.mark.parametrize("path", SCENES, ids=NAMES)
 def test_a_scene_gives_valid_packets(path):
     """Data packets of a scene's first revolution decode, in the scene's mode, with returns within the sensor's range; its walk is as long as the scene."""
-    near = [] if load(str(path)).world.kind == "hall" else ["world.near_m=15"]
-    scenario = load(str(path), ["sensor.max_range_m=15.0", *near])  # a small window, all of faces, is enough
+    near = [] if load(str(path)).world.kind == "hall" else ["world.near_m=8"]
+    scenario = load(str(path), ["sensor.max_range_m=8.0", *near])  # a small window, all of faces, is enough
     emulator = Emulator(scenario)
     emulator.packets(0.0, scenario.duration_s)
     # A whole revolution: a single packet may look at the sky, or between stems.
@@ -46,4 +46,4 @@ def test_a_scene_gives_valid_packets(path):
     points = decode_data(payload, keep_no_returns=False)
     assert len(points.ring) > 1000
     assert points.distance_m.min() >= scenario.sensor.min_range_m
-    assert points.distance_m.max() <= 15.0
+    assert points.distance_m.max() <= 8.0

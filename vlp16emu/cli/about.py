@@ -72,7 +72,7 @@ def plan(
     started_s = time.perf_counter() - began_s
     measured = emulator.record(os.devnull, duration_s=min(_MEASURED_S, emulator.scenario.duration_s))
     audited, engine = measured.audit is not None and not measured.audit.exact, emulator.engine
-    stream = stream_outlook(engine, measured.real_time_factor, workers)
+    stream = stream_outlook(emulator.scenario, measured.real_time_factor)
     tree: dict[str, Any] = {
         "scene": scene,
         "seed": emulator.scenario.seed,
@@ -97,7 +97,7 @@ def plan(
     print_rows("libraries", {name: "loaded" if on else "left out" for name, on in tree["libraries"].items()})
     print_rows(f"measured now, on {workers} threads", rows_of(tree["measured"]))
     print_rows("stream", rows_of(stream))
-    if not stream.keeps_up:
+    if not stream["keeps_up"]:
         print(_TOO_SLOW)
 
 

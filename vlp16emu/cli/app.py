@@ -11,6 +11,7 @@ import threading
 import warnings
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -28,56 +29,6 @@ _OF_WRITING = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
 
 _was_interrupted = threading.Event()
 
-_EXAMPLES = {
-    "record": (
-        "birch_walk walk.pcap --duration 10",
-        "birch_walk dual.pcap --set sensor.return_mode=dual --set seed=7",
-        "birch_walk walk.mcap --for rko-lio --set imu.preset=consumer --set motion.stand_s=3",
-        "my_forest.toml walk.pcap --json > walk.json",
-    ),
-    "stream": (
-        "birch_walk",
-        "static_bench --to 192.168.1.10 --duration 3600",
-        "birch_walk --to 192.168.1.255 --as-sensor",
-    ),
-    "replay": ("walk.pcap", "field_day.pcap --loop --now --to 192.168.1.10"),
-    "decode": ("walk.pcap", "walk.pcap --out walk.ply"),
-    "bag": ("walk.pcap walk.mcap --truth truth --for fast-lio2", "field_day.pcap field_day.bag"),
-    "points": (
-        "birch_walk walk.ply --duration 5 --truth",
-        "walk.pcap walk.laz --trajectory truth",
-        "birch_walk walk.npz --set sensor.return_mode=dual",
-        "static_bench bench.csv --set sensor.model=free --set sensor.beams=64",
-    ),
-    "images": ("birch_walk views --duration 5", "birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1"),
-    "picture": (
-        "birch_walk walk.png --duration 20",
-        "reference_forest walk.gif --duration 10 --colour species",
-        "walk.pcap walk.png --trajectory truth",
-    ),
-    "view": ("birch_walk", "my_forest.toml --save my_path.toml", "field_day.pcap"),
-    "truth": ("birch_walk truth --duration 60", "birch_walk truth --truth-rate 1000 --set imu.preset=consumer"),
-    "dataset": ("bench_set.toml bench_set", "bench_set.toml bench_set --workers 0"),
-    "score": (
-        'truth --trajectory estimate.tum --align se3 --out report --require "ate_m<0.3"',
-        "truth --stems stems.csv --inventory trees.csv --truth-points labelled.npz",
-    ),
-    "verify": ("walk.pcap", "walk.pcap --json", "walk.mcap --for all"),
-    "compare": ("walk.pcap field_day.pcap", "walk.pcap field_day.pcap --picture units.png --json"),
-    "fit": ("field_day.pcap --out unit.toml",),
-    "forest": (
-        "birch_walk",
-        "old_growth --picture old_growth.png --inventory trees.csv",
-        "my_forest.toml --radius 15 --ground ground.asc --glb twin.glb",
-    ),
-    "accuracy": ("birch_walk", "reference_forest --out report --pulses 20000", "static_bench --json"),
-    "plan": ("birch_walk", "old_growth --set sensor.return_mode=dual", "reference_forest --ideal --json"),
-    "doctor": ("", "--json"),
-    "cache": ("", "--clear"),
-    "schema": ("> scene.schema.json",),
-}
-"""What follows the verb in the examples of its help."""
-
 
 def program(names: Collection[str]) -> typer.Typer:
     """Return the program with some verbs."""
@@ -88,6 +39,7 @@ def program(names: Collection[str]) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     )
     made.callback(invoke_without_command=True)(_root)
+    examples = Path(__file__).with_name("examples.txt").read_text(encoding="utf-8").splitlines()
     for name in names:
         try:
             verb = door(name, "verbs")
@@ -95,7 +47,7 @@ def program(names: Collection[str]) -> typer.Typer:
             if len(names) == 1:
                 raise
             continue
-        lines = "\n".join(f"  vlp16emu {name} {words}".rstrip() for words in _EXAMPLES.get(name, ()))
+        lines = "\n".join(f"  vlp16emu {line}" for line in examples if line.partition(" ")[0] == name)
         epilog = f"Examples:\n\n\b\n{lines}" if lines else None
         made.command(name, epilog=epilog)(command(verb))
     return made

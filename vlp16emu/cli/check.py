@@ -207,9 +207,9 @@ def score(
 
     Scores what is given, from files of any tool. Exit code 1 if a threshold is missed.
     """
+    from vlp16emu.extras.outputs import report
     from vlp16emu.extras.plots import check_matplotlib
     from vlp16emu.extras.score.card import limits_of, make_card, page
-    from vlp16emu.output import report
 
     limits = limits_of(require or ())
     if out is not None:

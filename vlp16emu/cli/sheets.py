@@ -131,7 +131,7 @@ def accuracy(
     distances is held against the explicit one by means, with 8 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
-    from vlp16emu.output import report
+    from vlp16emu.extras.outputs import report
     from vlp16emu.scenario import load
 
     scenario = load(scene, settings or [])

@@ -1,4 +1,4 @@
-"""Checks of this machine for all verbs, with a remedy for each failure; and the cost of sending."""
+"""Checks of this machine for all verbs, with a remedy for each failure."""
 
 import os
 import platform
@@ -6,9 +6,9 @@ import shutil
 import socket
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,10 +18,9 @@ import numpy as np
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.kernels.cache import kernel_names, user_kernels
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
-from vlp16emu.sinks import LOOPBACK, TOLERANCE_NS, Pacer, UdpSink, stream
-from vlp16emu.sinks.pacing import prompt_sleeps
+from vlp16emu.sinks import TOLERANCE_NS
+from vlp16emu.sinks.pacing import prompt
 from vlp16emu.store import user_store
-from vlp16emu.types import Packet
 
 _SLEEPS = 200
 _SLEEP_S = 0.001_327  # as long as between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)
@@ -123,7 +122,7 @@ def _interface_right() -> Check:
 
 def _wake_ups() -> Check:
     late_ns = []
-    with prompt_sleeps():  # as streams sleep
+    with prompt():  # as streams sleep
         for _ in range(_SLEEPS):
             until_ns = time.monotonic_ns() + round(_SLEEP_S * 1e9)
             time.sleep(_SLEEP_S)
@@ -184,22 +183,3 @@ def _disk() -> Check:
     found = f"{free / 1e9:.1f} GB free for at most {store.most_bytes / 1e9:.1f} GB in {store.folder}"
     mend = "export VLP16EMU_CACHE_MB=100, or another VLP16EMU_CACHE_DIR"
     return _check("world cache", found, mend if free < store.most_bytes else "")
-
-
-def sending_share(packets: Sequence[Packet]) -> float:
-    """Processor seconds per second of the thread that sends packets in real time, measured by doing so.
-
-    They go to a socket of this process that nobody reads, so no other program is sent anything.
-
-    Parameters
-    ----------
-    packets : in order of sending
-    """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind((LOOPBACK, 0))
-        port = receiver.getsockname()[1]
-        with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
-            before_s = time.thread_time()
-            report = stream(packets, sink, Pacer(1.0))
-            took_s = time.thread_time() - before_s
-    return took_s / report.simulated_s if report.simulated_s > 0 else 0.0

@@ -10,10 +10,8 @@ from vlp16emu.run.run import Run
 from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import FellBehind
 
-_FREE = 0.2
-"""Share of the time that a rung leaves free: for sending, for windows of the world, and for other programs."""
-_STALLED = 0.1
-"""Speed below which the engine waits for something, so that its speed says nothing of settings."""
+_FREE = 0.2  # share of the time that a rung leaves free: for sending, for windows of the world, and for other programs
+_STALLED = 0.1  # speed below which the engine waits for something, so that its speed says nothing of settings
 _WARM_S, _MEASURED_S = 0.1, 1.5
 """Simulated seconds that open the window and load the kernels, and those that are measured."""
 
@@ -122,19 +120,6 @@ def keeps_up_with(times: Sequence[FellBehind], scenario: Scenario, speed: float)
     """Return options with which an engine that fell behind keeps up; none if it was not the cause."""
     speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None]
     return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []
-
-
-def speed_beside_sender(engine_speed: float, sender_share: float, threads: int, cores: int) -> float:
-    """Return the engine's speed if the sending thread takes its share of the same cores.
-
-    Parameters
-    ----------
-    engine_speed : simulated seconds per second without other work
-    sender_share : processor seconds per second of the sending thread, in [0, 1)
-    threads : workers of the engine
-    cores : of the machine
-    """
-    return engine_speed * min((cores - sender_share) / min(threads, cores), 1.0)
 
 
 @dataclass(frozen=True, slots=True)

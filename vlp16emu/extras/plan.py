@@ -1,7 +1,6 @@
 """What a scene needs and leaves out, what is in reach of the sensor, and whether a stream keeps up."""
 
 import math
-import os
 import sys
 from collections import Counter
 from collections.abc import Mapping
@@ -9,8 +8,7 @@ from dataclasses import dataclass
 
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.windows import window_of
-from vlp16emu.extras.doctor import sending_share
-from vlp16emu.extras.keep_up import choose, settings_that_keep_up, speed_beside_sender
+from vlp16emu.extras.keep_up import choose, settings_that_keep_up
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.stem import StemKey
@@ -19,6 +17,7 @@ from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
+from vlp16emu.scenario import Scenario
 from vlp16emu.types import Window
 from vlp16emu.world.furnished import MeshKey
 
@@ -34,7 +33,6 @@ _KINDS = {
 }
 _LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "matplotlib", "rich", "serial")
 _SCARCE = 1.2  # speed below which other programs, a driver on the same machine for instance, may make a stream late
-_SENT_S = 0.4  # of packets that are sent, to no other program, in order to measure what sending takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,24 +52,6 @@ class Surroundings:
     species: tuple[str, ...]
     placed: Mapping[str, int]  # placements by kind
     surfaces: int  # rows of the window's table
-
-
-@dataclass(frozen=True, slots=True)
-class StreamOutlook:
-    """Forecast of whether a stream keeps up in real time."""
-
-    keeps_up: bool
-    real_time_factor: float  # speed of the engine beside the thread that sends
-    sender_share: float  # share of a core that sending takes
-    keeps_up_with: tuple[str, ...]  # options of `vlp16emu stream` that are enough, each by itself; none if it keeps up
-    rung: str  # what `stream --keep-up` takes, by this speed
-
-    @property
-    def verdict(self) -> str:
-        """Forecast in words."""
-        if not self.keeps_up:
-            return "no, packets will be late"
-        return "yes" if self.real_time_factor >= _SCARCE else "yes, with next to nothing left for other programs"
 
 
 def needs(engine: Engine, *, audited: bool) -> list[Need]:
@@ -143,11 +123,20 @@ def libraries() -> dict[str, bool]:
     return {name: name in sys.modules for name in _LIBRARIES}
 
 
-def stream_outlook(engine: Engine, engine_speed: float, threads: int) -> StreamOutlook:
-    """Measure the cost of sending, and return whether a stream keeps up; `engine_speed` is that of a machine without other work."""
-    share = sending_share(list(engine.packets(*engine.scenario.span_s(0.0, _SENT_S))))
-    speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)
-    keeps_up = speed >= 1.0
-    options = [] if keeps_up else settings_that_keep_up(engine.scenario, speed, 1.0)
-    rung, _, _ = choose(engine.scenario, 1.0, lambda rung: math.inf if rung else engine_speed)
-    return StreamOutlook(keeps_up, speed, share, tuple(options), rung.name if rung else "the scene as it is")
+def verdict(speed: float) -> str:
+    """Return whether a stream keeps up, by the simulated seconds per second of the engine."""
+    if speed < 1.0:
+        return "no, packets will be late"
+    return "yes" if speed >= _SCARCE else "yes, with next to nothing left for other programs"
+
+
+def stream_outlook(scenario: Scenario, speed: float) -> dict[str, object]:
+    """Return whether a stream keeps up at a speed of the engine, and with which of its options, each enough by itself, it would."""
+    options = [] if speed >= 1.0 else settings_that_keep_up(scenario, speed, 1.0)
+    rung, _, _ = choose(scenario, 1.0, lambda rung: math.inf if rung else speed)
+    return {
+        "keeps_up": speed >= 1.0,
+        "verdict": verdict(speed),
+        "keeps_up_with": options,
+        "rung": rung.name if rung else "the scene as it is",  # what `stream --keep-up` takes, by this speed
+    }

@@ -16,13 +16,14 @@ from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE
 from vlp16emu.raycast.beam import FARTHEST
-from vlp16emu.raycast.kernel import Cast, go_on
+from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, RANGE, Cast, go_on
 from vlp16emu.types import F4, U8
 
 f4, u4 = np.float32, np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
+_FEW = 4
+"""Voxels whose leaves are looked at together."""
 
 
 class Passage(NamedTuple):
@@ -90,20 +91,23 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
     slab = -_floor(-first)
     slabs = _floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
     while slab <= slabs:
-        voxels = _lit(M, pulse, way, grid, weights, bricks, slab, _look(L, way, grid, bricks, slab, slabs))
-        while voxels:
-            at = int(lowest(voxels))
-            voxels &= voxels - np.uint64(1)
-            here = slab + at
-            if here > slabs:
-                break
-            lit, met = L.lit[at] & alive, False
-            if lit:
-                met = meet_leaves(M, pulse, axes, _voxel(way, here), L.place[at], weights.knot, L.hash[at], lit)
-            if L.code[at] & GROUND:
-                met |= meet_ground(M.ground, pulse, way.to_middle + f4(here) * length, length)
-            if met:
-                alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
+        left = _look(L, way, grid, bricks, slab, slabs)
+        while left:
+            left, voxels = _lit(M, pulse, way, grid, weights, bricks, slab, left, alive)
+            while voxels:
+                at = int(lowest(voxels))
+                voxels &= voxels - np.uint64(1)
+                here = slab + at
+                if here > slabs:
+                    left = np.uint64(0)
+                    break
+                lit, met = L.lit[at] & alive, False
+                if lit:
+                    met = meet_leaves(M, pulse, axes, _voxel(way, here), L.place[at], weights.knot, L.hash[at], lit)
+                if L.code[at] & GROUND:
+                    met |= meet_ground(M.ground, pulse, way.to_middle + f4(here) * length, length)
+                if met:
+                    alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
         slab += AHEAD
 
 
@@ -194,14 +198,25 @@ def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _lit(
-    M: Medium, pulse: Pulse, way: _Way, grid: _Grid, weights: Weights, bricks: U8, slab: int, voxels: np.uint64
-) -> np.uint64:
-    """Return the bits of those voxels in which a lane may meet a leaf or the ground.
+    M: Medium,
+    pulse: Pulse,
+    way: _Way,
+    grid: _Grid,
+    weights: Weights,
+    bricks: U8,
+    slab: int,
+    voxels: np.uint64,
+    alive: np.uint64,
+) -> tuple[np.uint64, np.uint64]:
+    """Return the bits of voxels behind the first few, and of those of the few in which a lane may meet a leaf or the ground.
 
-    There is no branch in this loop, so that memory is waited for once, and arithmetic of voxels overlaps.
+    There is no branch in this loop, so that memory is waited for once, and arithmetic of voxels overlaps; they are few, as
+    half of all rays end among them.
     """
     L, records, axes, asked = pulse.lanes, M.record, (way.main, way.one, way.two), np.uint64(0)
-    while voxels:
+    for _ in range(_FEW):
+        if not voxels:
+            break
         at = int(lowest(voxels))
         voxels &= voxels - np.uint64(1)
         pair, bit = np.uint64(L.place[at] >> u4(6)) << np.uint64(1), np.uint64(L.place[at] & u4(63))
@@ -209,9 +224,10 @@ def _lit(
         number = bricks[pair + np.uint64(1)] + ones(before_it)
         code = records[number]
         h, lit = lit_lanes(M, pulse, axes, grid.corner, _voxel(way, slab + at), code, weights)
+        lit &= alive
         L.place[at], L.code[at], L.hash[at], L.lit[at] = u4(number), code, h, lit
         asked |= np.uint64((lit | np.uint64(code & GROUND)) != 0) << np.uint64(at)
-    return asked
+    return voxels, asked
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)

@@ -42,8 +42,7 @@ class ForestSite:
         """Digest of all that decides the ground."""
         section = self._section
         own = section.model_dump_json(include={"dem", "origin_m", "terrain"})
-        text = "\n".join([own, _content(section.dem.file if section.dem else None), str(self._seed)])
-        return hashlib.sha256(text.encode()).hexdigest()[:32]
+        return _digest(own, _content(section.dem.file if section.dem else None), str(self._seed))
 
     @property
     def obstacles(self) -> tuple[Array, Array] | None:
@@ -102,14 +101,16 @@ class ForestSite:
 
 
 def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:
-    dem_file = section.dem.file if section.dem else None
     stem_list = section.stem_list if isinstance(section, Plot) else None
-    models = [model.file for model in section.tree_models]
-    files: list[str | None] = [section.species_file, dem_file, stem_list, *models]
-    parts = [section.model_dump_json(exclude={"meshes", "near_m", "seed"}), str(seed), f"{reach_m!r} {loose_stems}"]
-    digest = hashlib.sha256("\n".join([*parts, *map(_content, files), ""]).encode())
-    digest.update(path.xy_m.tobytes())
-    return digest.hexdigest()[:32]
+    dem_file = section.dem.file if section.dem else None
+    files = section.species_file, dem_file, stem_list, *(model.file for model in section.tree_models)
+    own = section.model_dump_json(exclude={"meshes", "near_m", "seed"})
+    way = hashlib.sha256(path.xy_m.tobytes()).hexdigest()
+    return _digest(own, str(seed), f"{reach_m!r} {loose_stems}", *map(_content, files), way)
+
+
+def _digest(*parts: str) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
 
 
 def _content(file: str | None) -> str:

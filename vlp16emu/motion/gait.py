@@ -47,9 +47,7 @@ class Trunk:
     def at(self, elapsed_s: Array, effort: Array) -> Array:
         """Displacements (n, 6), axes as in `AXES`, at times (n,) since the first step.
 
-        Parameters
-        ----------
-        effort : (n,) share of the amplitudes, 0 at rest and 1 at walking speed
+        Effort (n,) is the share of the amplitudes, 0 at rest and 1 at walking speed.
         """
         out = np.empty((len(elapsed_s), AXES))
         _fill(elapsed_s, effort, self._step_hz, self._variation, self._amplitude, self._lines, out)

@@ -74,19 +74,13 @@ class MountedMotion:
         )
 
     def _mounted(self, of: Poses, t_ns: IntArray) -> tuple[Poses, Array]:
-        """Poses of the device on a carrier with these poses, and its turns on the stage."""
-        turns, poses = self._turns(t_ns), Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
+        """Poses of the device on a carrier with these poses, and its turns (n, 3, 3), or (1, 3, 3) on a fixed stage."""
+        turns, poses = self._tilts[:1], Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
+        if self._spin_hz != 0.0:
+            elapsed_ns, turns = t_ns - self._start_ns, np.empty((len(t_ns), 3, 3))
+            _spin(elapsed_ns // S_NS, elapsed_ns % S_NS, self._spin_hz, self._tilts, turns)
         _mount(of.world_R_body, of.world_p_body_m, turns, self._arm_m, poses.world_R_body, poses.world_p_body_m)
         return poses, turns
-
-    def _turns(self, t_ns: IntArray) -> Array:
-        """body_R_device (n, 3, 3) at instants (n,), or (1, 3, 3) where the stage is fixed."""
-        if self._spin_hz == 0.0:
-            return self._tilts[:1]
-        elapsed_ns = t_ns - self._start_ns
-        out = np.empty((len(t_ns), 3, 3))
-        _spin(elapsed_ns // S_NS, elapsed_ns % S_NS, self._spin_hz, self._tilts, out)
-        return out
 
 
 @numba.njit(cache=True, nogil=True)

@@ -28,13 +28,10 @@ class WalkMotion:
     definition the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on it: twice continuously
     differentiable, so its derivatives belong to it exactly, and within a nanometre of what it interpolates.
 
-    At the cruise speed of the route the gait has its full amplitudes, and they fade as the person slows down.
+    At the cruise speed of the route the gait has its full amplitudes, and they fade as the person slows down. The pack hangs
+    on what `under` samples, and by what it says: by default on the trunk, by the harness of the walk.
 
     Raises TrajectoryError if the straps would swing without end.
-
-    Parameters
-    ----------
-    under : samples of what the pack hangs on, and how; None for the trunk and the harness of the walk
     """
 
     moves = True

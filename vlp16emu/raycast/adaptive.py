@@ -55,7 +55,7 @@ def worth_of_ray_m(target_m: float) -> float:
     return _PER_RAY * target_m * target_m * target_m * math.sqrt(target_m)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8) -> bool:
     """Return True if n sub-rays decide on the strongest echo, and on whether it is seen, well enough for the target.
 
@@ -78,16 +78,18 @@ def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget:
     return is_precise or _error_m(order, met, resolution_m) <= worth_m
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, threshold: float) -> bool:
     """Return True if the rays clearly make an echo, or none, against the threshold."""
-    most, total = np.float32(0.0), np.float32(0.0)
+    total, bright = np.float32(0.0), _PLAIN[1] * threshold
     for i in range(range_m.shape[0]):
         if surface[i] != _NONE:
             squared = max(range_m[i] * range_m[i], _LEAST_SQUARED)
             energy = reflectance[surface[i]] * cos_incidence[i] / squared
-            total, most = total + energy, max(most, energy)
-    return bool(total <= _PLAIN[0] * threshold or most >= _PLAIN[1] * threshold)
+            if energy >= bright:  # of most pulses the first ray says so
+                return True
+            total += energy
+    return bool(total <= _PLAIN[0] * threshold)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

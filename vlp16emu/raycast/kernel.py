@@ -10,13 +10,91 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import RayBudget, enough
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Batch, PulseBatch
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter
 from vlp16emu.trig import ZERO
-from vlp16emu.types import F4, U2, U4
+from vlp16emu.types import F4, F8, I8, U2, U4
+
+LANES = ROUND
+"""Rays of a row."""
+ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
+"""Offsets of rows of lanes in `Batch.row`, and its length."""
+
+
+class PulseBatch(NamedTuple):
+    """Pulses that are cast, and their width."""
+
+    origin_m: F8
+    """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
+    direction: F8
+    beam_axis: F8
+    time: F4
+    """(k, L) between the scene's first knot and its last, 0..1."""
+    near_m: F8
+    """(L,) range at which each laser's light begins."""
+    reach_m: float
+    """Range at which what is near ends; `far_m` where it does not."""
+    far_m: float
+    """Range at which the light is given up."""
+    order: I8
+    """(k / 8,) first sequence of each packet, in the order of casting."""
+    sigmas: F4
+    """(4,) as in `Footprint`; `seed` alike."""
+    seed: int
+    first: int
+    """Number of the first firing sequence."""
+
+
+class MetRays(NamedTuple):
+    """Hits of rays: three arrays of one length."""
+
+    range_m: F4
+    surface: U4
+    cos_incidence: F4
+
+
+class Batch(NamedTuple):
+    """Room for the pulses of eight sequences, those of a laser one after the other."""
+
+    row: F4
+    """(n, ROW) rays of a pulse, rows of eight: origins, directions, ranges, cosines; of a light without width only the first."""
+    surface: U4
+    """(n, 8)."""
+    axes: F4
+    """(n, 4, 3) of the pulses; the first two make up the middle."""
+    axes_row: F4
+    """(n, 12) the same numbers."""
+    missed: NDArray[np.bool_]
+    """(n,) which pulses go on: of some of their rays nothing near is met."""
+    todo: I8
+    """(n,) numbers of the pulses that are cast."""
+    have: I8
+    """(n,) how many sub-rays each has."""
+    hits: MetRays
+    """(n m,) of these, those of a pulse one after the other; m is a multiple of eight."""
+    scratch: F8
+    """(2, m) to sort in."""
+
+
+def batch_of(pulses: int, most: int) -> Batch:
+    """Make room for so many pulses of up to `most` sub-rays each."""
+    most = -(-most // ROUND) * ROUND
+    n = pulses * most
+    axes_row = np.zeros((pulses, 12), np.float32)
+    return Batch(
+        np.zeros((pulses, ROW), np.float32),
+        np.zeros((pulses, LANES), np.uint32),
+        axes_row.reshape(pulses, 4, 3),
+        axes_row,
+        np.zeros(pulses, np.bool_),
+        np.arange(pulses),
+        np.zeros(pulses, np.int64),
+        MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
+        np.empty((2, most)),
+    )
 
 
 class Cast(NamedTuple):
@@ -59,16 +137,18 @@ def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, sur
 
 
 @numba.njit(cache=True, nogil=True)
-def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2) -> U4:
+def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2, first_round: U4) -> U4:
     """Cast the sub-rays of every pulse, by rounds of eight.
 
     Parameters
     ----------
-    count : (k, L) output, sub-rays of each pulse; n in all
+    count : (k, L) output, sub-rays of each pulse
+    first_round : (3, k L r) output, bits of the ranges, surfaces, bits of the cosines of the first r of each, in order of
+        pulses: the place of most is known before they are cast
 
     Returns
     -------
-    (3, n) in order of pulses: bits of the ranges, surfaces, bits of the cosines
+    (3, n) the same of all others, in order of pulses
     """
     batch, pulses = cast.batch, PACKET * count.shape[1]
     set_filter(cast.packet)
@@ -82,16 +162,36 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
             _cast_near(cast, beyond, budget, first, todo, have, rays)
             if passage is not None:
                 go_on(passage, cast, todo, rays, reach_of(have, budget.adaptive))
-            todo, have = _settle(cast, budget, todo, have, rays), have + rays
-        groups[first // PACKET] = _taken(batch, first, count)
+            todo, have = _settle(cast, budget, first_round, first, todo, have, rays), have + rays
+        groups[first // PACKET] = _further(batch, min(ROUND, budget.most), first, count)
     n = ZERO
     for group in groups:
         n += group.shape[1]
-    hits, n = np.empty((3, n), np.uint32), ZERO
+    further, n = np.empty((3, n), np.uint32), ZERO
     for group in groups:
-        hits[:, n : n + group.shape[1]] = group
+        further[:, n : n + group.shape[1]] = group
         n += group.shape[1]
-    return hits
+    return further
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
+    """Fill hits (3, n) from those of first rounds and the others, as of `cast_pulses`, in order of pulses."""
+    pulses, lasers = count.size, count.shape[1]
+    each = first_round.shape[1] // pulses
+    for row in range(3):
+        of_first, rest, out = first_round[row], further[row], hits[row]
+        begin = at = used = ZERO
+        for pulse in range(pulses):
+            more = count[pulse // lasers, pulse % lasers] - each
+            if more or pulse == pulses - 1:
+                stop = each * (pulse + 1)
+                for a in range(stop - begin):
+                    out[at + a] = of_first[begin + a]
+                at, begin = at + stop - begin, stop
+                for a in range(more):
+                    out[at + a] = rest[used + a]
+                at, used = at + more, used + more
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -180,18 +280,30 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _settle(cast: Cast, budget: RayBudget, todo: int, have: int, count: int) -> int:
-    """Take the hits of a round; list the pulses that need another, and return how many."""
+def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int) -> int:
+    """Take the hits of a round; list the pulses that need another, and return how many.
+
+    Parameters
+    ----------
+    first_round : as of `cast_pulses`
+    first : number of the first sequence
+    """
     batch, reflectance = cast.batch, cast.near.reflectance
     hits, row, met, left = batch.hits, batch.row, batch.surface, 0
     range_m, surface, cosine = hits.range_m, hits.surface, hits.cos_incidence
-    most, own = batch.scratch.shape[1], have + count
+    most, own, lasers = batch.scratch.shape[1], have + count, met.shape[0] // PACKET
+    first_m, first_cosine = first_round[0].view(np.float32), first_round[2].view(np.float32)
     for t in range(todo):
         q = batch.todo[t]
         begin, at = q * most, q * most + have
         for lane in range(LANES):
             range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
             surface[at + lane], cosine[at + lane] = met[q, lane], row[q, COSINE + lane]
+        if have == 0:
+            to = count * ((first + q % PACKET) * lasers + q // PACKET)
+            for lane in range(count):
+                first_m[to + lane], first_cosine[to + lane] = range_m[at + lane], cosine[at + lane]
+                first_round[1, to + lane] = surface[at + lane]
         batch.have[q] = own
         needs_more = own < budget.most
         if needs_more and budget.adaptive:
@@ -205,21 +317,19 @@ def _settle(cast: Cast, budget: RayBudget, todo: int, have: int, count: int) -> 
 
 
 @numba.njit(cache=True, nogil=True)
-def _taken(batch: Batch, first: int, count: U2) -> U4:
-    """Count the hits of eight sequences and return them in order of pulses, (3, n) as in `cast_pulses`."""
+def _further(batch: Batch, each: int, first: int, count: U2) -> U4:
+    """Count the hits of eight sequences and return those behind the first `each` in order of pulses, (3, n) as `cast_pulses`."""
     most, n = batch.scratch.shape[1], ZERO
     for q in range(PACKET * count.shape[1]):
         count[first + q % PACKET, q // PACKET] = batch.have[q]
-        n += batch.have[q]
-    hits, n = np.empty((3, n), np.uint32), ZERO
-    range_bits, surface, cosine_bits = hits[0], hits[1], hits[2]
-    range_m, cosine = range_bits.view(np.float32), cosine_bits.view(np.float32)
+        n += batch.have[q] - each
+    further, n = np.empty((3, n), np.uint32), ZERO
+    range_m, cosine = further[0].view(np.float32), further[2].view(np.float32)
     for i in range(PACKET):
         for j in range(count.shape[1]):
-            begin, own = (PACKET * j + i) * most, batch.have[PACKET * j + i]
-            for s in range(own):
-                range_m[n + s] = batch.hits.range_m[begin + s]
-                surface[n + s] = batch.hits.surface[begin + s]
-                cosine[n + s] = batch.hits.cos_incidence[begin + s]
-            n += own
-    return hits
+            begin = (PACKET * j + i) * most
+            for s in range(each, batch.have[PACKET * j + i]):
+                range_m[n], further[1, n] = batch.hits.range_m[begin + s], batch.hits.surface[begin + s]
+                cosine[n] = batch.hits.cos_incidence[begin + s]
+                n += 1
+    return further

@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.batch import PulseBatch, batch_of
-from vlp16emu.raycast.beam import FARTHEST, LINE, Footprint, beam_axis_of
-from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
+from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
+from vlp16emu.raycast.build import EmbreeMesh, Placed, inverses, relative_to_window, shape_of
 from vlp16emu.raycast.displace import displace
-from vlp16emu.raycast.faces import inverses, relative_to_window
-from vlp16emu.raycast.kernel import Cast, cast_lines, cast_pulses
+from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recalled
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
@@ -95,8 +93,13 @@ class EmbreeGeometry:
         own = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
         if beam.has_width:
             count = np.empty(shape, np.uint16)
-            range_bits, surface, cosine_bits = cast_pulses(own, *beyond, beam.budget, count)
-            return Hits(count, range_bits.view(np.float32), surface, cosine_bits.view(np.float32))
+            # Arrays of numpy's are in huge pages: those that kernels make have a page fault every 4 kB.
+            met_bits = first_round = np.empty((3, count.size * min(ROUND, most)), np.uint32)
+            further = cast_pulses(own, *beyond, beam.budget, count, first_round)
+            if further.size:
+                met_bits = np.empty((3, first_round.shape[1] + further.shape[1]), np.uint32)
+                join_rounds(count, first_round, further, met_bits)
+            return Hits(count, met_bits[0].view(np.float32), met_bits[1], met_bits[2].view(np.float32))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
         cast_lines(own, *beyond, *met)
         if beam.section.model == "offset":

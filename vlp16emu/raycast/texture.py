@@ -50,7 +50,8 @@ def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int
     """
     if not (surfaces["texture"].any() or surfaces["relief_m"].any()):
         return hits
-    out = replace(hits, range_m=hits.range_m.copy(), cos_incidence=hits.cos_incidence.copy())
+    range_m = hits.range_m.copy() if surfaces["relief_m"].any() else hits.range_m
+    out = replace(hits, range_m=range_m, cos_incidence=hits.cos_incidence.copy())
     columns = [np.ascontiguousarray(surfaces[name]) for name in ("texture", "reflectance", "relief_m")]
     grid_m = np.where(surfaces["part"] == PlantPart.NONE, _GRID_M, _BARK_GRID_M)
     rays, lasers = (hits.count, hits.range_m, hits.surface), hits.count.shape[1]

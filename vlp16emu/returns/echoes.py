@@ -93,8 +93,8 @@ def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, n
             nodes[_RAY, left], nodes[_PART, left] = ray_m, part
             away_m = ray_m - first_m
             near = abs(away_m) <= 0.5 * NODE_M
-            left += 0 if near else 1
-            part = part if near else 0.0
+            left += 1 - near
+            part *= np.float64(near)  # of a choice the compiler makes a branch
             energy += part
             moment += part * away_m
         at_m = first_m + moment / energy

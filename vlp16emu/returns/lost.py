@@ -77,13 +77,13 @@ def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
     _, range_m, met, cosine, reflectance = rays
     most = at_m = total = other = 0.0
     surface = met[start]
-    for ray in range(start, stop):
+    for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
         if range_m[ray] < np.inf:
             light = np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             if light > most:
                 most, at_m, surface = light, np.float64(range_m[ray]), met[ray]
     own = sheet[surface]
-    for ray in range(start, stop):
+    for ray in range(np.uint64(start), np.uint64(stop)):
         if range_m[ray] < np.inf:
             light = np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             total += light

@@ -11,12 +11,7 @@ _SLACK_M = 1e-6  # boxes farther than the nearest segment by less than this are 
 
 
 class Polyline:
-    """A line in the plane that is quick to ask for distances, however long it is.
-
-    Parameters
-    ----------
-    xy_m : (m, 2) float64, m >= 1
-    """
+    """A line (m, 2), m >= 1, in the plane that is quick to ask for distances, however long it is."""
 
     def __init__(self, xy_m: Array) -> None:
         self.xy_m = np.ascontiguousarray(xy_m, np.float64)
@@ -33,13 +28,7 @@ class Polyline:
 
 
 class Corridor(Polyline):
-    """The path of the sensor, and how much room it has on either side.
-
-    Parameters
-    ----------
-    xy_m : as for `Polyline`
-    clearance_m : no plant and no thing comes nearer to the path than this
-    """
+    """The path of the sensor, and how far plants and things keep from it."""
 
     def __init__(self, xy_m: Array, clearance_m: float) -> None:
         super().__init__(xy_m)
@@ -47,12 +36,7 @@ class Corridor(Polyline):
 
 
 def distance_m(points_xy_m: Array, line_xy_m: Array) -> Array:
-    """Distance from each point (n, 2) to a polyline (m, 2), m >= 1, that is asked only once.
-
-    Returns
-    -------
-    (n,) metres
-    """
+    """Distance (n,) from each point (n, 2) to a polyline (m, 2), m >= 1, that is asked only once."""
     return Polyline(line_xy_m).distance_m(points_xy_m)
 
 

@@ -187,13 +187,7 @@ class WorldSection(Section):
     """The user's own things; they may lie anywhere."""
 
     def site(self, seed: int) -> Site:
-        """Return the ground, on which the path and then the world are made.
-
-        Raises
-        ------
-        GeometryError
-            If it cannot be made as it is written
-        """
+        """Return the ground, on which path and world are made; raises GeometryError if it cannot be made as it is written."""
         site: Site = door(self.site_door)(self, seed)
         return site
 

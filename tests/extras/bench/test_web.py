@@ -69,7 +69,7 @@ def test_the_status_follows_the_sensor(web):
         "laser": {"state": "On"},
     }
     web.client.post("/cgi/setting", "rpm=1200&laser=off")
-    seen = [web.client.get("/cgi/status.json") for _ in range(20)]
+    seen = [web.client.get("/cgi/status.json") for _ in range(40)]
     speeds = [tree["motor"]["rpm"] for tree in seen]
     assert 600 < speeds[0] < 1200 == speeds[-1]
     assert speeds == sorted(speeds)

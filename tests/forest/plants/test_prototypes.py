@@ -1,4 +1,4 @@
-"""What prototypes of crowns, saplings and shrubs have in common."""
+"""What prototypes of crowns, saplings and shrubs have in common, and the size of shrubs."""
 
 from dataclasses import replace
 
@@ -9,7 +9,8 @@ from scipy import stats
 
 from vlp16emu.forest.plants.crown import CrownKey, crown_meshes
 from vlp16emu.forest.plants.flora import shrub_table, species_table
-from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
+from vlp16emu.forest.plants.undergrowth import SHRUB_PARTS, SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
+from vlp16emu.types import PlantPart
 
 PLANTS = {**species_table(), **shrub_table()}
 CROWNS = [CrownKey(name, 0, 0.24, 21.0, 9.0, 4.5, 90.0) for name, one in species_table().items() if one.foliage]
@@ -73,3 +74,25 @@ def test_a_prototype_depends_on_seed_and_key_alone(key):
     others = [replace(key, variant=2), replace(key, **({"dbh_m": 0.26} if key in CROWNS else {"height_m": 1.9}))]
     assert bytes_of(grown(key)) == bytes_of(grown(replace(key)))
     assert len({b"".join(bytes_of(one)) for one in (grown(key), grown(key, seed=5), *map(grown, others))}) == 4
+
+
+def test_a_shrub_has_its_size():
+    """It stands on the ground, reaches its height within a quarter, and is no wider than a quarter more than its width."""
+    for key in SHRUBS:
+        vertices = np.concatenate([mesh.vertices_m for mesh in shrub_meshes(9, key)])
+        assert -0.25 * key.height_m < vertices[:, 2].min() < 0, key.species
+        assert vertices[:, 2].max() == pytest.approx(key.height_m, rel=0.25), key.species
+        width_m = np.ptp(vertices[:, :2], axis=0)
+        assert (width_m > 0.6 * key.width_m).all(), key.species
+        assert (width_m < 1.25 * key.width_m).all(), key.species
+
+
+def test_stems_come_out_of_the_ground_side_by_side():
+    """There are as many stems as the kind has, all within a tenth of the width of the middle, below the ground."""
+    for key in SHRUBS:
+        assert SHRUB_PARTS == (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF), key.species
+        stems = shrub_meshes(9, key)[0].vertices_m.reshape(-1, 49, 3)
+        assert len(stems) == shrub_table()[key.species].stems, key.species
+        foot = stems[:, :6].mean(axis=1)
+        assert (np.hypot(foot[:, 0], foot[:, 1]) < 0.1 * key.width_m).all(), key.species
+        assert (foot[:, 2] < 0).all(), key.species

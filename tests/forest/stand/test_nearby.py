@@ -1,11 +1,18 @@
-"""What stands near a way, and pieces cut out of a window."""
+"""What stands near a way, pieces cut out of a window, and the digital twin, read back by trimesh."""
+
+import io
+import json
+import struct
 
 import numpy as np
 import pytest
+import trimesh
 
+from vlp16emu.forest.plants.flora import shrub_table, species_table
 from vlp16emu.forest.stand.nearby import cut_out, things_near
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.tiles import TileKey
+from vlp16emu.forest.twin import write_glb
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.polyline import Polyline
@@ -117,3 +124,131 @@ def test_a_piece_can_be_without_any_thing(full_forest, window):
     assert all(isinstance(key, TileKey) for key in piece.shapes)
     assert (piece.first_surface != NO_SURFACE).all()
     assert all(not len(mesh.faces) for mesh in grow(piece.shapes[0])[1:])
+
+
+TWIN_M = 6.0
+SPECIES = {plant.number: plant.name for plant in (*species_table().values(), *shrub_table().values())}
+
+
+@pytest.fixture(scope="module")
+def near(full_forest, window, trees, track_m):
+    """Trees and things within the radius of a twin."""
+    way = Polyline(track_m[:, :2])
+    things = things_near(window, full_forest.shape, trees=trees["id"], path=way, radius_m=TWIN_M)
+    return window, trees[way.distance_m(np.column_stack([trees["x_m"], trees["y_m"]])) <= TWIN_M], things, way
+
+
+@pytest.fixture(scope="module")
+def glb(full_forest, near):
+    """The bytes of a twin, and how many instances it says that it holds."""
+    window, trees, things, way = near
+    places_m = {one.instance: one.place_m for one in things}
+    places_m |= {int(t["id"]): np.array([t["x_m"], t["y_m"], t["z_m"]]) for t in trees}
+    piece, grow = cut_out(
+        window,
+        full_forest.shape,
+        instances=np.array(list(places_m), np.uint32),
+        inside=lambda xy_m: way.distance_m(xy_m) <= TWIN_M,
+    )
+    file, colours = io.BytesIO(), np.full((len(window.surfaces), 3), 128, np.uint8)
+    count = write_glb(file, piece, grow, places_m=places_m, species=SPECIES, colours=colours)
+    return file.getvalue(), count
+
+
+@pytest.fixture(scope="module")
+def header(glb):
+    """The JSON part of the file."""
+    length = struct.unpack_from("<I", glb[0], 12)[0]
+    return json.loads(glb[0][20 : 20 + length])
+
+
+@pytest.fixture(scope="module")
+def scene(glb):
+    return trimesh.load_scene(io.BytesIO(glb[0]), file_type="glb")
+
+
+def test_every_instance_is_one_node_with_its_labels(glb, header, near):
+    """There is one node for each tree and thing, named by class, number and species, and no other instance."""
+    _, trees, things, _ = near
+    names = {node["name"] for node in header["nodes"]}
+    wanted = {f"tree_{t['id']:06d}/{SPECIES[int(t['species'])]}" for t in trees}
+    for one in things:
+        grass = dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), "grass")
+        dead = dict.fromkeys(("log", "broken_log", "stump", "broken_stump", "root_plate"), "deadwood")
+        kind = {"sapling": "tree", **dead, **grass}.get(one.kind, one.kind)
+        wanted.add(f"{kind}_{one.instance:06d}" + (f"/{SPECIES[one.species]}" if one.species else ""))
+    assert wanted <= names
+    assert glb[1] == len(wanted)
+    children = {name.split("/")[0] for name in names if "_" in name}
+    assert children == {name.split("/")[0] for name in wanted}
+
+
+def test_parts_say_in_numbers_what_their_names_say(header):
+    """The extras of a part's node are the numbers of its class, part, instance and species."""
+    node = next(n for n in header["nodes"] if n["name"].endswith("/stem") and n["name"].startswith("tree_"))
+    name, species, _ = node["name"].split("/")
+    extras = node["extras"]
+    assert extras["semantic"] == Semantic.TREE
+    assert extras["part"] == PlantPart.STEM
+    assert extras["instance"] == int(name.removeprefix("tree_"))
+    assert SPECIES[extras["species"]] == species
+
+
+def test_shapes_are_stored_once(header, near):
+    """Stones, tufts and crowns of one prototype share its mesh: there are fewer meshes than nodes that show one."""
+    shown = [node["mesh"] for node in header["nodes"] if "mesh" in node]
+    assert sorted(set(shown)) == list(range(len(header["meshes"])))
+    assert len(shown) > 2 * len(header["meshes"])
+    stones = {n["mesh"] for n in header["nodes"] if n["name"].startswith("stone_") and "mesh" in n}
+    assert 1 <= len(stones) <= 2 * 6  # small and large ones, and variants
+
+
+def test_a_stem_of_the_twin_has_its_dbh(scene, near):
+    """Cut across its axis at 1.3 m over its foot, a reloaded stem has the area of its DBH within 1 mm of diameter."""
+    tree = near[1][np.argmax(near[1]["dbh_m"])]
+    name = f"tree_{tree['id']:06d}/{SPECIES[int(tree['species'])]}/stem"
+    yup_T_mesh, geometry = scene.graph[name]
+    mesh = scene.geometry[geometry].copy()
+    mesh.apply_transform(yup_T_mesh)
+    lean, towards = np.radians(tree["lean_deg"]), np.radians(tree["lean_towards_deg"])
+    axis = np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
+    at = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) + axis * (1.3 + 1e-4) / axis[2]
+    cuts = trimesh.intersections.mesh_plane(mesh, plane_normal=yup(axis), plane_origin=yup(at)) - yup(at)
+    area_m2 = np.linalg.norm(np.cross(cuts[:, 0], cuts[:, 1]), axis=1).sum() / 2  # the stem is round
+    assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-3)
+
+
+def yup(vector):
+    """East, north, up as x, -z, y."""
+    return np.array([vector[0], vector[2], -vector[1]])
+
+
+def test_a_whole_tree_stands_where_the_inventory_says(scene, near):
+    """The node of a tree lies at its foot, in axes of glTF with y up, and its leaves reach its height."""
+    for tree in near[1][:3]:
+        name = f"tree_{tree['id']:06d}/{SPECIES[int(tree['species'])]}"
+        foot_m = np.array([tree["x_m"], tree["y_m"], tree["z_m"]])
+        assert scene.graph[name][0][:3, 3] == pytest.approx(yup(foot_m), abs=1e-6)
+        yup_T_mesh, geometry = scene.graph[f"{name}/leaf"]
+        top_m = trimesh.transform_points(scene.geometry[geometry].vertices, yup_T_mesh)[:, 1].max()
+        assert top_m - foot_m[2] == pytest.approx(tree["height_m"], abs=0.06 * tree["height_m"])
+
+
+def test_a_twin_holds_no_more_ground_than_wanted(scene, near):
+    """Ground ends at the radius, with no loose points beyond."""
+    for name in scene.graph.nodes_geometry:
+        if name.startswith("ground"):
+            yup_T_mesh, geometry = scene.graph[name]
+            x, _, south = trimesh.transform_points(scene.geometry[geometry].vertices, yup_T_mesh).T
+            assert near[3].distance_m(np.column_stack([x, -south])).max() < TWIN_M + 1.5
+
+
+def test_materials_are_few_and_seen_from_both_sides(header):
+    """One material for each part of a species or class, double-sided, of linear base colour."""
+    names = [material["name"] for material in header["materials"]]
+    assert len(names) == len(set(names))
+    assert {"ground", "stone", "silver_birch leaf", "silver_birch stem"} <= set(names)
+    for material in header["materials"]:
+        assert material["doubleSided"]
+        red = material["pbrMetallicRoughness"]["baseColorFactor"][0]
+        assert red == pytest.approx(((128 / 255 + 0.055) / 1.055) ** 2.4, abs=1 / 255)

@@ -1,4 +1,4 @@
-"""Error against run time: settings of the beam, held poses and near_m, on pulses drawn from all over a run; and the picture.
+"""Error against run time: settings of the beam, held poses and near_m, on pulses from all over a run; the picture.
 
 Settings are judged by the converged answer: the same pulses with many more sub-rays, by a receiver without noise. Beyond
 `near_m` single leaves differ from those of the explicit world, so there means over the same pulses are compared, not pulses.

@@ -1,22 +1,23 @@
 """A run, or a capture with or without its truth, as a bag."""
 
 import csv
+import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, PacketError, readable
-from vlp16emu.extras.bag.bag_file import LATEST_NS, check_bag
-from vlp16emu.extras.bag.messages import TrueMessages
-from vlp16emu.extras.bag.sink import BagSink, Truth
+from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
+from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
 from vlp16emu.extras.slam import Rig, written_beside
 from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
 from vlp16emu.motion.imu import Inertial
@@ -24,6 +25,7 @@ from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
 from vlp16emu.packets import (
     DATA_BYTES,
+    POSITION_BYTES,
     Capture,
     CapturedUnit,
     CaptureReader,
@@ -35,19 +37,24 @@ from vlp16emu.packets import (
     units_in,
 )
 from vlp16emu.run.options import BagOptions
+from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.types import Packet, PacketKind, PpsState
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, US_NS
 
 _TIME = "t_utc_s"
 _POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
 _AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 _SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
+_OFTEN_NS = S_NS // 10
+"""Time whose truth is written together."""
 _SET_RPM = 60.0
 """Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)."""
 
 Row = tuple[int, list[float]]
 """UTC of a sample, and its numbers."""
+Feed = Callable[[int], None]
+"""Writes all samples until and with an instant that are not written yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +73,114 @@ class BagResult:
     repeats: int
     """Packets left out as they came before."""
     interrupted: bool
+
+
+class Truth(NamedTuple):
+    """Ground truth of a run, from its engine or from its files."""
+
+    rig: Mapping[str, Any]
+    """`rig.json`, with the units that are written."""
+    scenario: Mapping[str, Any]
+    """`scenario.json`."""
+    feeds: Callable[[TrueMessages, int], Sequence[Feed]]
+    """Opens the samples from the first pulse on."""
+    after_ns: int
+    """Time after the last packet that is written too."""
+
+
+class BagSink(PacketSink):
+    """Writes packets of one or several sensors into a bag, as they come, and the truth of the same time.
+
+    Each unit of several has its topics and its frame under `/unit_1` and so on.
+
+    Parameters
+    ----------
+    path : .mcap, .bag or a folder, as `BagFile` takes it
+    frames : of the clouds of the units
+    clock_of : gives each sensor its clock, by its number from 0 and the stamp of its first data packet
+    options : transforms
+    truth : what else is to be in the bag
+
+    Raises
+    ------
+    OutputError, MissingExtraError
+        as `BagFile`
+    RunError
+        If the disk is full: here, or later
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        frames: Sequence[str],
+        clock_of: Callable[[int, int], PacketClock],
+        options: BagOptions,
+        truth: Truth | None,
+    ) -> None:
+        self.bag = BagFile(path)
+        self._frames, self._clock_of, self._tf, self._truth = frames, clock_of, options.tf, truth
+        self._units = dict[int, UnitMessages]()
+        self._feeds: Sequence[Feed] | None = None
+        self._sent = Counter[PacketKind]()
+        self._seen_ns = self._next_ns = -_EVER_NS
+
+    def __exit__(self, *raised: object) -> None:
+        with self.bag:
+            if isinstance(raised[1], BaseException):
+                raise raised[1]
+            for unit in self._units.values():
+                unit.check()
+            self._write_truth(self._truth.after_ns if self._truth else 0)
+
+    def send(self, packet: Packet) -> None:
+        """Take one packet, which is due at the stamp of its capture, and numbered as its frame if it has a number.
+
+        Raises
+        ------
+        PacketError
+            If it is not a VLP-16's
+        """
+        if (unit := self._units.get(packet.unit)) is None:
+            clock = self._clock_of(packet.unit, packet.due_ns)
+            unit = self._units[packet.unit] = UnitMessages(self.bag, self._frames[packet.unit], clock)
+        self._sent[packet.kind] += 1
+        stamp_ns = packet.due_ns // US_NS * US_NS  # as captures have it
+        if len(packet.payload) == DATA_BYTES:
+            t_ns = unit.data(stamp_ns, packet.payload, packet.number or self._sent.total())
+            if self._feeds is None and self._truth is not None:
+                to = TrueMessages(self.bag, self._truth.rig, self._truth.scenario, self._frames, self._tf)
+                to.fixed(t_ns)
+                self._feeds = self._truth.feeds(to, t_ns)
+        elif len(packet.payload) == POSITION_BYTES:
+            t_ns = unit.position(stamp_ns, packet.payload)
+        else:
+            return
+        self._seen_ns = max(self._seen_ns, t_ns)
+        if t_ns >= self._next_ns:
+            self._next_ns = t_ns + _OFTEN_NS
+            self._write_truth(0)
+
+    def _write_truth(self, after_ns: int) -> None:
+        for feed in self._feeds or ():
+            feed(self._seen_ns + after_ns)
+
+    @property
+    def result(self) -> PcapResult:
+        """Contents of the closed bag; sha256 of several files in the order of their names."""
+        path = self.bag.path
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        return PcapResult(
+            data_packets=self._sent[PacketKind.DATA],
+            position_packets=self._sent[PacketKind.POSITION],
+            bytes=sum(file.stat().st_size for file in files),
+            sha256=", ".join(map(_sha256, files)),
+            messages=dict(sorted(self.bag.counts.items())),
+        )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager
@@ -92,7 +207,7 @@ def _frames(units: int) -> list[str]:
     return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
 
 
-def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Callable[[int], None]]:
+def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Feed]:
     parts, start_ns = engine.parts, engine.scenario.start_ns
     poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
     feeds = [Samples(partial(_odometry, to), poses, start_ns, rate_hz, begin_ns).up_to]
@@ -212,7 +327,7 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
         raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture")
     rig = {**rig, "units": [rig["units"][number] for number in taken]}
 
-    def feeds(to: TrueMessages, begin_ns: int) -> list[Callable[[int], None]]:
+    def feeds(to: TrueMessages, begin_ns: int) -> list[Feed]:
         imu = scenario.get("imu") or {}
         read = (*_AXES, *(ATTITUDE if imu.get("attitude") else ()))
         stamp = STAMP if imu.get("jitter_s") or any(imu.get("delay_s", ())) else _TIME
@@ -234,7 +349,7 @@ def _json(path: Path) -> Any:
             raise InputError(str(path), "no JSON", "a file of a --truth folder") from None
 
 
-def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Callable[[int], None]:
+def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Feed:
     """Return a function that takes rows in order until and with an instant."""
     waiting = next(rows, None)
 

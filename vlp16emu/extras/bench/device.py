@@ -1,4 +1,4 @@
-"""The sensor as its web interface sees it: settings, status, diagnostics, and the JSON documents and forms that show and set them (63-9243 Rev D, section 10.2).
+"""The sensor as its web interface sees it: settings, status, and the documents and forms for them (63-9243 Rev D, 10.2).
 
 A real unit answers some bad requests with 200 and ignores them. Here every value that the sensor does not take, and every
 unknown key, is ignored with the whole request, and the answer says why.

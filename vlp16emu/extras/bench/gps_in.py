@@ -135,9 +135,7 @@ class GpsLine:
 def parse_rmc(sentence: bytes) -> GnssFix:
     """Read a sentence back, ASCII that ends with CR and LF.
 
-    Raises
-    ------
-    PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number
+    Raises PacketError: no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number.
     """
     fields = fields_of(sentence)
     try:

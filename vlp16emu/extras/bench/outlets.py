@@ -1,4 +1,4 @@
-"""What leaves beside the packets of the sensors: sentences and pulses of the GPS receiver, samples of the inertial unit; and by which way."""
+"""What leaves beside the packets of the sensors: sentences and pulses of a receiver, inertial samples; serial ports."""
 
 import errno
 import heapq
@@ -125,10 +125,8 @@ _LINELESS = ("socket://",)  # ports that take the setting of a line without an e
 class Away:
     """One time that a device was not there."""
 
-    at_s: float
-    """Time since the port was opened."""
-    away_s: float
-    """Until it was there again, or the stream ended."""
+    at_s: float  # time since the port was opened
+    away_s: float  # until it was there again, or the stream ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,16 +134,12 @@ class OutletResult:
     """Messages that left by an outlet."""
 
     to: str
-    messages: int
-    """Sentences, or samples."""
+    messages: int  # sentences, or samples
     bytes: int
-    dropped: int
-    """Messages that were too late: the device was away, or took no more."""
+    dropped: int  # messages that were too late: the device was away, or took no more
     away: tuple[Away, ...] = ()
-    line: str | None = None
-    """Line of the pulses, rts or dtr."""
-    pulses: int | None = None
-    """Pulses on that line; None if the port has no such line."""
+    line: str | None = None  # line of the pulses, rts or dtr
+    pulses: int | None = None  # pulses on that line; None if the port has no such line
 
 
 class Outlet(PacketSink, Protocol):

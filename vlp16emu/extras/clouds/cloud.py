@@ -1,4 +1,4 @@
-"""Point clouds into files for other programs, block by block, in the format that the suffix names; what their columns hold, and labels as data sets have them."""
+"""Point clouds as files in the format that the suffix names, block by block; what columns and labels mean."""
 
 import shutil
 import tempfile

@@ -18,10 +18,11 @@ from vlp16emu.engine import Unit, workers
 from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
 from vlp16emu.extras.options import ImageOptions
+from vlp16emu.extras.outputs import OutputFolder
 from vlp16emu.extras.palette import surface_colours
 from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.output import OutputFolder, write_json
+from vlp16emu.output import write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import F4, SURFACE, U1, PlantPart, Poses, Semantic, World

@@ -1,4 +1,4 @@
-"""What was flown in a live run: a table of knots with all their digits, read back as the same motion bit by bit, and the windows in use.
+"""A table of what was flown in a live run, read back as the same motion bit by bit, and the windows that were in use.
 
 The bytes of a pulse depend on the window that it is cast in, by rounding and by where the medium begins. So windows of a
 run whose path nobody knows beforehand are those of boxes of the world: they change where blocks of the ordinary way begin,

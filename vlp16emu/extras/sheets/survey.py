@@ -1,4 +1,4 @@
-"""Survey for `vlp16emu forest` and the page: all that stands near the path of a sensor, in figures, and what a run saw of its stems."""
+"""Survey of all that stands near the path of a sensor, in figures, and what a run saw of its stems."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

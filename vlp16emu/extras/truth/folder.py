@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from vlp16emu.errors import InputError, MissingExtraError, RunError
-from vlp16emu.output import OutputFolder, write_json
+from vlp16emu.extras.outputs import OutputFolder
+from vlp16emu.output import write_json
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 

@@ -1,4 +1,4 @@
-"""Data and position packets as columns of a chunk, and their rules: codes, time, the rotor, lasers, window, pulse and sentences.
+"""Data and position packets as columns of a chunk, and their rules.
 
 Source: 63-9243 Rev D, section 9.3, and captures of real units.
 """

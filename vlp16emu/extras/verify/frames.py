@@ -1,4 +1,4 @@
-"""The rules of VLP-16 traffic, and those of frames: ports and headers, order, and time stamps that keep pace with the capture's clock.
+"""The rules of VLP-16 traffic, and those of frames: ports, headers, order, and time stamps that keep pace.
 
 The header fields were measured on frames of two real units, see `vlp16emu.packets.frames`.
 """
@@ -99,16 +99,12 @@ class Row(NamedTuple):
     """One row of a table of rules: what breaks a rule in the columns of a chunk, and the words for it."""
 
     rule: Rule
-    broken: str
-    """Column of truth values, (n,) or of more axes."""
-    found: str
-    """Format of the words, with names of columns of the same shape, or of single values."""
+    broken: str  # column of truth values, (n,) or of more axes
+    found: str  # format of the words, with names of columns of the same shape, or of single values
     expected: str
     level: Level = Level.ERROR
-    at: str = "number"
-    """Column of the frame numbers to which the findings belong."""
-    once: bool = False
-    """Only the first finding is kept; all are counted."""
+    at: str = "number"  # column of the frame numbers to which the findings belong
+    once: bool = False  # only the first finding is kept; all are counted
 
 
 class _Element:

@@ -1,4 +1,4 @@
-"""Path editor of the page: the versions of a path, what they lead to and the scene file with it; a gizmo for each way point, and a panel for how it is walked."""
+"""Path editor of the page: versions of a path, what they lead to, the scene file with it, gizmos and a panel."""
 
 import math
 from collections.abc import Callable

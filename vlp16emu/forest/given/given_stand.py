@@ -55,16 +55,9 @@ def read_stem_list(
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
     species' own equations, neighbours and residual spread, drawn by the seed as the taper is; a stem without lean is upright.
 
-    Raises GeometryError naming file, line and column of what is missing, no number, out of its limits, no species, or
-    listed twice.
-
-    Parameters
-    ----------
-    origin_m : easting, northing and height that become (0, 0, 0) in the scene
-
-    Returns
-    -------
-    (n,) `TREE` in the order of the list; what is by chance or by the ground (id, z, crown azimuth, prototype, reflectance) is still 0
+    Returns trees (n,) `TREE` in the order of the list, whose id, z, crown azimuth, prototype and reflectance, by chance or by the
+    ground, are still 0; easting, northing and height of the origin become (0, 0, 0) in the scene. Raises GeometryError naming
+    file, line and column of what is missing, no number, out of its limits, no species, or listed twice.
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():
@@ -175,6 +168,7 @@ class GivenStand:
         self._source = Path(section.stem_list)
         trees = read_stem_list(self._source, plants.trees, section.origin_m, seed)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
+        self.species = [one.name for one in self._species]
         self._season, self._dead_branches = section.season, section.dead_branches
         trees = _completed(seed, trees, self._species)
         if section.crooked_stems:
@@ -189,22 +183,15 @@ class GivenStand:
         self._prototypes = _prototypes(trees)
         self._all = trees
 
-    @property
-    def species(self) -> list[str]:
-        """Names of the species of its trees."""
-        return [one.name for one in self._species]
-
     def check(self, path: Polyline, reach_m: float) -> None:
         """Raise GeometryError, naming the tree that is nearest, where no crown is within reach of a path."""
         gap_m = path.distance_m(places_m(self._all, "xy"))
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
             x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]
-            raise GeometryError(
-                str(self._source),
-                f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path",
-                f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)",
-            )
+            found = f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path"
+            expected = f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)"
+            raise GeometryError(str(self._source), found, expected)
 
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0, in the order of the list."""
@@ -214,17 +201,8 @@ class GivenStand:
         """Name the crown prototype of a diameter class with such crown ratios."""
         own = self._species[cohort]
         dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class, variant]
-        return CrownKey(
-            species=own.name,
-            variant=variant,
-            dbh_m=dbh_m,
-            height_m=height_m,
-            crown_base_m=base_m,
-            crown_width_m=width_m,
-            leaf_area_m2=own.leaf_area_index * math.pi / 4 * width_m * width_m,
-            season=self._season,
-            dead_branches=self._dead_branches,
-        )
+        sizes = dbh_m, height_m, base_m, width_m, own.leaf_area_index * math.pi / 4 * width_m * width_m
+        return CrownKey(own.name, variant, *sizes, self._season, self._dead_branches)
 
 
 def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
@@ -267,11 +245,8 @@ def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], pa
     more = f", and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
     found = f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
     if section.on_conflict != "drop":
-        raise GeometryError(
-            section.stem_list,
-            f"{len(named)} of {len(trees)} trees {found}",
-            'none, or on_conflict = "drop" or "move_path"',
-        )
+        found, expected = f"{len(named)} of {len(trees)} trees {found}", 'none, or on_conflict = "drop" or "move_path"'
+        raise GeometryError(section.stem_list, found, expected)
     if in_the_way.all():
         raise GeometryError(section.stem_list, f"all trees {found}", "one that is left")
     _log.warning("%s: left out %d of %d trees %s", section.stem_list, len(named), len(trees), found)

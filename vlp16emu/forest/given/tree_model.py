@@ -38,12 +38,7 @@ class Outline:
 
 
 class Cutter:
-    """Sections of a mesh made of several.
-
-    Parameters
-    ----------
-    vertices_m, faces : of each
-    """
+    """Sections of a mesh made of several, by the vertices and the faces of each."""
 
     def __init__(self, vertices_m: Sequence[Array], faces: Sequence[Faces]) -> None:
         first = np.cumsum([0, *map(len, vertices_m)])

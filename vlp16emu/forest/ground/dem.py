@@ -47,12 +47,9 @@ class Grid:
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
     """Read a grid, of the format that the suffix names; a cell that is not finite, or is the file's number for none, has no height.
 
-    Raises GeometryError if the file is no such grid. Raises MissingExtraError for a GeoTIFF without rasterio.
-
-    Parameters
-    ----------
-    cell_m, corner_m : edge of a cell, and easting and northing of the outer corner of the south-western
-        cell; needed for .npy, which does not hold them, and None for the others
+    The edge of a cell, and easting and northing of the outer corner of the south-western cell, are needed for .npy, which does not
+    hold them, and None for the others. Raises GeometryError if the file is no such grid, and MissingExtraError for a GeoTIFF
+    without rasterio.
     """
     kind = path.suffix.lower()
     if kind not in {".asc", ".npy", ".tif", ".tiff"}:
@@ -220,11 +217,8 @@ _SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to tw
 class DemHeights:
     """Ground height from a file, in the scene's own coordinates.
 
-    Outside the grid and where the file has no height, the nearest height goes on. Errors are those of `read_grid`.
-
-    Parameters
-    ----------
-    origin_m : easting, northing and height that become (0, 0, 0) in the scene
+    Outside the grid and where the file has no height, the nearest height goes on. Errors are those of `read_grid`. Easting,
+    northing and height of the origin become (0, 0, 0) in the scene.
     """
 
     def __init__(self, section: Dem, *, origin_m: tuple[float, float, float]) -> None:
@@ -236,7 +230,8 @@ class DemHeights:
         self._south_m = self._grid.north_m - (rows - 1) * self._grid.cell_m - north
         self._east_m = self._west_m + (columns - 1) * self._grid.cell_m
         self._north_m = self._grid.north_m - north
-        self._nodes_m = _with_border(_without_gaps(self._grid.heights_m) - up)
+        level_m = _without_gaps(self._grid.heights_m)[::-1] - up
+        self._nodes_m = np.pad(level_m, 1, mode="reflect", reflect_type="odd")
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
@@ -248,10 +243,6 @@ class DemHeights:
 
     def check(self, path_xy_m: Array, reach_m: float) -> None:
         """Raise GeometryError where a path (n, 2) leaves the grid, or a cell within reach has no height; warn of edges in sight."""
-        self._check_edges(path_xy_m, reach_m)
-        self._check_gaps(path_xy_m, reach_m)
-
-    def _check_edges(self, path_xy_m: Array, reach_m: float) -> None:
         rows, columns = self._grid.heights_m.shape
         x, y = path_xy_m.T
         sides = (
@@ -273,25 +264,18 @@ class DemHeights:
                 "%s: ends in %s, %.1f m from the path at the nearest, and goes on level from there; the sensor sees %g m",
                 *(self._grid.path, ends, min(side[3].min() for side in in_sight), reach_m),
             )
-
-    def _check_gaps(self, path_xy_m: Array, reach_m: float) -> None:
         row, column = np.nonzero(np.isnan(self._grid.heights_m))
         cell_m = self._grid.cell_m
         places = np.column_stack([self._west_m + column * cell_m, self._north_m - row * cell_m])
         gap_m = distance_m(places, path_xy_m)
         if len(gap_m) and gap_m.min() < reach_m + _SUPPORT_CELLS * cell_m:
-            i = int(gap_m.argmin())
-            x, y = places[i]
-            raise GeometryError(
-                f"{self._grid.path}: row {row[i] + 1}, column {column[i] + 1}",
-                f"no height at ({x:.1f}, {y:.1f}) m{self._on_the_map(x, y)}, {gap_m[i]:.1f} m from the path",
-                f"heights {reach_m:g} m around the path and two cells more",
-                at_m=(float(x), float(y)),
-            )
-
-    def _on_the_map(self, x_m: float, y_m: float) -> str:
-        east, north, _ = self._origin_m
-        return f" (E {x_m + east:.1f}, N {y_m + north:.1f})" if (east, north) != (0.0, 0.0) else ""
+            i, (east, north, _) = int(gap_m.argmin()), self._origin_m
+            px, py = places[i]
+            on_map = f" (E {px + east:.1f}, N {py + north:.1f})" if (east, north) != (0.0, 0.0) else ""
+            where = f"{self._grid.path}: row {row[i] + 1}, column {column[i] + 1}"
+            found = f"no height at ({px:.1f}, {py:.1f}) m{on_map}, {gap_m[i]:.1f} m from the path"
+            expected = f"heights {reach_m:g} m around the path and two cells more"
+            raise GeometryError(where, found, expected, at_m=(float(px), float(py)))
 
 
 def _without_gaps(heights_m: Array) -> Array:
@@ -302,10 +286,6 @@ def _without_gaps(heights_m: Array) -> Array:
 
     row, column = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
     return heights_m[row, column]
-
-
-def _with_border(heights_m: Array) -> Array:
-    return np.pad(heights_m[::-1], 1, mode="reflect", reflect_type="odd")
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)

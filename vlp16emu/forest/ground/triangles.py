@@ -27,11 +27,8 @@ _APRON = 2
 def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[Array, IntArray]:
     """Triangulate the ground of a square so that those of neighbouring squares have the same vertices along their border.
 
-    The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres.
-
-    Returns
-    -------
-    Vertices (n, 3) in the world, by rows from south to north; faces (m, 3), counter-clockwise as seen from above
+    The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices (n, 3) in the world,
+    by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.
     """
     cells = round(edge_m / _CELL_M)
     ground = _Ground(corner_m, (cells + 2 * _APRON) * _FINEST + 1, height_m)

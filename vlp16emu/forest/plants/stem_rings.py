@@ -84,10 +84,6 @@ class StemForms:
         wave = 0.6 * cos(many * theta + wander - a) + 0.4 * cos(few * theta - wander - b)
         return depth_m / 2 * wave
 
-    def leader_top_m(self, fork_m: Array, height_m: Array) -> Array:
-        """Height (n,) of the second leader's tip, of forks and trees of these heights (n,)."""
-        return fork_m + _LEADER_TOP * (height_m - fork_m)
-
     def leader_aside_m(self, above_m: Array, fork_m: Array) -> Array:
         """Distance (n, r, 2) of second leaders from the first, at heights (n, r), of forks at heights (n,)."""
         _, _, _, slope, gap_m, towards = (column[:, None] for column in self.forks.T)
@@ -222,21 +218,14 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
     radius_m = _radius_m(trees, above_m, table)
     over = np.arange(above_m.shape[1]) > at[:, None]
     radius_m[forked] *= np.sqrt(np.where(over, 1 - forms.forks[forked, 2:3], 1.0))
-    return StemRings(
-        above_ground_m=above_m,
-        radius_m=radius_m,
-        sides=_SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])],
-        flare_rings=2 + _BUTT_M.index(FLARE_TOP_M),
-        forms=forms,
-        forked=forked,
-        fork_m=fork_m,
-    )
+    sides, flare_rings = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])], 2 + _BUTT_M.index(FLARE_TOP_M)
+    return StemRings(above_m, radius_m, sides, flare_rings, forms, forked, fork_m)
 
 
 def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:
     """Second leaders of stems, with circles at shares (k,) of the way from fork to tip; with the first they are as thick as one stem."""
     own, forms = trees[rings.forked], rings.forms.of(rings.forked)
-    length_m = forms.leader_top_m(rings.fork_m, own["height_m"]) - rings.fork_m
+    length_m = (rings.fork_m + _LEADER_TOP * (own["height_m"] - rings.fork_m)) - rings.fork_m
     above_m = rings.fork_m[:, None] + length_m[:, None] * shares
     radius_m = _radius_m(own, above_m, table) * np.sqrt(forms.forks[:, 2:3]) * (shares < 1)
     return Leaders(own, forms, rings.fork_m, above_m, radius_m)

@@ -4,7 +4,7 @@ They are grown once for each variant, and stretched to size where they are place
 pictures in floras; leaves are kites, two triangles each.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache, partial
@@ -236,15 +236,14 @@ def _outline_m2(points: Array) -> float:
     for way in (ordered, ordered[::-1]):
         chain: list[list[float]] = []
         for x, y in way:
-            while len(chain) > 1 and _is_right_turn(chain[-2], chain[-1], (x, y)):
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (y - ay) > (by - ay) * (x - ax):
+                    break
                 chain.pop()
             chain.append([x, y])
         area += sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise(chain)) / 2
     return area
-
-
-def _is_right_turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> bool:
-    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
@@ -337,7 +336,9 @@ def _tuft(rng: np.random.Generator) -> Mesh:
     knee = base + length * (0.6 * up + 0.6 * lean * outward)
     tip = knee + length * (0.4 * (1 - lean) * up + 0.8 * lean * outward)
     tip[:, 2] /= tip[:, 2].max()
-    half_width = _half_width(base, knee, tip)
+    # As wide as blades with the tuft's leaf area are that narrow to a fifth above the knee.
+    lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
+    half_width = _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
     corners = [base - half_width * across, base + half_width * across]
     corners += [knee + half_width * across, knee - half_width * across]
     corners += [tip + 0.2 * half_width * across, tip - 0.2 * half_width * across]
@@ -345,12 +346,6 @@ def _tuft(rng: np.random.Generator) -> Mesh:
     quads = np.array([(0, 1, 2, 3), (3, 2, 4, 5)])
     faces = (quads + 6 * np.arange(n)[:, None, None]).reshape(-1, 4)
     return Mesh(vertices, faces.astype(np.uint32))
-
-
-def _half_width(base: Array, knee: Array, tip: Array) -> float:
-    """Half the width of blades that have the tuft's leaf area together; a blade narrows to a fifth above its knee."""
-    lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
-    return _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
 
 
 class _Shape(NamedTuple):

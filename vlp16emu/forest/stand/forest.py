@@ -1,7 +1,7 @@
 """A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and what is kept of it."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from typing import Protocol, TypeVar
 
@@ -51,13 +51,8 @@ def by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[in
 class TreeSource(Protocol):
     """Trees of a forest, grown or given."""
 
-    @property
-    def per_ha(self) -> float:
-        """Mean number of stems per hectare."""
-
-    @property
-    def species(self) -> Sequence[str]:
-        """Names of those of the canopy."""
+    per_ha: float  # stems per hectare, on average
+    species: list[str]  # names of those of the canopy
 
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0."""

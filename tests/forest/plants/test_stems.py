@@ -1,4 +1,4 @@
-"""Forms of stems: sweep, forks, sections and bark, against the species table and what is published."""
+"""Stems, their forms, roots and branches: diameters, sweep, forks, sections and bark, against the species table and what is published."""
 
 from itertools import product
 
@@ -9,12 +9,22 @@ from scipy import stats
 from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_branches, crown_meshes, crown_placements
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.species import StemForm
-from vlp16emu.forest.plants.stem import stem_meshes, vertex_angles
+from vlp16emu.forest.plants.stem import (
+    ROOT_RINGS,
+    ROOT_SIDES,
+    STEM_PARTS,
+    lean_rotation,
+    root_points,
+    stem_meshes,
+    vertex_angles,
+)
 from vlp16emu.forest.plants.stem_rings import axis_m, polygon_m2, second_leaders, stem_forms, stem_rings, tape_m
-from vlp16emu.forest.stand.inventory import far_stems
+from vlp16emu.forest.stand.inventory import branch_circles, far_stems
 from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.types import PlantPart
 
 TABLE = species_table()
 BREAST_RING = 6
@@ -271,3 +281,250 @@ def test_without_a_form_stems_are_straight_and_round():
         assert mine.vertices_m.tobytes() == theirs.vertices_m.tobytes()
     assert np.abs(stem_forms(trees).aside_m(np.ones((5, 1)))).max() == 0
     assert np.ptp(sections_m(trees), axis=1).max() < 1e-12
+
+
+DBH_CM = [5.0, 12.0, 18.0, 35.0, 49.9, 50.1, 80.0, 120.0]
+
+
+def hillside(x, y):
+    return 0.2 * x - 0.1 * y + 3.0
+
+
+def straight_trees(lean_deg, species=1):
+    trees = np.zeros(len(DBH_CM), TREE)
+    trees["species"] = species
+    trees["x_m"], trees["y_m"] = 500_000.0 + 2.5 * np.arange(len(DBH_CM)), 7.0
+    trees["z_m"] = hillside(trees["x_m"], trees["y_m"])
+    trees["dbh_m"] = np.array(DBH_CM) / 100
+    trees["height_m"] = 3.0 + 0.4 * np.array(DBH_CM)
+    trees["lean_deg"], trees["lean_towards_deg"] = lean_deg, 40.0 * np.arange(len(DBH_CM))
+    trees["crown_azimuth_deg"] = 17.0
+    return trees
+
+
+def grow(trees):
+    """Origin of the tile, and of each tree its flare and its stem."""
+    origin_m = np.array([500_000.0, 0.0, np.round(hillside(500_000.0, 0.0))])
+    meshes = stem_meshes(trees, origin_m, hillside)
+    assert len(meshes) == len(STEM_PARTS) * len(trees)
+    return origin_m, list(zip(meshes[::2], meshes[1::2], strict=True))
+
+
+def sides_of(tree):
+    """How many sides a section has."""
+    return 16 + 8 * int(np.searchsorted([0.16, 0.3, 0.45], tree["dbh_m"]))
+
+
+def test_the_root_flare_ends_half_a_metre_up():
+    """The flare's highest vertices and the stem's lowest are the same ring, 0.5 m above the foot."""
+    assert STEM_PARTS == (PlantPart.ROOT_FLARE, PlantPart.STEM)
+    trees = straight_trees(0.0)
+    origin_m, stems = grow(trees)
+    for tree, (flare, stem) in zip(trees, stems, strict=True):
+        sides = sides_of(tree)
+        assert np.array_equal(flare.vertices_m[-sides:], stem.vertices_m[:sides])
+        above = stem.vertices_m[:sides, 2] + origin_m[2] - tree["z_m"]
+        assert above == pytest.approx(np.full(sides, 0.5), abs=5e-6)
+
+
+def test_tip_is_at_the_height_and_leans():
+    """The tip is `height_m` above the foot, aside by height times the tangent of the lean."""
+    trees = straight_trees(8.0)
+    origin_m, stems = grow(trees)
+    for tree, (_, stem) in zip(trees, stems, strict=True):
+        tip = stem.vertices_m[-1].astype(np.float64) + origin_m - [tree["x_m"], tree["y_m"], tree["z_m"]]
+        assert tip[2] == pytest.approx(tree["height_m"], abs=1e-5)
+        assert np.hypot(*tip[:2]) == pytest.approx(tree["height_m"] * np.tan(np.radians(8.0)), abs=1e-5)
+
+
+def test_a_snag_breaks_off_at_full_width():
+    """A dead tree's highest ring is over 0.4 of breast height, and its tip stands off the axis."""
+    trees = straight_trees(0.0, 12)
+    origin_m, stems = grow(trees)
+    for tree, (_, stem) in zip(trees, stems, strict=True):
+        foot = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) - origin_m
+        sides = sides_of(tree)
+        ring, tip = stem.vertices_m[-1 - sides : -1] - foot, stem.vertices_m[-1] - foot
+        width_m = 2 * np.hypot(*ring[:, :2].T).mean()
+        assert width_m > 0.4 * tree["dbh_m"]
+        assert np.hypot(*tip[:2]) == pytest.approx(0.4 * width_m, rel=0.02)
+        assert tip[2] == pytest.approx(tree["height_m"], abs=1e-4)
+
+
+def test_lean_rotation_tips_the_vertical_without_twist():
+    """The rotation is proper, tips z towards its direction, and leaves the level axis across it alone."""
+    lean, towards = np.array([0.0, 5.0, 30.0]), np.array([10.0, 200.0, 75.0])
+    for R, tilt, angle in zip(lean_rotation(lean, towards), np.radians(lean), np.radians(towards), strict=True):
+        assert np.allclose(R @ R.T, np.eye(3))
+        expected = [np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)]
+        assert np.allclose(R[:, 2], expected)
+        across = np.array([-np.sin(angle), np.cos(angle), 0.0])
+        assert np.allclose(R @ across, across)
+
+
+N_OLD = 400
+
+
+def steep(x, y):
+    """Ground that rises by 30 degrees to the east."""
+    return 0.577 * x + 0.0 * y
+
+
+@pytest.fixture(scope="module")
+def old_trees():
+    """Beeches and spruces of 0.32 m to 0.8 m on a steep."""
+    rng, old_trees = np.random.default_rng(3), np.zeros(N_OLD, TREE)
+    old_trees["species"] = [species_table()[n].number for n in ("european_beech", "norway_spruce")] * (N_OLD // 2)
+    old_trees["x_m"], old_trees["y_m"] = rng.uniform(-500, 500, (2, N_OLD))
+    old_trees["z_m"] = steep(old_trees["x_m"], old_trees["y_m"])
+    old_trees["dbh_m"], old_trees["height_m"], old_trees["crown_base_m"] = rng.uniform(0.32, 0.8, N_OLD), 30.0, 12.0
+    old_trees["crown_width_m"], old_trees["form"] = 6.0, rng.integers(1, 2**63, N_OLD)
+    old_trees["crown_azimuth_deg"] = rng.uniform(0, 360, N_OLD)
+    return old_trees
+
+
+def roots_of(old_trees, height_m=steep):
+    return root_points(old_trees, stem_rings(old_trees), height_m)
+
+
+def test_old_spruces_and_beeches_have_roots_and_no_others(old_trees):
+    """Of 3 to 6 lobes three quarters have a root on spruces and 55 % on beeches; thin trees, pines and straight stems have none."""
+    stem, _ = roots_of(old_trees)
+    for first, share in ((0, 0.55), (1, 0.75)):
+        assert (stem % 2 == first).sum() / (N_OLD / 2) == pytest.approx(4.5 * share, rel=0.1)
+    for changes in ({"dbh_m": 0.29}, {"species": species_table()["scots_pine"].number}, {"form": 0}):
+        others = old_trees.copy()
+        for name, value in changes.items():
+            others[name] = value
+        assert len(roots_of(others)[0]) == 0
+
+
+def test_roots_run_along_the_ground_half_buried_and_dive(old_trees):
+    """They reach 0.5 m to 2 m from the butt, rise over the ground by less than half a DBH, and end in it."""
+    stem, points_m = roots_of(old_trees)
+    rings_m = points_m[:, 1:-1].reshape(len(stem), ROOT_RINGS, ROOT_SIDES, 3)
+    away_m = np.hypot(*np.moveaxis(points_m[:, -1, :2], -1, 0)) - 0.8 * stem_rings(old_trees).radius_m[stem, 1]
+    assert (away_m > 0.5).all()
+    assert away_m.max() < 2.2
+    x, y, z = np.moveaxis(rings_m, -1, 0)
+    foot = old_trees[stem][:, None, None]
+    over_m = z + foot["z_m"] - steep(x + foot["x_m"], y + foot["y_m"])
+    downhill = points_m[:, -1, 0] < 0
+    assert (over_m.max(axis=2)[downhill, :4] > 0).mean() > 0.95
+    assert (over_m.min(axis=2) < 0).all()
+    assert (over_m.max(axis=(1, 2)) < 0.5 * old_trees["dbh_m"][stem]).all()
+    level = roots_of(old_trees, lambda x, y: old_trees["z_m"][stem][:, None] + 0 * x)[1]
+    assert (level[:, -1, 2] < 0).all()
+
+
+def test_no_root_reaches_breast_height(old_trees):
+    """On a steep of 30 degrees no vertex of a root is higher than 0.3 m over the foot of its tree."""
+    _, points_m = roots_of(old_trees)
+    assert points_m[..., 2].max() <= 0.3 + 1e-12
+
+
+def test_stems_are_the_same_with_roots_and_without(old_trees, rootless):
+    """Roots are closed pieces of the mesh of the root flare, whose other vertices, like all of the stem's mesh, stay as they are."""
+    few = old_trees[:40]
+    mine, plain = stem_meshes(few, np.zeros(3), steep), stem_meshes(few, np.zeros(3), steep, table=rootless)
+    numbers = np.bincount(roots_of(few)[0], minlength=len(few))
+    for i, count in enumerate(numbers.tolist()):
+        assert mine[2 * i + 1].vertices_m.tobytes() == plain[2 * i + 1].vertices_m.tobytes()
+        own, base = mine[2 * i], plain[2 * i]
+        assert np.array_equal(own.vertices_m[: len(base.vertices_m)], base.vertices_m)
+        assert np.array_equal(own.faces[: len(base.faces)], base.faces)
+        pieces = np.split(own.faces[len(base.faces) :], count) if count else []
+        assert count or len(own.faces) == len(base.faces)
+        for faces in pieces:
+            root = trimesh.Trimesh(own.vertices_m, faces, process=False)
+            assert root.is_watertight
+            assert root.volume > 0
+
+
+def test_the_roots_of_a_tree_are_its_own(old_trees):
+    """A tree alone has the roots that it has among others."""
+    stem, points_m = roots_of(old_trees)
+    for i in (0, 7, 200):
+        assert np.array_equal(roots_of(old_trees[i : i + 1])[1], points_m[stem == i])
+
+
+THREE = ["norway_spruce", "european_beech", "snag"]
+BRANCH_SIDES, BRANCH_RINGS = 6, 8
+FIRST, DEAD = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
+
+
+@pytest.fixture(scope="module")
+def three():
+    three = np.zeros(len(THREE), TREE)
+    three["id"] = 70 + np.arange(len(THREE))
+    three["species"] = [species_table()[name].number for name in THREE]
+    three["x_m"], three["y_m"], three["z_m"] = 6.0 * np.arange(len(THREE)), -3.0, 2.0
+    three["dbh_m"], three["height_m"] = 0.3, [24.0, 22.0, 12.0]
+    three["crown_base_m"], three["crown_width_m"] = [13.0, 11.0, 6.0], [4.8, 7.0, 2.0]
+    three["crown_azimuth_deg"] = [0.0, 30.0, 100.0]
+    three["lean_deg"], three["lean_towards_deg"] = [0.0, 3.0, 2.0], 70.0
+    return three
+
+
+@pytest.fixture(scope="module")
+def crowns():
+    """Prototypes of other sizes than the trees."""
+    keys = ((0.27, 26.0, 13.0, 4.0, 90.0), (0.33, 20.0, 10.5, 8.0, 120.0), (0.3, 13.0, 6.0, 2.2, 0.0))
+    return [CrownKey(name, 1, *key, dead_branches=True) for name, key in zip(THREE, keys, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def circles(three, crowns):
+    return branch_circles(three, crowns, seed=6)
+
+
+def test_circles_are_the_rings_of_the_scanned_branches(three, crowns, circles):
+    """Their middles are those of the mesh's rings, to 0.1 mm, and areas across the axis are as of the tube, within 0.1 %."""
+    half = np.pi / BRANCH_SIDES
+    # The tube has the girth of the round branch.
+    tube_over_circle = BRANCH_SIDES / 2 * np.sin(2 * half) * (half / np.sin(half)) ** 2 / np.pi
+    for i in (0, 1):
+        mesh = crown_meshes(6, crowns[i])[CROWN_PARTS.index(FIRST)]
+        world_T = crown_placements(three, crowns)[i]
+        corners_m = (mesh.vertices_m @ world_T[:, :3].T + world_T[:, 3]).reshape(-1, BRANCH_SIDES * BRANCH_RINGS + 1, 3)
+        ring_m = corners_m[:, :-1].reshape(-1, BRANCH_RINGS, BRANCH_SIDES, 3)
+        own = circles[(circles["tree"] == 70 + i) & (circles["part"] == FIRST)].reshape(-1, BRANCH_RINGS + 1)
+        middle_m = np.stack([own[f"{axis}_m"] for axis in "xyz"], axis=-1)
+        assert middle_m[:, :-1] == pytest.approx(ring_m.mean(axis=2), abs=1e-4)
+        assert middle_m[:, -1] == pytest.approx(corners_m[:, -1], abs=1e-4)
+        prototype = crown_branches(6, crowns[i])[0]
+        along = np.gradient(prototype.nodes_m, axis=1)[:, :-1] @ world_T[:, :3].T
+        along /= np.linalg.norm(along, axis=-1, keepdims=True)
+        away_m = ring_m - ring_m.mean(axis=2, keepdims=True)
+        area_m2 = np.cross(away_m, np.roll(away_m, -1, axis=2)).sum(axis=2) / 2
+        across_m2 = np.abs((area_m2 * along).sum(axis=-1))
+        thick = own["radius_m"][:, :-1] > 0.005
+        ratio = across_m2[thick] / (np.pi * own["radius_m"][:, :-1][thick] ** 2)
+        assert ratio == pytest.approx(tube_over_circle, rel=1e-3)
+
+
+def test_branches_begin_on_the_axis_and_thin_to_a_tip(three, circles):
+    """Each branch has a number of its own on the tree, begins on the line from foot to tip and ends with radius 0."""
+    for tree in three:
+        own = circles[circles["tree"] == tree["id"]].reshape(-1, BRANCH_RINGS + 1)
+        assert (own["branch"] == 1 + np.arange(len(own))[:, None]).all()
+        assert (own["leader"] == 1).all()
+        slope = np.tan(np.radians(tree["lean_deg"]))
+        towards = np.radians(tree["lean_towards_deg"])
+        up_m = own["above_foot_m"][:, 0]
+        assert own["x_m"][:, 0] == pytest.approx(tree["x_m"] + slope * np.cos(towards) * up_m, abs=1e-6)
+        assert own["y_m"][:, 0] == pytest.approx(tree["y_m"] + slope * np.sin(towards) * up_m, abs=1e-6)
+        assert (np.diff(own["radius_m"], axis=1) < 0.002).all()
+        assert (own["radius_m"][:, -1] == 0).all()
+
+
+def test_a_dead_tree_has_dead_branches_alone(circles):
+    """A snag's branches are all dead; a spruce has living and dead ones, whose parts say so."""
+    assert set(circles["part"][circles["tree"] == 72]) == {DEAD}
+    assert set(circles["part"][circles["tree"] == 70]) == {FIRST, DEAD}
+
+
+def test_without_dead_branches_there_are_none(three, crowns):
+    """Of crowns without dead branches below, the living ones alone are listed."""
+    bare = [CrownKey(*(getattr(key, name) for name in CrownKey.__slots__[:-1])) for key in crowns[:2]]
+    assert set(branch_circles(three[:2], bare, seed=6)["part"]) == {FIRST}

@@ -1,0 +1,59 @@
+"""Receivers on free ports of the loopback."""
+
+import contextlib
+import socket
+import threading
+
+SO_RCVBUFFORCE = 33
+"""Source: asm-generic/socket.h."""
+
+
+def opened(timeout_s=30.0):
+    """UDP socket on a free port, with room for seconds of packets."""
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+    with contextlib.suppress(PermissionError):  # else a busy machine loses what does not fit
+        receiver.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 1 << 23)
+    receiver.bind(("127.0.0.1", 0))
+    receiver.settimeout(timeout_s)
+    return receiver
+
+
+def port_of(receiver):
+    return receiver.getsockname()[1]
+
+
+def waiting(receiver):
+    """All payloads that have arrived, at once."""
+    payloads, before_s = [], receiver.gettimeout()
+    receiver.settimeout(0)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            payloads.append(receiver.recv(2048))
+    receiver.settimeout(before_s)
+    return payloads
+
+
+class Listener(threading.Thread):
+    """Takes what comes to a free port of the loopback, until `end`."""
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self.socket, self.payloads, self.came = opened(None), [], threading.Event()
+        self.port = port_of(self.socket)
+        self.start()
+
+    def run(self):
+        """Take payloads until an empty one comes."""
+        with self.socket:
+            for payload in iter(lambda: self.socket.recv(2048), b""):
+                self.payloads.append(payload)
+                self.came.set()
+
+    def end(self):
+        """Give all payloads that were sent before."""
+        if self.is_alive():
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as last:
+                last.sendto(b"", ("127.0.0.1", self.port))
+        self.join()
+        return self.payloads
