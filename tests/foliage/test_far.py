@@ -8,8 +8,7 @@ import pytest
 from raycast import lab
 
 from vlp16emu.foliage import far as room
-from vlp16emu.foliage.far import Far
-from vlp16emu.foliage.far_caster import FarCaster
+from vlp16emu.foliage.far import Far, FarCaster
 from vlp16emu.raycast.near import EmbreeGeometry
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Sway, Window
 

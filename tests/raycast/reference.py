@@ -1,6 +1,5 @@
 """The slow twin of the caster: all of a window as triangles in float64, rays one after the other."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -10,8 +9,9 @@ import numpy as np
 from vlp16emu.elementary import matvec
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import LINE, ROUND, Footprint, beam_axis_of, lay, pulse_axes, turn
+from vlp16emu.raycast.build import relative_to_window, sheared
 from vlp16emu.raycast.displace import displace
-from vlp16emu.raycast.faces import faces_of, relative_to_window, sheared
+from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import F4, F8, I8, NO_SURFACE, U4, Firings, Hits, Mesh, ShapeKey, Window
 
 Met = tuple[F4, U4, F4]
@@ -72,12 +72,13 @@ def sub_rays(firings: Firings, beam: Footprint, from_m: F8, first: int, count: i
     return np.ascontiguousarray(rays[..., :3]), np.ascontiguousarray(rays[..., 3:])
 
 
-class SlowScene(ABC):
-    """A window whose rays are cast one after the other."""
+class ReferenceScene:
+    """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something moves."""
 
-    def __init__(self, window: Window) -> None:
-        self._origin_m = window.origin_m
-        self.surfaces = window.surfaces
+    def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+        self._origin_m, self.surfaces = window.origin_m, window.surfaces
+        self._moves = window.sway is not None
+        self._at = lru_cache(1)(lambda t_ns: flatten(frozen(window, t_ns), shape))
 
     def cast(
         self,
@@ -131,19 +132,6 @@ class SlowScene(ABC):
         kept = np.arange(so_far[0].shape[-1]) < count[..., None]
         return Hits(count, *(array[kept] for array in so_far))
 
-    @abstractmethod
-    def _rays(self, origin_m: F8, direction: F8, near: F8, far_m: float, t_ns: I8) -> Met:
-        """Cast rays (n, 3) from origins relative to the window's."""
-
-
-class ReferenceScene(SlowScene):
-    """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something moves."""
-
-    def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
-        super().__init__(window)
-        self._moves = window.sway is not None
-        self._at = lru_cache(1)(lambda t_ns: flatten(frozen(window, t_ns), shape))
-
     def _rays(self, origin_m: F8, direction: F8, near: F8, far_m: float, t_ns: I8) -> Met:
         """Cast rays (n, 3) from origins relative to the window's."""
         n = len(origin_m)
@@ -151,7 +139,7 @@ class ReferenceScene(SlowScene):
         surface = np.full(n, NO_SURFACE, np.uint32)
         for i in range(n):
             triangles_m, surfaces = self._at(int(t_ns[i]) if self._moves else 0)
-            t_m = _ranges_m(triangles_m, origin_m[i], direction[i])
+            t_m = ranges_m(triangles_m, origin_m[i], direction[i])
             t_m[(t_m < near[i]) | (t_m > far_m)] = np.inf
             nearest = int(np.argmin(t_m)) if len(t_m) else -1
             if nearest >= 0 and np.isfinite(t_m[nearest]):
@@ -173,7 +161,7 @@ class ReferenceCaster:
         return ReferenceScene(window, self._shape)
 
 
-def _ranges_m(triangles_m: F8, origin_m: F8, direction: F8) -> F8:
+def ranges_m(triangles_m: F8, origin_m: F8, direction: F8) -> F8:
     """Distance along one ray to every triangle, inf where missed (Moeller and Trumbore, 1997)."""
     a, b, c = triangles_m[:, 0], triangles_m[:, 1], triangles_m[:, 2]
     ab, ac, to_ray = b - a, c - a, origin_m - a

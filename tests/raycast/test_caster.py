@@ -12,7 +12,7 @@ import pytest
 from raycast import lab
 
 from vlp16emu.errors import RunError
-from vlp16emu.foliage.far_caster import FarCaster
+from vlp16emu.foliage.far import FarCaster
 from vlp16emu.raycast import embree
 from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
 from vlp16emu.raycast.caster import caster

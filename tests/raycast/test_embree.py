@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from raycast import lab
-from raycast.reference import ReferenceCaster, flatten
+from raycast.reference import ReferenceCaster, flatten, ranges_m
 
 from vlp16emu.raycast import build
 from vlp16emu.raycast.build import widened
@@ -101,18 +101,12 @@ def test_a_broken_packet_is_refused(workers):
 def brute_force(window, meshes, origin_m, direction):
     """Range and surface of the nearest triangle on each ray (n, 3), in float64, the first one where several are as near."""
     corners_m, surfaces = flatten(window, meshes)
-    a_m, u, v = corners_m[:, 0], corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]
     range_m, surface = np.full(len(origin_m), np.inf), np.full(len(origin_m), NO_SURFACE, "u4")
     for i, (from_m, along) in enumerate(zip(origin_m, direction, strict=True)):
-        across, to_m = np.cross(along, v), from_m - a_m
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = 1.0 / (u * across).sum(axis=1)
-            first, turned = scale * (to_m * across).sum(axis=1), np.cross(to_m, u)
-            second, at_m = scale * (turned @ along), scale * (turned * v).sum(axis=1)
-            inside = (first >= 0) & (second >= 0) & (first + second <= 1) & (at_m >= 0)
-        if inside.any():
-            nearest = np.flatnonzero(inside)[at_m[inside].argmin()]
-            range_m[i], surface[i] = at_m[nearest], surfaces[nearest]
+        at_m = ranges_m(corners_m, from_m, along)
+        at_m[at_m < 0.0] = np.inf
+        if np.isfinite(at_m).any():
+            range_m[i], surface[i] = at_m.min(), surfaces[at_m.argmin()]
     return range_m, surface
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from raycast.reference import flatten
 
-from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, widened
-from vlp16emu.raycast.faces import faces_of, inverses
+from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, inverses, widened
+from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import SURFACE, Mesh, Window
 
 

@@ -9,13 +9,11 @@ import pytest
 from raycast import lab
 from raycast.reference import ReferenceCaster, frozen
 
-from vlp16emu.foliage import far_caster
-from vlp16emu.foliage.far import STRAY_M
-from vlp16emu.foliage.far_caster import FarCaster, within_reach
-from vlp16emu.raycast.faces import faces_of
+from vlp16emu.foliage import far
+from vlp16emu.foliage.far import STRAY_M, FarCaster, within_reach
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.packet import LEVEL
-from vlp16emu.raycast.pieces import in_pieces
+from vlp16emu.raycast.pieces import faces_of, in_pieces
 from vlp16emu.types import SURFACE, Mesh, Sway, Window
 
 
@@ -145,7 +143,7 @@ def test_pieces_are_left_out_without_loss(workers, monkeypatch, model):
     beam, mixed = [] if model == "none" else [lab.beam(model)], rng.uniform(-1.5, 1.5, 512)
     scene = FarCaster(world, workers).open(world.window(track_m))
     built = scene._near
-    monkeypatch.setattr(far_caster, "within_reach", lambda near, *_: 2 * (np.ones(len(near.placement), np.bool_),))
+    monkeypatch.setattr(far, "within_reach", lambda near, *_: 2 * (np.ones(len(near.placement), np.bool_),))
     whole = FarCaster(world, workers).open(world.window(track_m))
     for rise in (0.2 * mixed, 0.4 * mixed, mixed):
         azimuth = np.sort(rng.uniform(0, 2 * np.pi, len(rise)))

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from raycast import lab
 
-from vlp16emu.raycast.caster import caster
-from vlp16emu.raycast.sky import sky_cover
+from vlp16emu.raycast.caster import caster, sky_cover
 from vlp16emu.types import SURFACE, Mesh, Window
 
 AT_M = np.array([432_100.0, 6_901_234.0, 87.0])
@@ -26,16 +25,8 @@ def roof(_key):
 def under(radius_m, height_m, workers):
     """Scene with a disc right over a point."""
     transform = np.column_stack([np.diag([radius_m, radius_m, 1.0]), AT_M + [0.0, 0.0, height_m]])[None]
-    window = Window(
-        origin_m=AT_M,
-        shapes=("roof",),
-        shape=np.zeros(1, "i4"),
-        world_T_shape=transform,
-        first_surface=np.zeros(1, "u4"),
-        surfaces=np.zeros(1, SURFACE),
-    )
-    world = SimpleNamespace(shape=roof, near_m=math.inf, seed=0, name="", shape_name=lambda _key: "")
-    return caster(world, workers).open(window)
+    window = Window(AT_M, ("roof",), np.zeros(1, "i4"), transform, np.zeros(1, "u4"), np.zeros(1, SURFACE))
+    return caster(lab.world(roof), workers).open(window)
 
 
 @pytest.mark.parametrize("height_m", [2.0, 5.0, 10.0, 30.0])

@@ -9,7 +9,7 @@ import llvmlite.ir
 import numba
 import numpy as np
 
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
+from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
 from vlp16emu.types import F4, F8, U4, U8
 
 

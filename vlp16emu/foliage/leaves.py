@@ -15,7 +15,7 @@ from llvmlite import ir
 from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest
 from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
-from vlp16emu.raycast.batch import LANES
+from vlp16emu.raycast.kernel import LANES
 from vlp16emu.types import F4, U1, U8
 
 _VARIANTS = 32

@@ -16,9 +16,8 @@ from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE
 from vlp16emu.raycast.beam import FARTHEST
-from vlp16emu.raycast.kernel import Cast, go_on
+from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, RANGE, Cast, go_on
 from vlp16emu.types import F4, U8
 
 f4, u4 = np.float32, np.uint32

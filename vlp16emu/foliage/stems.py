@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
 from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE
+from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4
 
 f4 = np.float32

@@ -37,8 +37,7 @@ from vlp16emu.packets.layout import (
 from vlp16emu.types import I8, U1, U2, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS
 
-_CHUNK = 2_000
-"""Packets decoded at once: 0.8 million records, some 50 MB of points."""
+_CHUNK = 2_000  # packets decoded at once: 0.8 million records, some 50 MB of points
 _BLOCK_RECORDS = 32
 
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.faces import Faces, faces_of, relative_to_window, sheared
-from vlp16emu.raycast.pieces import in_pieces
+from vlp16emu.raycast.pieces import Faces, faces_of, in_pieces
 from vlp16emu.types import F4, F8, I8, U4, U8, Mesh, Window
 
 
@@ -144,6 +143,38 @@ def widened(vertices_m: F4, triangles: U4) -> F4:
     return out
 
 
+def relative_to_window(window: Window) -> F8:
+    """Return window_T_shape (n, 3, 4): placements relative to the window's origin, in float64."""
+    transforms = window.world_T_shape.copy()
+    transforms[:, :, 3] -= window.origin_m
+    return transforms
+
+
+def inverses(transforms: F8) -> F8:
+    """Invert affine transforms (n, 3, 4), by cofactors in a stated order: no library rounds them in its own way."""
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = transforms.transpose(1, 2, 0)
+    rows = (
+        (e * i - f * h, c * h - b * i, b * f - c * e),
+        (f * g - d * i, a * i - c * g, c * d - a * f),
+        (d * h - e * g, b * g - a * h, a * e - b * d),
+    )
+    determinant = a * rows[0][0] + b * rows[1][0] + c * rows[2][0]
+    out = np.empty_like(transforms)
+    for k, (p, q, r) in enumerate(rows):
+        out[:, k, 0], out[:, k, 1], out[:, k, 2] = p / determinant, q / determinant, r / determinant
+        out[:, k, 3] = -(out[:, k, 0] * x + out[:, k, 1] * y + out[:, k, 2] * z)
+    return out
+
+
+def sheared(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
+    """Move placements (m, 3, 4) level by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
+    over_foot = world_T_shape[:, 2].copy()
+    over_foot[:, 3] -= foot_z_m
+    moved = np.broadcast_to(world_T_shape, (*shear.shape[:-1], 3, 4)).copy()
+    moved[..., :2, :] += shear[..., None] * over_foot[:, None]
+    return moved
+
+
 def _new_scene(owner: object) -> tuple[int, Callable[[], object]]:
     """Return the address of an empty scene, released with its owner, and a function that releases it before."""
     lib = rtc.library()
@@ -219,15 +250,16 @@ class Placed:
 
 def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I8]:
     """Join the buffers of the different meshes of placements; return them and the first row of each piece."""
-    first, tables, rows = dict[int, int](), [np.zeros((0, 2), np.uint64)], [np.zeros(0, np.int64)]
-    stop = 0
-    for mesh, count in zip(meshes, counts, strict=True):
+    first, tables, stop = dict[int, int](), [np.zeros((0, 2), np.uint64)], 0
+    for mesh in meshes:
         if id(mesh) not in first:
             first[id(mesh)] = stop
             tables.append(mesh.buffers.reshape(-1, 2))
             stop += len(tables[-1])
-        rows.append(first[id(mesh)] + np.arange(count) * mesh.buffers.shape[1])
-    return np.concatenate(tables), np.concatenate(rows)
+    begin = np.array([first[id(mesh)] for mesh in meshes], np.int64)
+    each = np.array([mesh.buffers.shape[1] for mesh in meshes], np.int64)
+    piece = np.arange(sum(counts)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.concatenate(tables), np.repeat(begin, counts) + piece * np.repeat(each, counts)
 
 
 _MOST_KNOTS = 129

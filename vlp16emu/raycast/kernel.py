@@ -10,13 +10,91 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import RayBudget, enough
-from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Batch, PulseBatch
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter
 from vlp16emu.trig import ZERO
-from vlp16emu.types import F4, U2, U4
+from vlp16emu.types import F4, F8, I8, U2, U4
+
+LANES = ROUND
+"""Rays of a row."""
+ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
+"""Offsets of rows of lanes in `Batch.row`, and its length."""
+
+
+class PulseBatch(NamedTuple):
+    """Pulses that are cast, and their width."""
+
+    origin_m: F8
+    """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
+    direction: F8
+    beam_axis: F8
+    time: F4
+    """(k, L) between the scene's first knot and its last, 0..1."""
+    near_m: F8
+    """(L,) range at which each laser's light begins."""
+    reach_m: float
+    """Range at which what is near ends; `far_m` where it does not."""
+    far_m: float
+    """Range at which the light is given up."""
+    order: I8
+    """(k / 8,) first sequence of each packet, in the order of casting."""
+    sigmas: F4
+    """(4,) as in `Footprint`; `seed` alike."""
+    seed: int
+    first: int
+    """Number of the first firing sequence."""
+
+
+class MetRays(NamedTuple):
+    """Hits of rays: three arrays of one length."""
+
+    range_m: F4
+    surface: U4
+    cos_incidence: F4
+
+
+class Batch(NamedTuple):
+    """Room for the pulses of eight sequences, those of a laser one after the other."""
+
+    row: F4
+    """(n, ROW) rays of a pulse, rows of eight: origins, directions, ranges, cosines; of a light without width only the first."""
+    surface: U4
+    """(n, 8)."""
+    axes: F4
+    """(n, 4, 3) of the pulses; the first two make up the middle."""
+    axes_row: F4
+    """(n, 12) the same numbers."""
+    missed: NDArray[np.bool_]
+    """(n,) which pulses go on: of some of their rays nothing near is met."""
+    todo: I8
+    """(n,) numbers of the pulses that are cast."""
+    have: I8
+    """(n,) how many sub-rays each has."""
+    hits: MetRays
+    """(n m,) of these, those of a pulse one after the other; m is a multiple of eight."""
+    scratch: F8
+    """(2, m) to sort in."""
+
+
+def batch_of(pulses: int, most: int) -> Batch:
+    """Make room for so many pulses of up to `most` sub-rays each."""
+    most = -(-most // ROUND) * ROUND
+    n = pulses * most
+    axes_row = np.zeros((pulses, 12), np.float32)
+    return Batch(
+        np.zeros((pulses, ROW), np.float32),
+        np.zeros((pulses, LANES), np.uint32),
+        axes_row.reshape(pulses, 4, 3),
+        axes_row,
+        np.zeros(pulses, np.bool_),
+        np.arange(pulses),
+        np.zeros(pulses, np.int64),
+        MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
+        np.empty((2, most)),
+    )
 
 
 class Cast(NamedTuple):
@@ -72,7 +150,7 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
     -------
     (3, n) the same of all others, in order of pulses
     """
-    batch, pulses, lasers = cast.batch, PACKET * count.shape[1], count.shape[1]
+    batch, pulses = cast.batch, PACKET * count.shape[1]
     set_filter(cast.packet)
     groups = [np.empty((3, 0), np.uint32) for _ in range(count.shape[0] // PACKET)]
     for first in cast.light.order:
@@ -84,11 +162,7 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
             _cast_near(cast, beyond, budget, first, todo, have, rays)
             if passage is not None:
                 go_on(passage, cast, todo, rays, reach_of(have, budget.adaptive))
-            if have == 0:
-                todo = _settle_first(cast, budget, first_round, first * lasers, rays)
-            else:
-                todo = _settle(cast, budget, todo, have, rays)
-            have += rays
+            todo, have = _settle(cast, budget, first_round, first, todo, have, rays), have + rays
         groups[first // PACKET] = _further(batch, min(ROUND, budget.most), first, count)
     n = ZERO
     for group in groups:
@@ -206,51 +280,30 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _settle_first(cast: Cast, budget: RayBudget, first_round: U4, begin: int, count: int) -> int:
-    """Put the hits of the first round of all pulses in their place; list the pulses that need another, and return how many.
+def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int) -> int:
+    """Take the hits of a round; list the pulses that need another, and return how many.
 
     Parameters
     ----------
     first_round : as of `cast_pulses`
-    begin : number of the first pulse in it
+    first : number of the first sequence
     """
-    batch, reflectance = cast.batch, cast.near.reflectance
-    hits, row, met, most, left = batch.hits, batch.row, batch.surface, batch.scratch.shape[1], 0
-    surface, lasers = first_round[1], met.shape[0] // PACKET
-    range_m, cosine = first_round[0].view(np.float32), first_round[2].view(np.float32)
-    for q in range(met.shape[0]):
-        at = count * (begin + q % PACKET * lasers + q // PACKET)
-        for lane in range(count):
-            range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
-            surface[at + lane], cosine[at + lane] = met[q, lane], row[q, COSINE + lane]
-        batch.have[q] = count
-        needs_more, stop = count < budget.most, at + count
-        if needs_more and budget.adaptive:
-            ranges, surfaces, cosines = range_m[at:stop], surface[at:stop], cosine[at:stop]
-            needs_more = not enough(ranges, surfaces, cosines, reflectance, budget, batch.scratch)
-        if needs_more:
-            for lane in range(count):
-                to = q * most + lane
-                hits.range_m[to], hits.surface[to] = range_m[at + lane], surface[at + lane]
-                hits.cos_incidence[to] = cosine[at + lane]
-            batch.todo[left] = q
-            left += 1
-    return left
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _settle(cast: Cast, budget: RayBudget, todo: int, have: int, count: int) -> int:
-    """Take the hits of a further round; list the pulses that need another, and return how many."""
     batch, reflectance = cast.batch, cast.near.reflectance
     hits, row, met, left = batch.hits, batch.row, batch.surface, 0
     range_m, surface, cosine = hits.range_m, hits.surface, hits.cos_incidence
-    most, own = batch.scratch.shape[1], have + count
+    most, own, lasers = batch.scratch.shape[1], have + count, met.shape[0] // PACKET
+    first_m, first_cosine = first_round[0].view(np.float32), first_round[2].view(np.float32)
     for t in range(todo):
         q = batch.todo[t]
         begin, at = q * most, q * most + have
         for lane in range(LANES):
             range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
             surface[at + lane], cosine[at + lane] = met[q, lane], row[q, COSINE + lane]
+        if have == 0:
+            to = count * ((first + q % PACKET) * lasers + q // PACKET)
+            for lane in range(count):
+                first_m[to + lane], first_cosine[to + lane] = range_m[at + lane], cosine[at + lane]
+                first_round[1, to + lane] = surface[at + lane]
         batch.have[q] = own
         needs_more = own < budget.most
         if needs_more and budget.adaptive:

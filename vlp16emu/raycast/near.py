@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.batch import PulseBatch, batch_of
 from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
-from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
+from vlp16emu.raycast.build import EmbreeMesh, Placed, inverses, relative_to_window, shape_of
 from vlp16emu.raycast.displace import displace
-from vlp16emu.raycast.faces import inverses, relative_to_window
-from vlp16emu.raycast.kernel import Cast, cast_lines, cast_pulses, join_rounds
+from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recalled
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World

@@ -25,8 +25,7 @@ from vlp16emu.sinks import PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
-_LONGEST_US = 4_500.0
-"""Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
+_LONGEST_US = 4_500.0  # later than any host that keeps up: `verify` takes 5 ms for a delay of the network
 _LANES_PER_UNIT = 8
 _LANE = {kind: place for place, kind in enumerate(PacketKind)}
 _MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import asdict, replace
 from threading import Event, Thread
 from typing import Any
@@ -17,18 +17,7 @@ from vlp16emu.output import write_json
 from vlp16emu.run.options import StreamOptions, TruthTo
 from vlp16emu.run.report import About, Streamed, UnitSent
 from vlp16emu.run.run import Run
-from vlp16emu.sinks import (
-    LOOK_AHEAD_PACKETS,
-    FellBehind,
-    Late,
-    Pacer,
-    PacketSink,
-    StreamReport,
-    UdpSink,
-    UnderWay,
-    free_ports,
-    stream,
-)
+from vlp16emu.sinks import LOOK_AHEAD_PACKETS, FellBehind, Late, Pacer, PacketSink, StreamReport, UdpSink, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -89,7 +78,7 @@ def stream_run(
             packets,
             way,
             pacer,
-            begun=lambda now: _serve(http, feed, udp, now, stack),
+            begun=lambda now: http and stack.enter_context(door("web")(feed, udp, now, http)),
             late=policy,
             notify=notify,
             go_on_from=None if options.prepare else flight.going_on(feed.go_on_from) if flight else feed.go_on_from,
@@ -125,7 +114,7 @@ def _on_ports(run: Run, options: StreamOptions) -> Iterator[Run]:
     """Yield the run with the ports of the options; those of 0 are free ones, one for each sensor, which are reserved meanwhile."""
     settings, rig = options.settings, run.scenario.rig
     free = [key for key, port in settings.items() if port == 0]
-    with free_ports(len(free) * (1 + len(rig))) as ports:
+    with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as ports:
         given = iter(ports)
         settings |= {key: next(given) for key in free}
         if free and rig:
@@ -145,12 +134,6 @@ def _udp(run: Run, options: StreamOptions, host: str, progress: Callable[[float]
         interface=options.interface,
         sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
     )
-
-
-def _serve(http: Any, feed: "PacketFeed", udp: UdpSink, now: UnderWay, until: ExitStack) -> None:
-    """Serve the web interfaces of the sensors until the stream ends, if they are wanted."""
-    if http is not None:
-        until.enter_context(door("web")(feed, udp, now, http))
 
 
 def _streamed(run: Run, options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any) -> Streamed:
@@ -178,8 +161,7 @@ class PacketFeed:
 
     Raises
     ------
-    InputError
-        If the engine has no such span, or the scene no device that `also` asks for
+    InputError : If the engine has no such span, or the scene no device that `also` asks for
     """
 
     def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:

@@ -288,16 +288,11 @@ class Stand:
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
+        base_m = own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
+        sizes = (float(size[0]) for size in (height_m, base_m, width_m, leaf_area_m2))
+        dbh_m = float(dbh_cm[0]) / 100
         return CrownKey(
-            species=own.species.name,
-            variant=variant,
-            dbh_m=float(dbh_cm[0]) / 100,
-            height_m=float(height_m[0]),
-            crown_base_m=float(own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])[0]),
-            crown_width_m=float(width_m[0]),
-            leaf_area_m2=float(leaf_area_m2[0]),
-            season=self._season,
-            dead_branches=self._dead_branches,
+            own.species.name, variant, dbh_m, *sizes, season=self._season, dead_branches=self._dead_branches
         )
 
 
