@@ -78,7 +78,7 @@ def test_one_ray_is_held_once(monkeypatch):
         )
         for pulses, hits in seen
     }
-    assert sizes == {(1, 4), (8, 4 * 8)}
+    assert sizes == {(1, 4), (8, 12 * 8)}  # of several, range, surface and cosine in one array
 
 
 def depends_on_seed(*settings):
