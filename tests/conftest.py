@@ -17,7 +17,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # Hypothesis keeps paths of the machine beside the examples that it found: not in the checkout.
 os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(Path(tempfile.gettempdir()) / "vlp16emu-hypothesis"))
 
-WITHOUT_CASTING = ("device", "motion", "packets", "protocol", "report", "scenario", "sensor", "world")
+WITHOUT_CASTING = ("motion", "packets", "protocol", "scenario", "sensor", "world")
 """Rooms whose tests cast no ray."""
 
 ALLOWED_SKIPS = {

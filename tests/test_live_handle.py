@@ -14,8 +14,9 @@ import pytest
 import vlp16emu
 from vlp16emu import Emulator, decode
 from vlp16emu.errors import InputError, OutputError, RunError
+from vlp16emu.extras.free_ports import free_ports
 from vlp16emu.packets.layout import DATA_PAYLOAD
-from vlp16emu.sinks import UdpSink, free_ports
+from vlp16emu.sinks import UdpSink
 from vlp16emu.types import PacketKind
 
 SCENE = "static_bench"

@@ -20,7 +20,7 @@ title = "A stand of the user's own species"
 seed = 4
 
 [sensor]
-max_range_m = 30.0
+max_range_m = 14.0
 
 [motion]
 kind = "static"
@@ -58,7 +58,7 @@ def scene(tmp_path_factory):
 
 def test_own_plants_are_scanned_and_labelled(scene):
     """Trees, saplings and shrubs of the user's file give returns under their own numbers."""
-    returns = list(Emulator(load(str(scene))).returns(0.0, 0.2, truth=True))
+    returns = list(Emulator(load(str(scene))).returns(0.0, 0.1, truth=True))
     hit = np.concatenate([r.surfaces[r.surface[..., 0][r.distance_m[..., 0] > 0]] for r in returns])
     assert set(hit["species"][hit["semantic"] == Semantic.TREE].tolist()) == {1001}
     assert set(hit["species"][hit["semantic"] == Semantic.SHRUB].tolist()) == {2002}
@@ -69,7 +69,7 @@ def test_own_plants_stand_in_the_inventory_by_name(scene, tmp_path):
     out = tmp_path / "trees.csv"
     assert run(["forest", str(scene), "--inventory", str(out), "--json"]) == 0
     lines = out.read_text(encoding="utf-8").splitlines()
-    assert len(lines) > 50
+    assert len(lines) > 20
     assert all("grey_alder" in line for line in lines[1:])
 
 

@@ -10,8 +10,8 @@ from woods import THIN
 from vlp16emu import Emulator, Scenario, decode
 from vlp16emu.errors import CaptureError, InputError, PacketError
 from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.clouds.scan import Chunk, cut_scans
 from vlp16emu.packets import DISTANCE_LSB_M
-from vlp16emu.scan import Chunk, cut_scans
 from vlp16emu.types import Semantic
 
 pytestmark = pytest.mark.usefixtures("kept_woods")

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.inspection import permutation_importance
 from sklearn.metrics import roc_auc_score
 
 Array = np.ndarray
@@ -61,19 +62,15 @@ def weights_of(data: Data, rows: Array, positive: Array) -> Array:
     return weight[rows] * rows.sum() / 2
 
 
-def tree() -> HistGradientBoostingClassifier:
-    return HistGradientBoostingClassifier(
+def ranked_by(
+    data: Data, x: Array, learnt: Array, ranked: Array, positive: Array
+) -> tuple[float, HistGradientBoostingClassifier]:
+    """Return the area of the trees that learn some windows and rank others, and the trees."""
+    trees = HistGradientBoostingClassifier(
         max_depth=3, max_iter=60, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
     )
-
-
-def summarised(
-    data: Data, x: Array, learnt: Array, ranked: Array, positive: Array
-) -> tuple[Array, HistGradientBoostingClassifier, Array]:
-    """Return logits of windows by their features, the trees, and the features with the middle for what is missing."""
-    whole = np.where(np.isfinite(x), x, np.nanmedian(x[learnt], axis=0))
-    model = tree().fit(whole[learnt], positive[learnt], weights_of(data, learnt, positive))
-    return model.decision_function(whole[ranked]), model, whole
+    trees.fit(x[learnt], positive[learnt], weights_of(data, learnt, positive))
+    return roc_auc_score(positive[ranked], trees.decision_function(x[ranked])), trees
 
 
 def null(data: Data, x: Array) -> list[float]:
@@ -85,18 +82,7 @@ def null(data: Data, x: Array) -> list[float]:
             for positive, negative in (((a, c), (b, d)), ((a, d), (b, c))):
                 is_positive = np.isin(data.unit, positive)
                 learnt, ranked = (np.isin(data.unit, pair) for pair in zip(positive, negative, strict=True))
-                out.append(roc_auc_score(is_positive[ranked], summarised(data, x, learnt, ranked, is_positive)[0]))
-    return out
-
-
-def importance(model: HistGradientBoostingClassifier, x: Array) -> Array:
-    """Return how much the logit of a window changes in the mean if a feature is that of another window (f,)."""
-    draw, plain = np.random.default_rng(0), model.decision_function(x)
-    out = np.zeros(x.shape[1])
-    for i in range(x.shape[1]):
-        other = x.copy()
-        other[:, i] = draw.permutation(other[:, i])
-        out[i] = np.abs(model.decision_function(other) - plain).mean()
+                out.append(ranked_by(data, x, learnt, ranked, is_positive)[0])
     return out
 
 
@@ -105,9 +91,11 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
     names, x = data.names[wanted], data.features[:, wanted]
     carried, areas = np.zeros(len(names)), []
     for _, learnt, ranked in folds(data):
-        logit, model, filled = summarised(data, x, learnt, ranked, data.real)
-        areas.append(roc_auc_score(data.real[ranked], logit))
-        carried += importance(model, filled[ranked]) if whole else 0.0
+        area, trees = ranked_by(data, x, learnt, ranked, data.real)
+        areas.append(area)
+        if whole:
+            other = permutation_importance(trees, x[learnt], data.real[learnt], scoring="roc_auc", n_repeats=1)
+            carried += other.importances_mean
     chance = null(data, x) if whole else []
     between = f"{np.mean(chance):.2f} +- {np.std(chance):.2f}" if whole else ""
     print(
@@ -128,17 +116,16 @@ def main() -> None:
     """Print areas of all trees."""
     data = Data(sys.argv[1])
     counts = shown_by_all(data)
-    share = scene_share(data)
-    of_scene = ~(share < SCENE_SHARE)
+    of_scene = ~(scene_share(data) < SCENE_SHARE)
     print(
         f"Real units: {', '.join(data.units[True])}. A row of a feature: its own area, its middle on these, and P10, P50, P90 of ours.\n"
     )
     print("| Trees | area | left out: each real unit | real against real |\n|---|---|---|---|")
-    of_unit = counts & ~of_scene & (data.groups != "arrival")
+    of_unit = counts & ~of_scene
     report(data, of_unit, "features of units", whole=True)
     for group in dict.fromkeys(data.groups[of_unit]):
         report(data, of_unit & (data.groups == group), f"{group} alone")
-    report(data, counts & of_scene & (data.groups != "arrival"), "features of scenes")
+    report(data, counts & of_scene, "features of scenes")
     print(
         f"\nOf the scene, with more than {SCENE_SHARE:.0%} of their variance between scenes: {', '.join(data.names[counts & of_scene])}"
     )

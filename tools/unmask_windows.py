@@ -94,7 +94,7 @@ def features_of(window: Sequences) -> Features:
     _losses(out, d, r)
     _no_returns(out, d, r)
     _azimuths(out, window.azimuth_cdeg)
-    _clocks(out, window)
+    _stamps(out, window)
     return out
 
 
@@ -161,10 +161,9 @@ def _azimuths(out: Features, azimuth: Array) -> None:
     out |= {f"azimuth.band_{i}": float(band.sum() / power.sum()) for i, band in enumerate(np.array_split(power, 12))}
 
 
-def _clocks(out: Features, window: Sequences) -> None:
-    """Spacing of stamps and of arrivals."""
-    clock_us, late_us = window.clock_ns / 1e3, (window.stamp_ns - window.clock_ns) / 1e3
-    line = np.polyfit(window.packet, clock_us - clock_us[0], 1)
-    out.shape("stamp", clock_us - clock_us[0] - np.polyval(line, window.packet))
+def _stamps(out: Features, window: Sequences) -> None:
+    """Add spacing of the stamps."""
+    since_us = (window.clock_ns - window.clock_ns[0]) / 1e3
+    line = np.polyfit(window.packet, since_us, 1)
+    out.shape("stamp", since_us - np.polyval(line, window.packet))
     out["stamp.rate"] = float(line[0] / window.packet_us - 1)
-    out.shape("arrival", np.diff(late_us))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.extras.bench.options import GpsIn, Http, Outlets, PosesIn
     from vlp16emu.extras.clouds.points import write_points
+    from vlp16emu.extras.clouds.scan import decode
     from vlp16emu.extras.handle import Live, stream
     from vlp16emu.extras.images.images import write_images
     from vlp16emu.extras.replay import Replayed, replay
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     from vlp16emu.extras.verify import Finding, Verification, verify
     from vlp16emu.run.options import TruthTo
     from vlp16emu.run.report import Recording
-    from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
+    from vlp16emu.types import Labels, Scan
 
 __all__ = [
     "Emulator",
@@ -52,6 +53,7 @@ _MODULES = {
     "emulator": "Emulator",
     "extras.bench.options": "GpsIn Http Outlets PosesIn",
     "extras.clouds.points": "write_points",
+    "extras.clouds.scan": "decode",
     "extras.handle": "Live stream",
     "extras.images.images": "write_images",
     "extras.replay": "Replayed replay",
@@ -59,8 +61,8 @@ _MODULES = {
     "extras.verify": "Finding Verification verify",
     "run.options": "TruthTo",
     "run.report": "Recording",
-    "scan": "Labels Scan decode",
     "scenario": "Scenario load",
+    "types": "Labels Scan",
 }
 _PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}  # module of each public name
 

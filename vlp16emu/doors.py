@@ -72,6 +72,8 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "far": "vlp16emu.foliage.far:FarCaster",
         "faults": "vlp16emu.extras.bench.faults:arriving",
         "frames": "vlp16emu.extras.captures.containers:frames",
+        "field": "vlp16emu.extras.field:in_the_field",
+        "free_ports": "vlp16emu.extras.free_ports:free_ports",
         "gps_in": "vlp16emu.extras.bench.gps_in:GpsReader",
         "forest_site": "vlp16emu.forest.make:ForestSite",
         "hall_site": "vlp16emu.world.hall:HallSite",
@@ -83,6 +85,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "people": "vlp16emu.extras.people:People",
         "prepared": "vlp16emu.extras.prepare:prepared",
         "present": "vlp16emu.extras.bench.retime:NowSink",
+        "scans": "vlp16emu.extras.clouds.scan:scans_of",
         "stream_options": "vlp16emu.extras.bench.options:BenchOptions",
         "truth": "vlp16emu.extras.truth.truth:Truth",
         "truth_of_records": "vlp16emu.extras.truth.slots:slots_of",
@@ -97,10 +100,8 @@ def door(name: str, group: str = "parts") -> Any:
 
     Raises
     ------
-    InputError
-        If its part of this package is not installed, or the package that adds it cannot be loaded
-    KeyError
-        If the group has no such name
+    InputError : If its part of this package is not installed, or the package that adds it cannot be loaded
+    KeyError : If the group has no such name
     """
     if name not in DOORS[group]:
         return _load(_added(group)[name])

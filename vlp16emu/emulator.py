@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Engine, Parts
-from vlp16emu.engine.scans import scans_of, world_T_sensor
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.run.options import RecordOptions, stream_options
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
 from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
-from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Packet, Returns
+from vlp16emu.types import Packet, Returns, Scan
 
 
 class Emulator:
@@ -41,8 +39,7 @@ class Emulator:
 
     Raises
     ------
-    InputError
-        If the scene cannot be read, or a part of it cannot be made
+    InputError : If the scene cannot be read, or a part of it cannot be made
 
     Examples
     --------
@@ -92,10 +89,8 @@ class Emulator:
 
         Raises
         ------
-        ScenarioError
-            If the sensor has no packets
-        TrajectoryError
-            If the span begins before the first pulse, or the walk ends before the span does
+        ScenarioError : If the sensor has no packets
+        TrajectoryError : If the span begins before the first pulse, or the walk ends before the span does
         """
         return self.engine.packets(start_s, stop_s)
 
@@ -110,10 +105,8 @@ class Emulator:
 
         Raises
         ------
-        InputError
-            If there is no such unit
-        TrajectoryError
-            If the walk ends before the span does
+        InputError : If there is no such unit
+        TrajectoryError : If the walk ends before the span does
         """
         return self.engine.returns(start_s, stop_s, self.run.number(unit), truth=truth)
 
@@ -131,16 +124,16 @@ class Emulator:
 
         Raises
         ------
-        InputError
-            If there is no such unit
-        TrajectoryError
-            If the walk ends before the span does
+        InputError : If there is no such unit
+        TrajectoryError : If the walk ends before the span does
         """
-        return scans_of(self.engine, self.run.number(unit), self.scenario.span_s(start_s, duration_s), truth=truth)
+        span_s = self.scenario.span_s(start_s, duration_s)
+        scans: Iterator[Scan] = door("scans")(self.engine, self.run.number(unit), span_s, truth=truth)
+        return scans
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
         """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
-        return world_T_sensor(self.parts.units[self.run.number(unit)], t_ns)
+        return self.parts.units[self.run.number(unit)].world_T_sensor(t_ns)
 
     def record(
         self,
@@ -162,16 +155,12 @@ class Emulator:
 
         Raises
         ------
-        InputError
-            If an option is not right
+        InputError : If an option is not right
         OutputError
             If file or folder cannot be written, or are an input of the scene, or the name is that of another format
-        ScenarioError
-            If the sensor has no packets
-        TrajectoryError
-            If the walk ends before the span does
-        RunError
-            If the disk is full; the packets before are kept
+        ScenarioError : If the sensor has no packets
+        TrajectoryError : If the walk ends before the span does
+        RunError : If the disk is full; the packets before are kept
         """
         return record(self.run, path, RecordOptions(**options), progress=progress, stop=stop)
 
@@ -184,16 +173,11 @@ class Emulator:
 
         Raises
         ------
-        OutputError
-            If the receiver is unknown or out of reach, or the sensor's address is not this machine's
-        InputError
-            If an option is not right, options exclude each other, or poses are for a scene that is not live
-        ScenarioError
-            If the sensor has no packets
-        TrajectoryError
-            If the walk ends before the span does
-        RunError
-            If the system cannot send any more
+        OutputError : If the receiver is unknown or out of reach, or the sensor's address is not this machine's
+        InputError : If an option is not right, options exclude each other, or poses are for a scene that is not live
+        ScenarioError : If the sensor has no packets
+        TrajectoryError : If the walk ends before the span does
+        RunError : If the system cannot send any more
         """
         hooks = {name: options.pop(name) for name in options.keys() & signature(stream_run).parameters.keys()}
         return stream_run(self.run, stream_options()(**options), **hooks)
@@ -218,8 +202,7 @@ class Emulator:
 
         Raises
         ------
-        TrajectoryError
-            If the scene is not live
+        TrajectoryError : If the scene is not live
         """
         if (put := getattr(self.parts.carrier, "put_pose", None)) is None:
             raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')

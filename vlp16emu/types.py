@@ -246,6 +246,56 @@ class Packet:
 
 
 @dataclass(frozen=True, slots=True)
+class Labels:
+    """Ground truth of n points: the surface that each was reflected by."""
+
+    semantic: U1
+    """(n,) `Semantic`."""
+    part: U1
+    """(n,) `PlantPart`."""
+    instance: U4
+    """(n,) unique per plant, stone or object; 0 none."""
+    species: U2
+    """(n,) number in the species table; 0 none."""
+    range_m: F4
+    """(n,) distance without range errors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One revolution: n points in the order of their pulses; pulses without return make no point.
+
+    A revolution begins with the first azimuth reading (the sensor takes one in two firing sequences) that has passed
+    0. In dual return each echo is there once, the last one first.
+
+    Each point is in the sensor's frame at the instant of its own pulse. `world_T_sensor` is the pose at `start_ns`
+    alone: on a moving sensor it takes only the scan's first points to their places in the world. Those of all are
+    `Emulator.world_T_sensor(scan.t_ns)`.
+    """
+
+    start_ns: int
+    """UTC of the revolution's first pulse, whether or not it has a return."""
+    t_ns: I8
+    """(n,) UTC of the pulse. Of a capture: by the clock that is chosen for `decode`, in whole microseconds for each packet."""
+    xyz_m: F4
+    """(n, 3) in the sensor: x forward at azimuth 0, y left, z up."""
+    distance_m: F4
+    """(n,) from the centre of the sensor."""
+    azimuth_deg: F8
+    """(n,) at the instant of the pulse, [0, 360)."""
+    ring: U2
+    """(n,) by elevation, 0 the lowest."""
+    reflectivity: U1
+    """(n,) 0..100 diffuse, 101..255 retroreflective."""
+    is_last: NDArray[np.bool_]
+    """(n,) a last return; else the strongest, or in dual return, where that is the last, the second strongest."""
+    world_T_sensor: F8 | None = None
+    """(4, 4) takes `xyz_m` to the world (local east, north, up), at `start_ns`; None for a capture."""
+    labels: Labels | None = None
+    """Where the truth was asked for."""
+
+
+@dataclass(frozen=True, slots=True)
 class GnssFix:
     """Fix of a GNSS receiver at one whole UTC second."""
 

@@ -18,7 +18,7 @@ from vlp16emu.scenario import load
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 RADIUS_M = 9
-SMALL = ("--set", "duration_s=3.0", "--set", "sensor.max_range_m=13.0", "--radius", str(RADIUS_M))
+SMALL = ("--set", "duration_s=3.0", "--set", "sensor.max_range_m=10.0", "--radius", str(RADIUS_M))
 
 
 @pytest.fixture(scope="module")

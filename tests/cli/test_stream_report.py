@@ -14,7 +14,7 @@ def test_the_line_names_seconds_cause_policy_and_settings():
     assert line == (
         "behind: 0.051 s late at 14.2 s, as the engine computes 0.83 x real time; the delay stays, at the sensor's own "
         "spacing (--late pace); to keep up: --set beam.model=none, or "
-        "--set beam.model=none --set sensor.max_range_m=45, or --speed 0.75"
+        "--set beam.model=none --set sensor.max_range_m=45, or --speed 0.66"
     )
 
 

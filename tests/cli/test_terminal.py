@@ -8,8 +8,8 @@ import pytest
 
 from vlp16emu.cli.printer import audit_text
 from vlp16emu.cli.terminal import Progress, compile_first
+from vlp16emu.extras.accuracy.audit import AuditFinding
 from vlp16emu.kernels import compiler
-from vlp16emu.run.report import AuditFinding
 
 
 class Terminal(io.StringIO):

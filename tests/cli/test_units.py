@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from vlp16emu.packets import capture, units
+from vlp16emu.packets import capture
 
 RIG = "rig=[{mount={pitch_deg=-35.0}}, {return_mode='dual', address='10.0.0.7', data_port=2368, position_port=8308}]"
 
@@ -54,7 +54,7 @@ def test_verify_reads_a_capture_of_many_units_twice(cli, rig, tmp_path, monkeypa
     assert (len(tree["units"]), len(parsed)) == (40, 80)
     assert {unit["packets"] for unit in tree["units"]} == {1}
     line = cli("decode", path).err
-    assert line.endswith(f"{units._NAMED} (10.0.0.{units._NAMED - 1}:2368), ... 40\n")
+    assert line.endswith(f"{capture._NAMED} (10.0.0.{capture._NAMED - 1}:2368), ... 40\n")
 
 
 def test_decode_wants_to_know_which(cli, rig):

@@ -64,11 +64,15 @@ def test_with_any_number_of_threads_windows_are_opened_once(threads):
     assert opened == list(range(10))
 
 
-def test_all_blocks_may_share_one_segment():
-    """Where nothing moves a single segment serves all."""
+def test_only_windows_that_are_needed_are_opened():
+    """Where nothing moves one segment serves all, an empty span opens nothing, and before the first pulse the first segment serves."""
     opened = []
     list(run(lambda _run, scene: scene.result(), range(100), per_segment=None, opened=opened))
     assert opened == [0]
+    opened = []
+    assert list(run(lambda run, scene: run, range(0), opened=opened)) == []
+    assert opened == []
+    assert windows().at_time(-12_000).result() == "segment 0"
 
 
 def test_an_error_reaches_the_caller():
@@ -98,23 +102,12 @@ def test_leaving_early_stops_the_work():
     assert len(begun) < 20
 
 
-def test_no_blocks_no_work():
-    """An empty span opens nothing."""
-    opened = []
-    assert list(run(lambda run, scene: run, range(0), opened=opened)) == []
-    assert opened == []
-
-
 def test_a_wire_sensor_is_cut_as_ever():
-    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and segments of 64 of them."""
+    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and segments of 64 of them; in 20 parts they have the same edges."""
     batching = Batching(16, 55_296)
     assert (batching.block, batching.segment) == (BLOCK, SEGMENT) == (1_920, 64)
     assert batching.block_ns == 1_920 * 55_296
     assert batching.block % 24 == batching.block % 12 == 0
-
-
-def test_parts_of_blocks_leave_windows_where_they_are():
-    """Blocks of a VLP-16 in 20 parts, whole packets as well, have the same segments and the same edges to look from."""
     whole, parts = Batching(16, 55_296), Batching(16, 55_296, 20)
     assert (parts.block, parts.block % 24) == (96, 0)
     assert parts.segment == 20 * whole.segment
@@ -141,8 +134,8 @@ def test_blocks_hold_the_span_and_edges_the_blocks():
     assert (edges_ns == (2 * batching.segment + np.arange(batching.segment + 1)) * batching.block_ns).all()
 
 
-def test_whoever_asks_gets_the_same_window():
-    """A window that the blocks use is not opened again for a time in it, nor one asked for by time for the blocks."""
+def test_each_window_is_opened_once_while_it_is_in_use():
+    """A window that blocks use is not opened again for a time in it, nor the other way; two are kept, so one is opened again after two others."""
     opened = []
     of = windows(opened=opened)
     assert of.at_time(399).result() == "segment 0"
@@ -150,15 +143,6 @@ def test_whoever_asks_gets_the_same_window():
     for block, scene in enumerate(results):
         assert of.at_time(100 * block).result() == scene
     assert opened == [0, 1]
-
-
-def test_before_the_run_the_first_window_serves():
-    """A time before the first pulse is looked at from the first segment."""
-    assert windows().at_time(-12_000).result() == "segment 0"
-
-
-def test_a_window_that_was_left_is_not_kept():
-    """Two windows are kept, so one asked for again after two others is opened again."""
     opened = []
     of = windows(opened=opened, per_segment=64, threads=1)
     for segment in (0, 1, 0, 2, 1):

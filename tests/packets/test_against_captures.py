@@ -46,17 +46,13 @@ def test_packed_again(request, make_returns, capture, mode):
     np.testing.assert_array_equal(repacked(payloads, mode, make_returns), payloads)
 
 
-def test_time_steps_of_single_return(real_single):
-    """Time stamps step by 1327 (261 times) or 1328 us (31), and follow steps of 1327.104 us to 1 us."""
+def test_time_steps(real_single, real_dual):
+    """Stamps of single return step by 1327 (261 times) or 1328 us (31), within 1 us of 1327.104 us; those of dual return by 663.552 us to 1 ns."""
     stamps_us = data_fields(real_single)["timestamp_us"].astype(np.int64)
     steps, counts = np.unique(np.diff(stamps_us), return_counts=True)
     assert dict(zip(steps.tolist(), counts.tolist(), strict=True)) == {1327: 261, 1328: 31}
     off_us = stamps_us - stamps_us[0] - np.arange(len(stamps_us)) * 1327.104
     assert np.ptp(off_us) <= 2
-
-
-def test_time_steps_of_dual_return(real_dual):
-    """Time stamps step by 663 or 664 us with a mean of 663.552 us to 1 ns."""
     stamps_us = data_fields(real_dual)["timestamp_us"].astype(np.int64)
     assert set(np.diff(stamps_us)) == {663, 664}
     assert np.diff(stamps_us).mean() == pytest.approx(663.552, abs=0.001)
@@ -106,15 +102,11 @@ def test_scans(real_single):
 
 
 def test_positions(real_position):
-    """Position packets and their sentences are packed again to the same bytes."""
+    """Position packets and their sentences are packed again to the same bytes; a sentence names the second whose edge came last before the stamp."""
     for _, payload in real_position:
         fields = decode_position(payload)
         assert rmc(parse_rmc(fields.sentence)) == fields.sentence
         assert pack_position(fields.time_ns, fields.pps, fields.sentence) == payload
-
-
-def test_position_sentence_names_the_preceding_second(real_position):
-    """The sentence names the second whose edge came last before the stamp."""
     for _, payload in real_position:
         fields = decode_position(payload)
         behind_ns = fields.time_ns - parse_rmc(fields.sentence).t_ns % (3_600 * 10**9)

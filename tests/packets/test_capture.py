@@ -135,16 +135,12 @@ def test_pcapng_gives_exact_stamps(tmp_path, order, options, stamp):
         pytest.param(pcap(b"\2\0\0\0" + IP, link_type=0), id="null"),
         pytest.param(pcap(b"\0\0\0\2" + IP, link_type=108), id="loop"),
         pytest.param(pcap(b"\x00\x21" + IP, b"\xff\x03\x00\x21" + IP6 + UDP, link_type=9), id="PPP"),
-        pytest.param(
-            pcap(b"\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP, link_type=51), id="PPPoE link"
-        ),
+        pytest.param(pcap(b"\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP, link_type=51), id="PPPoE link"),
         pytest.param(pcap(b"\x0f\0\x08\0" + IP, link_type=104), id="HDLC"),
         pytest.param(pcap(DATA[:12] + b"\x81\0\0\5" + DATA[12:]), id="VLAN"),
         pytest.param(pcap(DATA[:12] + b"\x88\xa8\0\5\x81\0\0\6" + DATA[12:]), id="QinQ"),
         pytest.param(pcap(DATA[:12] + b"\x88\x47\0\0\x50\x40\0\0\x61\x40" + IP), id="MPLS"),
-        pytest.param(
-            pcap(DATA[:12] + b"\x88\x64\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP), id="PPPoE"
-        ),
+        pytest.param(pcap(DATA[: 12] + b"\x88\x64\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP), id="PPPoE"),
         pytest.param(pcap(DATA[:12] + struct.pack(">H", len(IP) + 8) + b"\xaa\xaa\3\0\0\0\x08\0" + IP), id="LLC"),
         pytest.param(pcap(DATA[:12] + b"\x86\xdd" + IP6 + UDP), id="IPv6"),
         pytest.param(pcap(*fragments(IP), link_type=101), id="fragments"),
@@ -159,15 +155,13 @@ def test_pcapng_gives_exact_stamps(tmp_path, order, options, stamp):
         pytest.param(pcap(struct.pack(">II56x", 0x80211001, 64) + WIFI, link_type=163), id="AVS"),
         pytest.param(pcap(struct.pack("<HHI", 0, 8, 105) + WIFI, link_type=192), id="PPI"),
         pytest.param(pcap(struct.pack("<III96x", 108, 1, 1) + DATA, link_type=258), id="PKTAP of macOS: tcpdump#1330"),
-        pytest.param(
-            pcap(struct.pack("<I2HI2H", 2, 8, 1, 0, 4 + len(IP), 9) + IP, link_type=239), id="netfilter log of Linux"
-        ),
+        pytest.param(pcap(struct.pack("<I2HI2H", 2, 8, 1, 0, 4 + len(IP), 9) + IP, link_type=239), id="netfilter log of Linux"),
         pytest.param(pcap(gre(0x88BE, 0, DATA)), id="ERSPAN I: beats#34977"),
         pytest.param(pcap(gre(0x88BE, 0x10, bytes(4) + b"\x10" + bytes(7) + DATA)), id="ERSPAN II: captagent#59"),
         pytest.param(pcap(gre(0x22EB, 0x10, bytes(4) + b"\x20" + bytes(11) + DATA)), id="ERSPAN III: heplify#121"),
         pytest.param(pcap(DATA, POSITION) + bytes(4096), id="zeros behind the end, by a loss of power: tcpreplay#405"),
     ],
-)
+)  # fmt: skip
 def test_what_tshark_reads_is_read(tmp_path, content):
     """Frame number and payload of each datagram are those that tshark shows, whatever the container and the link."""
     datagrams, _ = read(tmp_path, content, repeats=True)
@@ -359,14 +353,11 @@ def test_units_of_one_address_differ_by_mac(tmp_path):
 @pytest.mark.parametrize(
     ("name", "units", "packets"),
     [
-        *[
-            (name, 1, 20)
-            for name in ("01-sll.pcap", "03-rawip.pcap", "03b-null.pcap", "04-wireshark.pcapng", "07-fragments.pcap")
-        ],
+        *[(name, 1, 20) for name in ("01-sll.pcap", "03-rawip.pcap", "03b-null.pcap", "04-wireshark.pcapng", "07-fragments.pcap")],
         *[("05-rotated.pcap.gz", 1, 37), ("05b.pcap.zst", 1, 37), ("15-dup.pcap", 1, 17)],
         *[("18-same-ip.pcap", 2, 30), ("19-foreign.pcap", 1, 26)],
     ],
-)
+)  # fmt: skip
 def test_captures_as_people_have_them(name, units, packets):
     """Containers, links and networks of public reports give the packets that tshark counts, of as many sensors as there were."""
     if not (CASES / name).exists():

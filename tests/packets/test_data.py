@@ -63,11 +63,6 @@ def test_due_after_the_last_sequence(make_returns, mode, sequences):
     assert {len(packet.payload) for packet in packets} == {1206}
 
 
-def test_nothing_gives_nothing(make_returns):
-    """No firing sequences, no packets."""
-    assert pack_data(make_returns(0), ReturnMode.STRONGEST, VLP_16) == []
-
-
 @pytest.mark.parametrize(
     ("model", "byte"), [(SensorModel.VLP_16, 0x22), (SensorModel.PUCK_LITE, 0x22), (SensorModel.PUCK_HI_RES, 0x24)]
 )
@@ -109,14 +104,11 @@ def azimuth_codes(make_returns, reading_deg):
 
 
 def test_every_azimuth_code(make_returns):
-    """An angle of whole hundredths of a degree becomes just this code, for all 36000 of them."""
+    """Each of the 36000 whole hundredths of a degree becomes its code, between two the lower is sent, never 36000; nothing gives no packets."""
     np.testing.assert_array_equal(azimuth_codes(make_returns, np.arange(36000) / 100), np.arange(36000))
-
-
-def test_azimuth_is_floored(make_returns):
-    """Between two codes the lower is sent, and 36000 never is."""
     codes = azimuth_codes(make_returns, np.array([0.0099, 123.4567, 359.9999, 359.9999999999, np.nextafter(360, 0)]))
     assert codes.tolist() == [0, 12345, 35999, 0, 0]
+    assert pack_data(make_returns(0), ReturnMode.STRONGEST, VLP_16) == []
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ def test_rings():
 
 
 def test_packets_do_not_depend_on_their_company(random_returns):
-    """A packet decoded alone gives the points that it gives among others."""
+    """A packet decoded alone gives the points that it gives among others, and no packets give no points."""
     payloads = data_payloads(random_returns(24 * 4, seed=24), ReturnMode.DUAL, VLP_16)
     together = decode_data(payloads, keep_no_returns=True)
     alone = [decode_data(payload[None], keep_no_returns=True) for payload in payloads]
@@ -126,6 +126,7 @@ def test_packets_do_not_depend_on_their_company(random_returns):
         np.testing.assert_array_equal(
             getattr(together, name), np.concatenate([getattr(points, name) for points in alone])
         )
+    assert len(decode_data(np.zeros((0, 1206), np.uint8), keep_no_returns=True).laser) == 0
 
 
 def test_blind_sector_does_not_smear(make_returns):
@@ -146,11 +147,6 @@ def test_mode_may_change(make_returns):
     both = decode_data(np.concatenate([single, dual]), keep_no_returns=True)
     for rows, alone in ((slice(0, 768), single), (slice(768, None), dual)):
         np.testing.assert_array_equal(both.xyz_m[rows], decode_data(alone, keep_no_returns=True).xyz_m)
-
-
-def test_no_packets():
-    """No packets, no points."""
-    assert len(decode_data(np.zeros((0, 1206), np.uint8), keep_no_returns=True).laser) == 0
 
 
 @pytest.mark.parametrize(

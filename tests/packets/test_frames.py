@@ -55,22 +55,14 @@ def test_position_frame_has_valid_checksums(number):
     assert udp[:6] == struct.pack(">HHH", 8308, 8308, 520)
 
 
-def test_position_identification_wraps():
-    """Packet 65536 carries the identification of packet 0."""
+def test_position_frames_at_their_limits():
+    """Packet 65536 has the identification of packet 0; a UDP checksum of 0, which means none, is sent as 0xFFFF (RFC 768); 513 bytes are refused."""
     payload = bytes(512)
     assert position_frame(FACTORY_LINK, payload, 0x10000) == position_frame(FACTORY_LINK, payload, 0)
-
-
-def test_udp_checksum_that_sums_to_zero_is_sent_as_ones():
-    """A UDP checksum of 0 would mean none, so 0xFFFF is sent in its place (RFC 768)."""
     payload = bytearray(512)
     frame = position_frame(FACTORY_LINK, bytes(payload), 7)
     payload[:2] = frame[40:42]  # adding a checksum to its own data makes the sum come out as 0
     assert position_frame(FACTORY_LINK, bytes(payload), 7)[40:42] == b"\xff\xff"
-
-
-def test_position_payload_that_is_too_long_is_refused():
-    """A payload of more than 512 bytes is an error that names the packet and both lengths."""
     with pytest.raises(PacketError, match=r"position packet 3: 513 bytes; expected at most 512"):
         position_frame(FACTORY_LINK, bytes(513), 3)
 

@@ -23,13 +23,9 @@ def fields(**changes):
     return rmc(dataclasses.replace(FIX, **changes)).decode().split(",")
 
 
-def test_real_sentence_is_written_again():
-    """What a real unit echoed is read and written back byte for byte."""
+def test_real_sentences_are_read():
+    """What a real unit echoed is written back byte for byte; one of another receiver, without decimals in its time, is read too."""
     assert rmc(parse_rmc(REAL)) == REAL
-
-
-def test_other_receiver_is_read():
-    """A sentence of another receiver, without decimals in its time, is read too."""
     fix = parse_rmc(OTHER)
     assert fix.t_ns == int(datetime(2015, 7, 23, 21, 41, 6, tzinfo=UTC).timestamp()) * 10**9
     assert fix.latitude_deg == pytest.approx(37 + 7.8178 / 60)
@@ -38,29 +34,22 @@ def test_other_receiver_is_read():
 
 
 def test_by_hand():
-    """Every field is what arithmetic on paper gives, and the checksum is the XOR of what it covers."""
+    """Each field and the checksum are what arithmetic on paper gives; without a fix V and N; what rounds up to 60 minutes or 360 degrees goes on."""
     body = b"GPRMC,081802.00,A,6214.4000000,N,02545.0000000,E,2.333,90.0,210116,0.0,E,A"
     checksum = 0
     for byte in body:
         checksum ^= byte
     assert rmc(FIX) == b"$" + body + f"*{checksum:02X}\r\n".encode()
-
-
-def test_void():
-    """Without a fix the status is V and the mode letter N."""
     void = fields(valid=False)
     assert (void[2], void[12][0]) == ("V", "N")
     assert not parse_rmc(rmc(dataclasses.replace(FIX, valid=False))).valid
-
-
-def test_minutes_never_reach_sixty():
-    """Minutes that round up to 60 become the next degree."""
     assert fields(latitude_deg=36.9999999999999, longitude_deg=-9.9999999999999)[3:7] == [
         "3700.0000000",
         "N",
         "01000.0000000",
         "W",
     ]
+    assert fields(course_deg=359.97)[8] == "0.0"
 
 
 @pytest.mark.parametrize(
@@ -71,11 +60,6 @@ def test_speed_takes_six_characters_at_most(knots, field):
     longest = dataclasses.replace(FIX, speed_m_s=knots * 1852 / 3600, course_deg=212.5)
     assert rmc(longest).decode().split(",")[7] == field
     assert len(rmc(longest)) <= 82
-
-
-def test_course_never_reaches_360():
-    """A course that rounds up to 360 is 0."""
-    assert fields(course_deg=359.97)[8] == "0.0"
 
 
 @pytest.mark.parametrize(

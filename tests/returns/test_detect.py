@@ -39,13 +39,6 @@ def test_range_limits(lone, max_range_m):
         assert (distance_m == (np.float32(range_m) if is_seen else 0)).all()
 
 
-def test_blanked_targets_keep_their_reflectivity(lone):
-    """A target too near for a distance shows its reflectivity, one too far or none at all does not."""
-    assert (lone(0.3, 0.7).reflectivity[..., :2] == 70).all()
-    assert not lone(120, 0.7).reflectivity.any()
-    assert not lone(np.inf, 0.7).reflectivity.any()
-
-
 BIASED = {"noise": {"range_bias_m": 0.02}}
 
 
@@ -77,10 +70,13 @@ def test_without_a_lost_echo_the_others_are_what_they_would_be(split, far):
 
 
 def test_lone_echo_is_strongest_and_last(lone):
-    """One echo stands as strongest and as last, and there is no second strongest."""
+    """One echo stands as both, without a second strongest; too near for a distance it shows its reflectivity, too far or none at all does not."""
     out = lone(7.0)
     assert (out.distance_m[..., 0] == out.distance_m[..., 1]).all()
     assert (out.distance_m[..., 2] == 0).all()
+    assert (lone(0.3, 0.7).reflectivity[..., :2] == 70).all()
+    assert not lone(120, 0.7).reflectivity.any()
+    assert not lone(np.inf, 0.7).reflectivity.any()
 
 
 @pytest.mark.parametrize(
@@ -102,18 +98,17 @@ def test_truth_is_kept_only_on_request(lone):
 
 
 def test_two_surfaces_far_apart_are_two_returns(split):
-    """A beam half on a bright plate and half on a dark one behind gives each at its place with half its reflectivity."""
+    """A beam half on a bright plate and half on one behind gives each at its place; a brighter one behind is strongest and last; a near one is blanked."""
     distance_m, reflectivity, surface = split([4.0, 9.0], [0.6, 0.4])
     assert distance_m.tolist() == pytest.approx([4, 9, 9])
     assert reflectivity.tolist() == [30, 20, 20]
     assert surface.tolist() == [0, 1, 1]
-
-
-def test_a_bright_surface_behind_is_strongest_and_last(split):
-    """Where the farther echo is the stronger one, the nearer is the second strongest."""
     distance_m, _, surface = split([4.0, 9.0], [0.05, 0.9])
     assert distance_m.tolist() == pytest.approx([9, 9, 4])
     assert surface.tolist() == [1, 1, 0]
+    distance_m, reflectivity, _ = split([0.3, 5.0], [0.5, 0.5])
+    assert distance_m.tolist() == pytest.approx([0, 5, 5])
+    assert reflectivity[0] == 25
 
 
 @pytest.mark.parametrize(
@@ -135,13 +130,6 @@ def test_step_edge(split, gap_m, returns):
     if gap_m < 0.5:  # the range law makes the nearer plate the brighter one
         middle_m = np.average([10, 10 + gap_m], weights=[1 / 10**2, 1 / (10 + gap_m) ** 2])
         assert distance_m[0] == pytest.approx(middle_m, abs=0.002)
-
-
-def test_a_blanked_near_echo_leaves_only_the_far_one(split):
-    """A stronger target nearer than 0.5 m is blanked with its reflectivity, and the last return stands."""
-    distance_m, reflectivity, _ = split([0.3, 5.0], [0.5, 0.5])
-    assert distance_m.tolist() == pytest.approx([0, 5, 5])
-    assert reflectivity[0] == 25
 
 
 def test_batches_do_not_matter(detector, firings, pulses, table):

@@ -54,8 +54,8 @@ def test_noise_grows_where_light_is_short(seen):
     assert out[out > 0].std() == pytest.approx(np.hypot(sigma_m, 0.0065 * 2**0.25), rel=0.02)
 
 
-def test_bias_is_constant_per_laser_and_belongs_to_the_unit(seen):
-    """Each laser keeps its error over the run, another seed is another unit, and none exceeds the data sheet."""
+def test_bias_is_constant_per_laser_and_gaussian_over_units(seen):
+    """Each laser keeps its error, another seed is another unit, none exceeds the data sheet; over many lasers they are normal but for the cut."""
     early, late = (seen({"range_bias_m": 0.01}, k=8, index=n).distance_m[..., 0] - np.float32(10) for n in (0, 10**6))
     assert (early == early[0]).all()
     assert (late == early).all()
@@ -63,10 +63,6 @@ def test_bias_is_constant_per_laser_and_belongs_to_the_unit(seen):
     other = seen({"range_bias_m": 0.01}, k=1, seed=2).distance_m[0, :, 0] - np.float32(10)
     assert (other != early[0]).all()
     assert np.abs(range_bias_m(3, 10_000, 0.02)).max() == BIAS_LIMIT_M
-
-
-def test_bias_is_gaussian_over_units():
-    """Over many lasers the biases are normal with the given sigma, but for the cut at 3 cm."""
     assert stats.kstest(range_bias_m(7, 5000, 0.008) / 0.008, "norm").pvalue > 0.01
 
 
@@ -122,16 +118,12 @@ def test_no_returns_show_a_constant_of_their_laser(seen):
     assert (seen({"no_return_reflectivity": True}, 10.0, k=8).reflectivity[..., :2] == 20).all()
 
 
-def test_the_active_model_is_written_in_one_line():
-    """The line names the preset and what it has become."""
+def test_presets_are_what_they_say():
+    """`ideal` has no error, `datasheet` stays within 3 cm at two sigmas, own keys count, and a line names the preset and what it has become."""
     section = Noise(preset="typical", range_bias_m=0.0)
     assert section.summary == (
         "typical: 6.5 mm white, 0 mm bias per laser, 0.02 deg, 1.5 counts and 3 % on reflectivity, weak echoes lost"
     )
-
-
-def test_presets_are_what_they_say():
-    """`ideal` has no error at all, `datasheet` stays within 3 cm at two sigmas, and keys given beside a preset count."""
     ideal = Noise(preset="ideal")
     assert not any(ideal.model_dump(exclude={"preset", "warm_up_s"}).values())
     sheet = Noise(preset="datasheet")

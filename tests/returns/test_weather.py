@@ -10,16 +10,12 @@ from vlp16emu.types import NO_SURFACE
 K = 2000
 
 
-def test_fog_extinction():
-    """Thick fog is grey and follows Koschmieder; haze takes less at 903 nm than in visible light."""
+def test_extinction_of_fog_and_rain():
+    """Thick fog is grey and follows Koschmieder, haze takes less at 903 nm than in visible light, and 10 mm/h of rain some 5 dB per km."""
     assert fog_extinction_per_m(100) == pytest.approx(3.912 / 100)
     assert fog_extinction_per_m(10_000) == pytest.approx(3.912e-4 * (903 / 550) ** -1.3)
     visibilities = np.geomspace(10, 1e5, 200)
     assert (np.diff([fog_extinction_per_m(v) for v in visibilities]) < 0).all()
-
-
-def test_rain_extinction():
-    """Heavy rain of 10 mm/h takes some 5 dB per km, and no rain nothing."""
     assert rain_extinction_per_m(10.0) * 1000 * 10 / np.log(10) == pytest.approx(5.03, abs=0.01)
     assert rain_extinction_per_m(0.0) == 0
 

@@ -12,8 +12,9 @@ CHECKOUT = Path(__file__).resolve().parents[2] / "scenes"
 
 
 def test_a_name_leads_to_the_scene_of_the_checkout():
-    """In a checkout a scene's name means the file in `scenes/`, never a stale copy in the package."""
+    """In a checkout a scene's name, with _ or -, means the file in `scenes/`, never a stale copy in the package."""
     assert find("birch_walk") == CHECKOUT / "birch_walk.toml"
+    assert find("birch-walk") == find("birch_walk")
 
 
 def test_an_own_folder_comes_first(tmp_path, monkeypatch):
@@ -50,11 +51,6 @@ def test_a_misspelt_name_is_answered_with_the_nearest(name):
         find(name)
     expected = "birch_walk, the nearest of `vlp16emu scenes`, or a path ending in .toml"
     assert str(caught.value) == f"scene '{name}': unknown name; expected {expected}"
-
-
-def test_a_hyphen_stands_for_an_underscore():
-    """`birch-walk` is `birch_walk`."""
-    assert find("birch-walk") == find("birch_walk")
 
 
 KITTI = """\

@@ -102,13 +102,6 @@ def test_files_of_settings_are_found_from_here(tmp_path, monkeypatch, settings):
     assert load(scene, settings).motion.way_points_file == str(tmp_path / "here" / "way.csv")
 
 
-def test_a_setting_is_not_blamed_for_a_fault_of_the_file(tmp_path):
-    """A file that is wrong by itself is named, whatever is set."""
-    scene = written(tmp_path, WALK + "stems_per_ha = 500\n[sensor]\nmin_range_m = 120.0\n")
-    with pytest.raises(ScenarioError, match=rf"^{scene}: sensor.max_range_m: found 100.0"):
-        load(scene, ["seed=7"])
-
-
 def test_all_missing_keys_are_reported_at_once(tmp_path):
     """A file that lacks several keys names all of them, with what each should be."""
     path = written(tmp_path, '[motion]\nkind = "static"\n[world]\nkind = "hall"\nheight_m = 6\n')
@@ -121,11 +114,14 @@ def test_all_missing_keys_are_reported_at_once(tmp_path):
     )
 
 
-def test_a_scene_without_a_title_has_that_of_its_file(tmp_path):
-    """The title is the file's name unless it is given."""
+def test_a_scene_is_named_by_its_file(tmp_path):
+    """The title is the file's name unless it is given, and a file that is wrong by itself is named, whatever is set."""
     scene = written(tmp_path, WALK.replace('title = "A walk"\n', "") + "stems_per_ha = 500\n")
     assert load(scene).title == "scene"
     assert load(scene.rename(tmp_path / "my_walk.toml")).title == "my_walk"
+    scene = written(tmp_path, WALK + "stems_per_ha = 500\n[sensor]\nmin_range_m = 120.0\n")
+    with pytest.raises(ScenarioError, match=rf"^{scene}: sensor.max_range_m: found 100.0"):
+        load(scene, ["seed=7"])
 
 
 def test_settings_apply_in_order_and_create_tables(tmp_path):
@@ -231,11 +227,7 @@ BAD_FILES = [
     ("rpm = 600", "rmp = 600", "sensor.rmp: unknown key; expected rpm, the nearest known one"),
     ("title", "titel", "titel: unknown key; expected title, the nearest known one"),
     ("schema = 1", "", "schema: missing; expected 1"),
-    (
-        "schema = 1",
-        "schema = 1\nseed = -1",
-        "seed: found -1; expected a whole number at least 0 and below 9223372036854775808",
-    ),
+    ("schema = 1", "schema = 1\nseed = -1", "seed: found -1; expected a whole number at least 0 and below 9223372036854775808"),
     ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "live", "recorded", "static" or "walk"'),
     ('kind = "static"', "", 'motion.kind: missing; expected "live", "recorded", "static" or "walk"'),
     (
@@ -256,11 +248,7 @@ BAD_FILES = [
         "sensor = 600",
         'sensor: found 600; expected a table with model = "free", "puck-hi-res", "puck-lite" or "vlp-16"',
     ),
-    (
-        "rpm = 600",
-        "min_range_m = 20.0\nmax_range_m = 10.0",
-        "sensor.max_range_m: found 10.0; expected more than min_range_m = 20.0",
-    ),
+    ("rpm = 600", "min_range_m = 20.0\nmax_range_m = 10.0", "sensor.max_range_m: found 10.0; expected more than min_range_m = 20.0"),
     (
         'title = "A bench"',
         'title = "A bench"\nstart_utc = 2026-05-20T09:00:00',
@@ -269,7 +257,7 @@ BAD_FILES = [
             "such as 2026-05-20T09:00:00Z"
         ),
     ),
-]
+]  # fmt: skip
 
 BAD_SETTINGS = [
     ("sensor.rpm=250", "--set sensor.rpm=250: found 250; expected a whole number from 300 to 1200 in steps of 60"),
@@ -278,10 +266,7 @@ BAD_SETTINGS = [
     ("=3", "--set =3: no assignment; expected key.path=value"),
     ("title.short=x", "--set title.short=x: title is no table; expected table names before the last dot"),
     ("duration_s=-1", "--set duration_s=-1: found -1; expected a number above 0 and at most 604800"),
-    (
-        'motion.kind=["walk"]',
-        '--set motion.kind=["walk"]: found a list of 1; expected "live", "recorded", "static" or "walk"',
-    ),
+    ('motion.kind=["walk"]', '--set motion.kind=["walk"]: found a list of 1; expected "live", "recorded", "static" or "walk"'),
     ("gps.wander_s=0.9", "--set gps.wander_s=0.9: found 0.9; expected a number from 1 to 1000000"),
     (
         "motion.way_points_m=[[0, 0], [nan, 1]]",
@@ -294,10 +279,7 @@ BAD_SETTINGS = [
             "expected a list of 2 numbers"
         ),
     ),
-    *(
-        (f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5")
-        for found in ("4.9", '"far"')
-    ),
+    *((f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5") for found in ("4.9", '"far"')),
     ("motion=3", '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"'),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
     ("rpm=1200", "--set rpm=1200: unknown key; expected sensor.rpm"),
@@ -309,27 +291,12 @@ BAD_SETTINGS = [
             "vertical_fov_deg, azimuth_resolution_deg, lens_radius_m"
         ),
     ),
-    (
-        "motion.yaw_deg=3",
-        '--set motion.yaw_deg=3: unknown key; expected motion.kind = "recorded" or "static" beside it',
-    ),
-    (
-        "motion.gait=fast",
-        '--set motion.gait=fast: motion.gait.preset: found "fast"; expected "none", "paper", "natural" or "strong"',
-    ),
-    (
-        "world=old_growth",
-        '--set world=old_growth: found "old_growth"; expected a table, as by world.preset = "old_growth"',
-    ),
+    ("motion.yaw_deg=3", '--set motion.yaw_deg=3: unknown key; expected motion.kind = "recorded" or "static" beside it'),
+    ("motion.gait=fast", '--set motion.gait=fast: motion.gait.preset: found "fast"; expected "none", "paper", "natural" or "strong"'),
+    ("world=old_growth", '--set world=old_growth: found "old_growth"; expected a table, as by world.preset = "old_growth"'),
     ("beam=fixed", '--set beam=fixed: found "fixed"; expected a table, as by beam.model = "fixed"'),
-    (
-        "sensor.data_port=8308",
-        "--set sensor.data_port=8308: sensor: found a table; expected a data_port and a position_port that differ",
-    ),
-    (
-        "sensor.min_range_m=120",
-        "--set sensor.min_range_m=120: sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0",
-    ),
+    ("sensor.data_port=8308", "--set sensor.data_port=8308: sensor: found a table; expected a data_port and a position_port that differ"),
+    ("sensor.min_range_m=120", "--set sensor.min_range_m=120: sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0"),
     (
         "world={kind='hall'}",
         (
@@ -342,7 +309,7 @@ BAD_SETTINGS = [
         "seed=1\ntitle='x'",
         "--set seed=1\\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808",
     ),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("old", "new", "line"), BAD_FILES, ids=[row[2][:50] for row in BAD_FILES])

@@ -32,15 +32,11 @@ def test_a_preset_of_its_own_takes_the_place_of_the_firsts():
     assert (own.hum_deg, own.encoder_pitch_deg) == (0.01, like.encoder_pitch_deg)
 
 
-def test_what_no_two_have_in_common_counts_on():
-    """Name, address, ports and serial number count on from those of `[sensor]`."""
+def test_what_no_two_have_in_common_is_not_taken_over():
+    """Name, address, ports and serial number count on from those of `[sensor]`; a unit with a start azimuth does not lock its phase."""
     _, third = rig("{}", "{}", sensor=["address='10.1.0.5'", "data_port=3000", "serial_number='0041'"])
     assert (third.name, third.address, third.serial_number) == ("unit_3", "10.1.0.7", "0043")
     assert (third.data_port, third.position_port) == (3002, 8310)
-
-
-def test_a_start_azimuth_rules_out_the_firsts_phase():
-    """A unit that says where its rotor starts does not lock its phase because the first does."""
     (unit,) = rig("{start_azimuth_deg=10.0}", sensor=["phase_lock_deg=0.0"], more=["gps.connected=true"])
     assert (unit.phase_lock_deg, unit.start_azimuth_deg) == (None, 10.0)
 
@@ -65,14 +61,10 @@ def test_what_cannot_be_is_reported_in_one_line(table, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_sensor_without_packets_has_no_rig():
-    """A free sensor cannot be the first of several."""
-    with pytest.raises(ScenarioError, match="none beside"):
-        load("static_bench", ["sensor.model=free", "sensor.beams=8", "rig=[{}]"])
-
-
-def test_no_unit_sends_data_where_another_sends_positions():
-    """Ports that count on into each other are refused, as one port for both is."""
+def test_rigs_that_cannot_be_are_refused():
+    """Ports that count on into each other are refused, as one port for both is; a free sensor cannot be the first of several."""
     with pytest.raises(ScenarioError, match="expected a data_port that is no unit's position_port"):
         rig("{}", sensor=["data_port=3000", "position_port=3001"])
     rig("{}", sensor=["data_port=3000", "position_port=3002"])
+    with pytest.raises(ScenarioError, match="none beside"):
+        load("static_bench", ["sensor.model=free", "sensor.beams=8", "rig=[{}]"])

@@ -8,13 +8,9 @@ from vlp16emu.scenario import schema
 TABLES = {"scene": schema(), **schema()["$defs"]}
 
 
-def test_the_schema_is_json_and_names_its_dialect():
-    """The schema can be written as JSON and says which draft it speaks."""
-    assert json.loads(json.dumps(schema()))["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-
-
 def test_the_schema_speaks_the_files_language():
-    """The key `schema` of the file, the limits of rpm and the kinds of motion stand in the schema."""
+    """It is JSON of its draft with the key `schema`, the limits of rpm and the kinds of motion; every table forbids keys that it does not name."""
+    assert json.loads(json.dumps(schema()))["$schema"] == "https://json-schema.org/draft/2020-12/schema"
     tree = schema()
     assert tree["properties"]["schema"] == {
         "const": 1,
@@ -24,10 +20,6 @@ def test_the_schema_speaks_the_files_language():
     rpm = tree["$defs"]["Sensor"]["properties"]["rpm"]
     assert (rpm["minimum"], rpm["maximum"], rpm["multipleOf"], rpm["default"]) == (300, 1200, 60, 600)
     assert set(tree["properties"]["motion"]["discriminator"]["mapping"]) == {"live", "recorded", "static", "walk"}
-
-
-def test_no_table_admits_unknown_keys():
-    """Every table of the schema forbids keys that it does not name."""
     assert len(TABLES) > 10
     assert all(table["additionalProperties"] is False for table in TABLES.values())
 

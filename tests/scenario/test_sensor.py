@@ -14,21 +14,13 @@ def sensor(*settings):
     return load("static_bench", settings).sensor
 
 
-def test_a_table_without_a_model_is_a_vlp_16():
-    """A scene need not name the sensor that the program is named after."""
-    assert sensor("sensor.rpm=300").model == "vlp-16"
-
-
 def test_beams_are_spread_evenly_over_the_field_of_view():
-    """Beams and field of view make equal steps from the lowest to the highest; a single beam looks at the middle."""
+    """Beams make equal steps from the lowest up, a single one looks at the middle, a list keeps its order; without a model it is a VLP-16."""
     free = sensor(FREE, "sensor.beams=64", "sensor.vertical_fov_deg=[-25, 15]")
     np.testing.assert_allclose(free.beam_elevations_deg, np.linspace(-25, 15, 64), atol=1e-12)
     assert sensor(FREE, "sensor.beams=1", "sensor.vertical_fov_deg=[-10, 4]").beam_elevations_deg == (-3.0,)
-
-
-def test_a_list_of_elevations_is_taken_as_it_stands():
-    """Elevations keep their order, which is that of firing."""
     assert sensor(FREE, "sensor.elevations_deg=[3, -20.5, 0]").beam_elevations_deg == (3.0, -20.5, 0.0)
+    assert sensor("sensor.rpm=300").model == "vlp-16"
 
 
 @pytest.mark.parametrize(
@@ -39,10 +31,7 @@ def test_a_list_of_elevations_is_taken_as_it_stands():
             [FREE, "sensor.position_rate=manual"],
             '--set sensor.position_rate=manual: unknown key; expected sensor.model = "puck-hi-res", "puck-lite" or "vlp-16" ',
         ),
-        (
-            ["sensor.model=vlp-32c"],
-            '--set sensor.model=vlp-32c: found "vlp-32c"; expected "free", "puck-hi-res", "puck-lite" or "vlp-16"',
-        ),
+        (["sensor.model=vlp-32c"], '--set sensor.model=vlp-32c: found "vlp-32c"; expected "free", "puck-hi-res", "puck-lite" or "vlp-16"'),
         ([FREE, "sensor.rpm=3601"], "--set sensor.rpm=3601: found 3601; expected a whole number from 60 to 3600"),
         (
             [FREE, "sensor.azimuth_resolution_deg=0.01"],
@@ -63,7 +52,7 @@ def test_a_list_of_elevations_is_taken_as_it_stands():
         ),
         (["noise.elevation_error_deg=2"], "--set noise.elevation_error_deg=2: found 2; expected a number from 0 to 1"),
     ],
-)
+)  # fmt: skip
 def test_a_bad_sensor_is_reported_in_one_line(settings, line):
     """What does not belong to the sensor at hand is refused with what would have."""
     with pytest.raises(ScenarioError) as caught:

@@ -33,16 +33,8 @@ def test_files_are_relative_to_the_scene(tmp_path):
     [
         ('kind = "walk"', "motion", EITHER),
         (f'kind = "walk"\n{POINTS}\n{MOWER}', "motion", EITHER),
-        (
-            f'kind = "walk"\n{POINTS}\nspeed_m_s = 1.0\nrun_time_s = 9.0',
-            "motion",
-            "one of speed_m_s and run_time_s in it, not both",
-        ),
-        (
-            f'kind = "walk"\n{POINTS}\nstops = [{{ pause_s = 3 }}]',
-            "motion.stops[0]",
-            "exactly one of way_point and at_m in it",
-        ),
+        (f'kind = "walk"\n{POINTS}\nspeed_m_s = 1.0\nrun_time_s = 9.0', "motion", "one of speed_m_s and run_time_s in it, not both"),
+        (f'kind = "walk"\n{POINTS}\nstops = [{{ pause_s = 3 }}]', "motion.stops[0]", "exactly one of way_point and at_m in it"),
         (
             f'kind = "walk"\n{MOWER}\nstops = [{{ way_point = 2, pause_s = 3 }}]',
             "motion",
@@ -51,7 +43,7 @@ def test_files_are_relative_to_the_scene(tmp_path):
         ('kind = "recorded"\nfile = "p"\nformat = "kitti"', "motion", TIMES),
         ('kind = "recorded"\nfile = "p"\nformat = "tum"\nrate_hz = 10', "motion", TIMES),
     ],
-)
+)  # fmt: skip
 def test_what_is_missing_or_given_twice_is_refused(tmp_path, motion, key, expected):
     """The table is named, with what it should hold."""
     path = scene(tmp_path, motion)

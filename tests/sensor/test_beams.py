@@ -22,9 +22,12 @@ def test_all_beams_pass_through_one_point(model, off_m):
     np.testing.assert_allclose(table.vertical_offset_m, expected_m, atol=off_m)
 
 
-def test_elevations_are_the_sixteen_of_the_data_sheet():
-    """Sorted, the VLP-16's lasers look from -15 to 15 degrees in steps of 2."""
+def test_elevations_and_rings_are_those_of_the_data_sheet():
+    """The VLP-16's lasers look from -15 to 15 degrees in steps of 2, rings counted from below; lasers of one elevation keep their order."""
     assert np.sort(BEAM_TABLES[SensorModel.VLP_16].elevation_deg).tolist() == list(range(-15, 16, 2))
+    assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15]
+    level = free(elevations_deg=[5.0, 0.0, 0.0, -5.0])
+    assert level.ring.tolist() == [3, 1, 2, 0]
 
 
 def test_angle_errors_are_normal_and_as_wide_as_set():
@@ -67,10 +70,3 @@ def test_free_beams_pass_through_the_lens():
     centred = free(elevations_deg=elevation_deg)
     assert not centred.vertical_offset_m.any()
     assert not centred.near_m.any()
-
-
-def test_rings_are_counted_from_below():
-    """The VLP-16's rings are laser 0, 2, 4 ... from -15 degrees up; lasers of one elevation keep their order."""
-    assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15]
-    level = free(elevations_deg=[5.0, 0.0, 0.0, -5.0])
-    assert level.ring.tolist() == [3, 1, 2, 0]

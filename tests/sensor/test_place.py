@@ -36,14 +36,10 @@ def placed(head, poses_at=carried):
 
 
 def test_without_errors_a_point_lies_on_its_pulse(head):
-    """In the world a point is origin + distance * direction of its own pulse, also where every pulse has its pose."""
+    """In the world it is origin + distance * direction of its own pulse; turned and moved by the pose of its instant, the point in the sensor is that."""
     firings, points = placed(head)
     expected_m = firings.origin_m + DISTANCE_M.reshape(8, 16, 1).astype(float) * firings.direction
     np.testing.assert_allclose(points.world_m, expected_m.reshape(-1, 3), atol=1e-11)
-
-
-def test_both_frames_hold_the_same_points(head):
-    """Turned and moved by the pose of the pulse's instant, the point in the sensor's frame is that in the world."""
     firings, points = placed(head)
     poses = carried(firings.t_ns.ravel())
     world_m = np.einsum("nab,nb->na", poses.world_R_body, points.sensor_m) + poses.world_p_body_m

@@ -47,10 +47,14 @@ def test_any_whole_speed_is_exact_after_years(rpm):
     np.testing.assert_allclose(rotor.angle_deg(elapsed_ns), exact, rtol=0, atol=1e-9)
 
 
-def test_ideal_encoder_reads_the_truth():
-    """Without errors the reading is the angle itself, bit by bit."""
+def test_readings_without_errors_are_true_and_others_in_the_circle():
+    """Without errors the reading is the angle itself, bit by bit; errors at the wrap lead to readings in [0, 360)."""
     angle_deg = angles_deg(1000)
     assert (Encoder(1).read(angle_deg, 0, *EVEN) == angle_deg).all()
+    reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), 0, *EVEN)
+    assert ((reading >= 0) & (reading < 360)).all()
+    assert (reading > 359).any()
+    assert (reading < 1).any()
 
 
 def test_noise_is_white_and_as_wide_as_set():
@@ -98,14 +102,6 @@ def test_the_reading_is_that_of_the_last_tick(rpm):
     assert np.ptp(off) == pytest.approx(6 * rpm * 1.055e-6, rel=0.01)
 
 
-def test_readings_stay_in_the_circle():
-    """Errors at the wrap lead to readings in [0, 360), never to 360 or less than 0."""
-    reading = Encoder(5, noise_deg=0.02).read(np.zeros(1000), 0, *EVEN)
-    assert ((reading >= 0) & (reading < 360)).all()
-    assert (reading > 359).any()
-    assert (reading < 1).any()
-
-
 def test_units_differ_by_their_spread():
     """Without `rotation_spread` a unit is as set; with it amplitudes are even within that share, phases anywhere (KS)."""
     assert Encoder.of_unit(Sensor(rotation_spread=0.0), 3).once == (0.06, 40.0)
@@ -117,7 +113,7 @@ def test_units_differ_by_their_spread():
 
 
 def test_a_motor_swings_about_its_speed():
-    """It begins where a steady one does, is ahead by the integral of its speed, and comes back after a period."""
+    """It begins where a steady one does, is ahead by the integral of its speed, comes back after a period, and rests where it stands."""
     swing = Swing(amplitude_ns=50_000.0, period_ns=1e9, phase_rad=0.5)
     steady, swinging = (rotor_of(angle_deg=10.0, swings=swings) for swings in ((), (swing,)))
     t_ns = np.arange(0, 10**9 + 1, 10**6)
@@ -128,10 +124,6 @@ def test_a_motor_swings_about_its_speed():
     np.testing.assert_allclose(ahead_deg, expected_deg, atol=2e-5)
     assert swinging.rpm_at(0) == pytest.approx(600 * (1 + 50e-6 * 2 * np.pi * np.cos(0.5)))
     np.testing.assert_array_equal(swinging.angle_deg(t_ns[500:]), swinging.angle_deg(t_ns)[500:])
-
-
-def test_a_stopped_motor_does_not_swing():
-    """Where the rotor is at rest its angle is one."""
     swing = Swing(amplitude_ns=50_000.0, period_ns=1e9, phase_rad=0.5)
     rotor = rotor_of(0, angle_deg=10.0, swings=(swing,))
     assert set(rotor.angle_deg(np.arange(0, 10**9, 10**7))) == {10.0}
@@ -171,17 +163,13 @@ def test_the_two_speeds_between_lines_are_those_of_real_units(rpm, slow, fast, s
     assert 1 - slow_share == pytest.approx(share, abs=0.025)
 
 
-def test_a_locked_clock_is_fast_and_slow_in_turn():
-    """It is right at each even second, ahead by its rate at odd ones, and never steps."""
+def test_a_locked_clock_shows_the_utc_hour():
+    """It rolls over with the UTC hour; by its rate it is right at each even second, ahead at odd ones, and never steps."""
     clock = Clock((ClockSpan(0, None, 0.5),))
     t_ns = np.arange(0, 4 * 10**9, 10**7)
     ahead_ns = clock.reading_ns(t_ns) - t_ns
     assert ahead_ns[[0, 100, 200, 300]].tolist() == [0, 500, 0, 500]
     assert np.abs(np.diff(ahead_ns)).max() == 5
-
-
-def test_locked_clock_shows_the_utc_hour():
-    """Locked to GPS, the counter is the time past the UTC hour and rolls over with it."""
     clock = Clock((ClockSpan(TEN_O_CLOCK_NS - 17),))
     t_ns = TEN_O_CLOCK_NS + np.array([-1, 0, 1])
     assert clock.reading_ns(t_ns).tolist() == [HOUR_NS - 1, 0, 1]

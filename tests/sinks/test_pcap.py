@@ -57,8 +57,8 @@ def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
     assert at == len(content)
 
 
-def test_result_tells_counts_size_and_hash_of_the_file(tmp_path, make_packets):
-    """Counts, size and sha256 in the result are those of the file on disk, also when read after closing."""
+def test_result_has_counts_size_and_hash_of_the_file(tmp_path, make_packets):
+    """They are those of the file, also when read after closing; two pieces hold the records of one file, whose identifications count on over 65535."""
     path = tmp_path / "out.pcap"
     with PcapSink(path) as sink:
         for packet in make_packets(10):
@@ -66,10 +66,6 @@ def test_result_tells_counts_size_and_hash_of_the_file(tmp_path, make_packets):
     assert (sink.result.data_packets, sink.result.position_packets) == (8, 2)
     assert sink.result.bytes == path.stat().st_size
     assert sink.result.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def test_piece_of_a_recording_continues_the_numbers(tmp_path, make_packets):
-    """Two pieces hold the same records as one file, whose identifications count on over 65535."""
     packets = make_packets(30, first_number=65_535)
     for name, piece in (("all", packets), ("a", packets[:15]), ("b", packets[15:])):
         with PcapSink(tmp_path / name) as sink:
@@ -77,15 +73,6 @@ def test_piece_of_a_recording_continues_the_numbers(tmp_path, make_packets):
                 sink.send(packet)
     whole, a, b = ((tmp_path / name).read_bytes() for name in ("all", "a", "b"))
     assert whole == a + b[24:]
-
-
-def test_existing_file_is_overwritten(tmp_path):
-    """Nothing is left of a longer file that stood at the same path."""
-    path = tmp_path / "out.pcap"
-    path.write_bytes(bytes(100_000))
-    with PcapSink(path):
-        pass
-    assert read(path) == ([], False)
 
 
 def test_pipe_is_written_like_a_file(tmp_path, make_packets):
@@ -143,11 +130,18 @@ def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets
 
 
 def test_an_interrupt_ends_a_valid_capture(tmp_path, make_packets):
-    """Ctrl-C that arrives as an exception keeps the packets before it under the final name."""
+    """Ctrl-C that arrives as an exception keeps the packets before it, NMEA is a programming error, and nothing is left of a longer earlier file."""
     with pytest.raises(KeyboardInterrupt), PcapSink(tmp_path / "out.pcap") as sink:  # noqa: PT012
         sink.send(make_packets(1)[0])
         raise KeyboardInterrupt
     assert len(read(tmp_path / "out.pcap")[0]) == 1
+    with PcapSink(tmp_path / "out.pcap") as sink, pytest.raises(ValueError, match="nmea"):
+        sink.send(Packet(PacketKind.NMEA, 0, b"$GPRMC"))
+    path = tmp_path / "out.pcap"
+    path.write_bytes(bytes(100_000))
+    with PcapSink(path):
+        pass
+    assert read(path) == ([], False)
 
 
 def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
@@ -191,9 +185,3 @@ def test_path_that_cannot_be_opened_is_bad_input(tmp_path, where):
     with pytest.raises(OutputError, match=r"directory; expected a file that can be written") as caught:
         PcapSink(tmp_path / where)
     assert caught.value.exit_code == 2
-
-
-def test_nmea_is_refused(tmp_path):
-    """NMEA packets travel by serial line; sending one to a capture is a programming error."""
-    with PcapSink(tmp_path / "out.pcap") as sink, pytest.raises(ValueError, match="nmea"):
-        sink.send(Packet(PacketKind.NMEA, 0, b"$GPRMC"))

@@ -11,7 +11,7 @@ import pytest
 
 from vlp16emu.errors import RunError
 from vlp16emu.sinks import MemorySink, Pacer, stream
-from vlp16emu.sinks.pacing import prompt_sleeps
+from vlp16emu.sinks.pacing import prompt
 from vlp16emu.sinks.stream import LookAhead
 from vlp16emu.types import Packet, PacketKind
 
@@ -65,12 +65,6 @@ def test_packets_leave_in_real_time(make_packets):
         report = stream(packets, MemorySink(), Pacer(speed))
         assert report.wall_s >= report.simulated_s / speed - 1e-9  # deadlines are whole nanoseconds
         assert speed / 3 < report.real_time_factor <= speed * (1 + 1e-6)  # other programs may take the cores
-
-
-def test_stream_without_packets_ends():
-    """No packets, no time, no lateness, and a factor of 0 rather than a division by it."""
-    report = stream([], MemorySink(), Pacer(1.0))
-    assert (report.lateness.packets, report.wall_s, report.real_time_factor) == (0, 0.0, 0.0)
 
 
 def test_look_ahead_is_bounded():
@@ -160,20 +154,18 @@ def test_error_of_the_engine_comes_after_the_packets_before_it(make_packets):
     assert threads() == 0
 
 
-def test_error_of_the_sink_ends_the_stream():
-    """A sink that fails ends the stream at once, and the endless engine with it."""
+def test_errors_and_ctrl_c_end_a_stream():
+    """A sink that fails ends the stream and its endless engine; Ctrl-C ends it with a report of what was sent, and no packets are a factor of 0."""
     with pytest.raises(RunError, match="link is down"):
         stream(endless([]), BreakingSink(5, RunError("link is down")), Pacer(FAST))
     assert threads() == 0
-
-
-def test_ctrl_c_ends_with_a_report():
-    """A KeyboardInterrupt ends the stream cleanly; the report says what has been sent until then."""
     sink = BreakingSink(25, KeyboardInterrupt())
     report = stream(endless([]), sink, Pacer(FAST))
     assert report.interrupted
     assert report.lateness.packets == 26
     assert threads() == 0
+    report = stream([], MemorySink(), Pacer(1.0))
+    assert (report.lateness.packets, report.wall_s, report.real_time_factor) == (0, 0.0, 0.0)
 
 
 def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():
@@ -191,15 +183,11 @@ def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():
     assert threads() == 0
 
 
-def test_stop_event_is_left_as_it_was(make_packets):
-    """A stream that ends by itself does not set the caller's event."""
+def test_stop_event_and_switch_interval_are_left_as_they_were(make_packets):
+    """A stream that ends by itself does not set the caller's event; the interpreter's switch interval is short while it sends, and as before afterwards."""
     stop = threading.Event()
     assert not stream(make_packets(3), MemorySink(), Pacer(FAST), stop=stop).interrupted
     assert not stop.is_set()
-
-
-def test_switch_interval_is_put_back(make_packets):
-    """The interpreter's switch interval is short while packets are sent, and as before afterwards."""
     before_s, during_s = sys.getswitchinterval(), set()
 
     class Looking(MemorySink):
@@ -255,6 +243,6 @@ def test_the_timer_slack_is_put_back():
     slack_ns = Path(f"/proc/self/task/{threading.get_native_id()}/timerslack_ns")
     slack_ns = slack_ns if slack_ns.exists() else Path("/proc/self/timerslack_ns")
     before = slack_ns.read_text()
-    with prompt_sleeps():
+    with prompt():
         assert slack_ns.read_text() == "1\n"
     assert slack_ns.read_text() == before

@@ -12,17 +12,13 @@ from vlp16emu.extras.truth.folder import TruthFolder, tum_rows
 from vlp16emu.types import Poses
 
 
-def test_rows_hold_every_nanosecond():
-    """Times keep nine decimals, which a float of today's seconds does not."""
+def test_rows_hold_every_nanosecond_and_rotation():
+    """Times keep nine decimals, which no float of today does; quaternions have length 1 and qw >= 0, and give the rotation back, half turns too."""
     poses = Poses(np.array([1_781_254_795_000_000_001]), np.eye(3)[None], np.array([[1.0, -2.0, 0.5]]))
     assert tum_rows(poses) == (
         "1781254795.000000001 1.000000000 -2.000000000 0.500000000 "
         "0.000000000000 0.000000000000 0.000000000000 1.000000000000\n"
     )
-
-
-def test_any_rotation_is_written():
-    """Quaternions have length 1 and qw of 0 or more, and give the rotation back, half turns too."""
     turns = Rotation.concatenate(
         [Rotation.random(200, rng=np.random.default_rng(5)), Rotation.from_rotvec(np.pi * np.eye(3))]
     )
@@ -87,13 +83,17 @@ def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
 
 
 def test_two_runs_into_one_folder_are_refused(tmp_path):
-    """While a run writes, another one neither removes nor replaces its files."""
+    """While a run writes, another one neither removes nor replaces its files; a path that is taken by a file is refused, and the file kept."""
     with TruthFolder(tmp_path / "t") as folder:
         folder.append("imu.csv", "one\n")
         with pytest.raises(OutputError, match=r": is being written by process \d+; expected another place"):
             TruthFolder(tmp_path / "t")
     assert (tmp_path / "t" / "imu.csv").read_text() == "one\n"
     assert [path.name for path in tmp_path.iterdir()] == ["t"]
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(OutputError, match=r"taken: Not a directory; expected a folder that can be written"):
+        TruthFolder(tmp_path / "taken")
+    assert (tmp_path / "taken").read_text() == "mine"
 
 
 @pytest.mark.parametrize("entry", ["trajectory.tum", "returns.parquet.part", "notes.txt"])
@@ -124,11 +124,3 @@ def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(tmp_path):
     with TruthFolder(place) as folder:
         folder.append("gnss.csv", "new\n")
     assert [path.name for path in place.iterdir()] == ["gnss.csv"]
-
-
-def test_a_file_is_no_folder(tmp_path):
-    """A path that is taken by a file is refused, and the file kept."""
-    (tmp_path / "taken").write_text("mine")
-    with pytest.raises(OutputError, match=r"taken: Not a directory; expected a folder that can be written"):
-        TruthFolder(tmp_path / "taken")
-    assert (tmp_path / "taken").read_text() == "mine"

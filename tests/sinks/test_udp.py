@@ -48,9 +48,11 @@ def test_datagrams_arrive_at_their_ports(receivers, make_packets):
 
 
 def test_loopback_is_the_default():
-    """Without an address everything goes to this machine."""
+    """Without an address everything goes to this machine; a name stands for its IPv4 address."""
     with UdpSink() as sink:
         assert list(sink._to[0].values()) == [("127.0.0.1", 2368), ("127.0.0.1", 8308)]
+    with UdpSink(host="localhost") as sink:
+        assert sink.address == "127.0.0.1"
 
 
 def test_nobody_listening_does_not_end_the_stream(make_packets):
@@ -75,12 +77,6 @@ def test_broadcast_is_asked_for_only_where_it_is_meant():
         with UdpSink(host=host) as sink:
             options = {s.getsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST) for s in sink._sockets[0].values()}
         assert options == {allowed}
-
-
-def test_host_name_is_resolved():
-    """A name stands for its IPv4 address."""
-    with UdpSink(host="localhost") as sink:
-        assert sink.address == "127.0.0.1"
 
 
 @pytest.mark.parametrize(
@@ -119,16 +115,12 @@ def test_port_in_use_is_refused():
             UdpSink([replace(FACTORY_LINK, source="127.0.0.9")], as_sensor=True)
 
 
-def test_system_that_cannot_send_is_a_failed_run():
-    """A datagram that the system refuses ends the run and reports what had been sent before."""
+def test_what_cannot_be_sent_is_an_error():
+    """A datagram that the system refuses ends the run and reports what had been sent before; NMEA by Ethernet is a programming error."""
     with UdpSink() as sink:
         sink.send(Packet(PacketKind.DATA, 0, bytes(1206)))
         with pytest.raises(RunError, match=r"127\.0\.0\.1:2368: Message too long at packet 2; those before it"):
             sink.send(Packet(PacketKind.DATA, 1, bytes(70_000)))
     assert sink.sent[0].total() == 1
-
-
-def test_nmea_is_refused():
-    """NMEA packets travel by serial line; sending one as a datagram is a programming error."""
     with UdpSink() as sink, pytest.raises(ValueError, match="nmea"):
         sink.send(Packet(PacketKind.NMEA, 0, b"$GPRMC"))

@@ -27,19 +27,16 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
-from vlp16emu.types import GnssFix, HeightField, PpsState, ReturnMode, World
+from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.settings import Sway
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
-_IMU = 1000
-"""Device whose mount is that of the inertial unit, beyond all sensors."""
-_STRAY_M = 1.0
-"""How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
-_LEFT_PPM = 1.0
-"""Rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt."""
+_IMU = 1000  # device whose mount is that of the inertial unit, beyond all sensors
+_STRAY_M = 1.0  # how far the carrier may be from its path over the ground: sway, and lasers off the centre
+_LEFT_PPM = 1.0  # rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt
 
 
 @dataclass(frozen=True)
@@ -104,8 +101,7 @@ class Unit:
 
         Raises
         ------
-        ScenarioError
-            If it has no packets
+        ScenarioError : If it has no packets
         """
         section, counters = on_the_wire(self.section), counters_of(self.section, self.seed, self.number)
         return replace(
@@ -116,6 +112,13 @@ class Unit:
             position_port=section.position_port,
             identification=counters.identification,
         )
+
+    def world_T_sensor(self, t_ns: I8) -> F8:
+        """Return the poses (n, 4, 4) of the sensor in the world, at instants (n,) UTC."""
+        poses, T = self.motion.poses_at(t_ns), np.zeros((len(t_ns), 4, 4))
+        T[:, :3, :3] = poses.world_R_body
+        T[:, :3, 3], T[:, 3, 3] = poses.world_p_body_m, 1.0
+        return T
 
     @property
     def positions_from_ns(self) -> int:
@@ -182,14 +185,14 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
 
     Raises
     ------
-    InputError
-        If a part cannot be made of what its section says
+    InputError : If a part cannot be made of what its section says
     """
     if like and in_one_world(scenario, like.scenario):
         carrier, ground_m, world, wind = like.parts.carrier, like.parts.ground_m, like.parts.world, like.parts.wind
     else:
         carrier, ground_m, world, wind = _world(scenario)
     start_ns, imu, seed = scenario.start_ns, scenario.imu, scenario.sensor_seed
+    # A mast bends between the carrier and its sensors; the inertial unit is below it.
     top, sampler, imu_mount, people = scenario.motion.under_sensors(carrier), None, Mount(), None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)

@@ -96,8 +96,7 @@ class Engine:
 
         Raises
         ------
-        InputError
-            If a part of the scenario cannot be made
+        InputError : If a part of the scenario cannot be made
         """
         parts, threads = assemble(scenario, like), threads or os.cpu_count() or 1
         batching = Batching.of(parts.head.beams)
@@ -110,10 +109,8 @@ class Engine:
 
         Raises
         ------
-        ScenarioError
-            If the sensor has no packets
-        TrajectoryError
-            If the span begins before the first pulse, or the walk ends before the span does
+        ScenarioError : If the sensor has no packets
+        TrajectoryError : If the span begins before the first pulse, or the walk ends before the span does
         """
         on_the_wire(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
@@ -143,17 +140,12 @@ class Engine:
         scenario = self.scenario.model_copy(update={"events": list(events)})
         return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
 
-    def with_new_receiver(self) -> Self:
-        """Return an engine whose GPS receiver has seen nothing yet."""
-        return replace(self, receiver=make_receiver(self.scenario, self.parts, self.windows))
-
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span of the run and convert it to nanoseconds since the first pulse; without an end it is the scene's.
 
         Raises
         ------
-        TrajectoryError
-            If it begins before the first pulse, ends after the motion, or no poses arrive in a live scene
+        TrajectoryError : If it begins before the first pulse, ends after the motion, or no poses arrive in a live scene
         """
         if isinstance(self.parts.carrier, OwnWindows):
             self.parts.carrier.require_open()

@@ -14,10 +14,8 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind
 
-_AT_ONCE = 128
-"""Position packets whose times are found at once, a second of them."""
-_LOWEST_DEG = 15.0
-"""Elevation from which on receivers use satellites: the usual mask of forest surveys."""
+_AT_ONCE = 128  # position packets whose times are found at once, a second of them
+_LOWEST_DEG = 15.0  # elevation from which on receivers use satellites: the usual mask of forest surveys
 
 
 def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) -> Receiver:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 TruthOf = Callable[["Unit", Returns, ReturnMode], NDArray[np.void]]
 """Ground truth of the records of whole packets, which are packed in a mode."""
 
-_AT_ONCE = 1 << 16
-"""Firing sequences whose azimuths are read at once, 3.6 s of them."""
+_AT_ONCE = 1 << 16  # firing sequences whose azimuths are read at once, 3.6 s of them
 _BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction")
 """Arrays of `Firings`, one row each per firing sequence."""
 

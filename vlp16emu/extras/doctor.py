@@ -19,7 +19,7 @@ from vlp16emu.errors import Vlp16emuError
 from vlp16emu.kernels.cache import kernel_names, user_kernels
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
 from vlp16emu.sinks import TOLERANCE_NS
-from vlp16emu.sinks.pacing import prompt_sleeps
+from vlp16emu.sinks.pacing import prompt
 from vlp16emu.store import user_store
 
 _SLEEPS = 200
@@ -122,7 +122,7 @@ def _interface_right() -> Check:
 
 def _wake_ups() -> Check:
     late_ns = []
-    with prompt_sleeps():  # as streams sleep
+    with prompt():  # as streams sleep
         for _ in range(_SLEEPS):
             until_ns = time.monotonic_ns() + round(_SLEEP_S * 1e9)
             time.sleep(_SLEEP_S)

@@ -12,24 +12,22 @@ from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
-from vlp16emu.engine.scans import world_T_sensor
 from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.bench.options import BenchOptions, Http
+from vlp16emu.extras.clouds.scan import Chunk, chunk_of, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.report import Streamed
 from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
-from vlp16emu.scan import Chunk, Scan, chunk_of, cut_scans
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import Packet, PacketKind, Scan
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _HELD = 2048
 """Packets of a sensor and kind that can be asked for: 2.7 s of single return, 50 MB with their ground truth."""
-_AT_ONCE = 16
-"""Packets that are decoded at once for scans, 21 ms."""
+_AT_ONCE = 16  # packets that are decoded at once for scans, 21 ms
 _LABELS = ("semantic", "part", "instance", "species", "range_m")
 RECORD_TRUTH = np.dtype([*SLOT.descr, ("world_T_sensor", "<f8", (4, 4))])
 """Ground truth of one record of a data packet, with the pose of its sensor at the instant of the pulse."""
@@ -155,10 +153,8 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If there is no such unit or kind (data or position), or more than 2048 packets are asked for
-        RunError
-            If they have not left when the stream ends, or when `timeout_s` has passed; errors of the stream
+        InputError : If there is no such unit or kind (data or position), or more than 2048 packets are asked for
+        RunError : If they have not left when the stream ends, or when `timeout_s` has passed; errors of the stream
         """
         lane = self._lane(unit, kind)
         if not 1 <= count <= _HELD:
@@ -183,8 +179,7 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If none of the sensor's last 2048 packets has the stamp, or the stream was begun without truth
+        InputError : If none of the sensor's last 2048 packets has the stamp, or the stream was begun without truth
         """
         lane, stamp = self._lane(unit, "data"), _stamp(payload)
         with self._changed:
@@ -196,7 +191,7 @@ class Live(PacketSink):
         rows = np.zeros(len(slots), RECORD_TRUTH)
         for name in SLOT.names or ():
             rows[name] = slots[name]
-        rows["world_T_sensor"] = world_T_sensor(self.run.engine.parts.units[unit - 1], rows["t_ns"])
+        rows["world_T_sensor"] = self.run.engine.parts.units[unit - 1].world_T_sensor(rows["t_ns"])
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
@@ -207,13 +202,11 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If there is no such unit
-        Vlp16emuError
-            Errors of the stream
+        InputError : If there is no such unit
+        Vlp16emuError : Errors of the stream
         """
         lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
-        return cut_scans(self._chunks(lane), lambda t_ns: world_T_sensor(of, np.array([t_ns]))[0])
+        return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
         """Set a sensor as its web interface would: keys of the event `setting`; as `fault`."""
@@ -229,8 +222,7 @@ class Live(PacketSink):
 
         Raises
         ------
-        InputError
-            If it is none, or cannot happen in this scene, or the stream has no web interface
+        InputError : If it is none, or cannot happen in this scene, or the stream has no web interface
         """
         if (control := self._control) is None:
             raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")

@@ -10,10 +10,8 @@ from vlp16emu.run.run import Run
 from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import FellBehind
 
-_FREE = 0.2
-"""Share of the time that a rung leaves free: for sending, for windows of the world, and for other programs."""
-_STALLED = 0.1
-"""Speed below which the engine waits for something, so that its speed says nothing of settings."""
+_FREE = 0.2  # share of the time that a rung leaves free: for sending, for windows of the world, and for other programs
+_STALLED = 0.1  # speed below which the engine waits for something, so that its speed says nothing of settings
 _WARM_S, _MEASURED_S = 0.1, 1.5
 """Simulated seconds that open the window and load the kernels, and those that are measured."""
 

@@ -17,6 +17,10 @@ _MARK, _MARK_WITHIN = b"vlp16emu", 4096
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
 
+def _first_name(folder: Path) -> str | None:
+    return min((path.name for path in folder.iterdir()), default=None)
+
+
 class OutputFolder:
     """A folder to be written; a context manager that keeps it unless an error leaves the block.
 
@@ -41,9 +45,7 @@ class OutputFolder:
         self,
         path: Path,
         *,
-        stranger: Callable[[Path], str | None] = lambda folder: min(
-            (path.name for path in folder.iterdir()), default=None
-        ),
+        stranger: Callable[[Path], str | None] = _first_name,
         expected: str = "a new or empty folder",
         inputs: Iterable[Path] = (),
     ) -> None:

@@ -17,13 +17,11 @@ from vlp16emu.world import People as PeopleSection
 
 _FIRST_INSTANCE = 0xFFFFFFF0
 """Instance of the companion; that of those who pass is the next. Things of the user are numbered far below."""
-_SHOULDERS = 0.82
-"""Height of the shoulders, as a share of the stature (assumption)."""
+_SHOULDERS = 0.82  # height of the shoulders, as a share of the stature (assumption)
 _STATURE_M, _WIDTH_M = 1.74, 0.5
 """Height, and width of the shoulders with 0.04 m of outdoor clothing; medians of British men (City University of Hong Kong, online
 anthropometry, chapter 2)."""
-_REFLECTANCE = 0.5
-"""Lambertian, at 903 nm (assumption)."""
+_REFLECTANCE = 0.5  # Lambertian, at 903 nm (assumption)
 _HEAD_M = 0.0975
 """Radius of the head, half its length of 0.195 m (median British men; City University of Hong Kong, online anthropometry)."""
 

@@ -26,8 +26,7 @@ def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]
 
     Raises
     ------
-    OutputError
-        If the place cannot be read again, or has the ending of another format; and others as `record`
+    OutputError : If the place cannot be read again, or has the ending of another format; and others as `record`
     """
     path = Path(options.prepare or "")
     if path == STDOUT or (path.exists() and not path.is_file()):
@@ -49,8 +48,7 @@ def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
 
     Raises
     ------
-    CaptureError
-        If the file is damaged
+    CaptureError : If the file is damaged
     """
     ways = {
         (IPv4Address(link.source).packed, port): (kind, number)

@@ -10,11 +10,12 @@ from typing import Any
 
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.bench.retime import moved
-from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, CapturedUnit, Link, units_in
+from vlp16emu.extras.free_ports import free_ports
+from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, units_in
 from vlp16emu.packets.frames import POSITION_PORT
 from vlp16emu.run.options import ReplayOptions
 from vlp16emu.run.report import OfUnits, UnitSent
-from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, free_ports, stream
+from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -36,8 +37,7 @@ class Replay:
 
     Raises
     ------
-    CaptureError
-        If the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged
+    CaptureError : If the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged
     """
 
     def __init__(self, path: Path, *, loop: bool = False, keep_gaps: bool = False) -> None:
@@ -46,7 +46,15 @@ class Replay:
         self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
         self.units = units_in(path, required=True)
         """In order of address, then of port."""
-        self.links = [_link(unit) for unit in self.units]
+        self.links = [
+            replace(
+                FACTORY_LINK,
+                source=str(ip_address(unit.source)),
+                data_port=unit.data_port,
+                position_port=next(iter(unit.position_ports), POSITION_PORT),
+            )
+            for unit in self.units
+        ]
         """Where the packets of each are sent."""
         self.passes = 0
         """Begun so far."""
@@ -133,10 +141,8 @@ def replay(
     ------
     InputError
         If an option is not right, ports are given for several sensors, or the present is wanted at another speed than its own
-    CaptureError
-        As `Replay`
-    OutputError, RunError
-        As `Emulator.stream`
+    CaptureError : As `Replay`
+    OutputError, RunError : As `Emulator.stream`
     """
     asked = ReplayOptions(**options)
     to, data_port = asked.receiver
@@ -169,9 +175,3 @@ def replay(
         for number, (unit, link, of) in enumerate(zip(packets.units, links, counts, strict=True), start=1)
     )
     return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), report)
-
-
-def _link(unit: CapturedUnit) -> Link:
-    position_port = next(iter(unit.position_ports), POSITION_PORT)
-    source = str(ip_address(unit.source))
-    return replace(FACTORY_LINK, source=source, data_port=unit.data_port, position_port=position_port)

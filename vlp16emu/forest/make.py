@@ -42,7 +42,7 @@ class ForestSite:
         """Digest of all that decides the ground."""
         section = self._section
         own = section.model_dump_json(include={"dem", "origin_m", "terrain"})
-        return _digest(own, _content(section.dem and section.dem.file), str(self._seed))
+        return _digest(own, _content(section.dem.file if section.dem else None), str(self._seed))
 
     @property
     def obstacles(self) -> tuple[Array, Array] | None:
@@ -102,7 +102,8 @@ class ForestSite:
 
 def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:
     stem_list = section.stem_list if isinstance(section, Plot) else None
-    files = section.species_file, section.dem and section.dem.file, stem_list, *(m.file for m in section.tree_models)
+    dem_file = section.dem.file if section.dem else None
+    files = section.species_file, dem_file, stem_list, *(model.file for model in section.tree_models)
     own = section.model_dump_json(exclude={"meshes", "near_m", "seed"})
     way = hashlib.sha256(path.xy_m.tobytes()).hexdigest()
     return _digest(own, str(seed), f"{reach_m!r} {loose_stems}", *map(_content, files), way)

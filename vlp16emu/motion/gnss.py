@@ -76,14 +76,9 @@ class Receiver:
                 break
         latitude_deg, longitude_deg, _ = to_geodetic(known.measured_m[None], self._gps)[0].tolist()
         east_m_s, north_m_s = known.measured_m_s.tolist()
-        return GnssFix(
-            t_ns=t_ns,
-            valid=self.reading(t_ns).valid,
-            latitude_deg=latitude_deg,
-            longitude_deg=longitude_deg,
-            speed_m_s=min(hypot(east_m_s, north_m_s), _FASTEST_M_S),
-            course_deg=math.degrees(atan2(east_m_s, north_m_s)) % 360.0,
-        )
+        valid, speed_m_s = self.reading(t_ns).valid, min(hypot(east_m_s, north_m_s), _FASTEST_M_S)
+        course_deg = math.degrees(atan2(east_m_s, north_m_s)) % 360.0
+        return GnssFix(t_ns, valid, latitude_deg, longitude_deg, speed_m_s, course_deg)
 
 
 def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) -> GnssReading:
@@ -99,17 +94,11 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
     # Fixes fail with a probability that is logistic in the cover, in spells of some 10 s.
     odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
     lost = _exceeded(wander(seed, _LOSS, second, _LOSS_S)) if sky else 1.0
+    valid = sky is None or lost >= 0.5 + 0.5 * tanh(0.5 * odds)
     measured_m = antenna_m.copy()
     measured_m[:2] += grown * (gps.position_noise_m * white_m + gps.wander_m * slow)
-    return GnssReading(
-        t_ns=t_ns,
-        antenna_m=antenna_m,
-        velocity_m_s=velocity_m_s,
-        measured_m=measured_m,
-        measured_m_s=velocity_m_s[:2] + grown * gps.velocity_noise_m_s * white_m_s,
-        cover=cover,
-        valid=sky is None or lost >= 0.5 + 0.5 * tanh(0.5 * odds),
-    )
+    measured_m_s = velocity_m_s[:2] + grown * gps.velocity_noise_m_s * white_m_s
+    return GnssReading(t_ns, antenna_m, velocity_m_s, measured_m, measured_m_s, cover, valid)
 
 
 def _exceeded(z: float) -> float:

@@ -211,12 +211,10 @@ def _check_radius(curvature: Array, points_m: Array, number: IntArray) -> None:
     worst = int(curvature.argmax())
     if curvature[worst] * _SMALLEST_RADIUS_M > 1.0:
         x_m, y_m = points_m[worst]
-        raise TrajectoryError(
-            f"path at ({x_m:.2f}, {y_m:.2f}) m, near waypoint {number[worst] + 1}",
-            f"turns with a radius of {1.0 / curvature[worst]:.2g} m",
-            f"at least {_SMALLEST_RADIUS_M:g} m: more waypoints round the turn",
-            at_m=(float(x_m), float(y_m)),
-        )
+        where = f"path at ({x_m:.2f}, {y_m:.2f}) m, near waypoint {number[worst] + 1}"
+        found = f"turns with a radius of {1.0 / curvature[worst]:.2g} m"
+        expected = f"at least {_SMALLEST_RADIUS_M:g} m: more waypoints round the turn"
+        raise TrajectoryError(where, found, expected, at_m=(float(x_m), float(y_m)))
 
 
 def _spline(at: Array, points_m: Array, closed: bool) -> Spline:
@@ -266,9 +264,6 @@ def _check_slope(solid: Spline, along_m: Array, origin_m: Array) -> None:
     worst = int(slope.argmax())
     if slope[worst] > _STEEPEST:
         x_m, y_m, _ = solid(along_m[worst : worst + 1])[0] + origin_m
-        raise TrajectoryError(
-            f"path at ({x_m:.2f}, {y_m:.2f}) m",
-            f"the ground rises or falls by {math.degrees(atan2(float(slope[worst]), 1.0)):.0f} degrees",
-            f"at most {_STEEPEST_DEG:g} degrees",
-            at_m=(float(x_m), float(y_m)),
-        )
+        where, steep_deg = f"path at ({x_m:.2f}, {y_m:.2f}) m", math.degrees(atan2(float(slope[worst]), 1.0))
+        found = f"the ground rises or falls by {steep_deg:.0f} degrees"
+        raise TrajectoryError(where, found, f"at most {_STEEPEST_DEG:g} degrees", at_m=(float(x_m), float(y_m)))

@@ -192,11 +192,8 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
 
     high, fastest_s = _MAX_SPEED_M_S, takes_s(_MAX_SPEED_M_S)
     if fastest_s > run_time_s:
-        raise TrajectoryError(
-            "run time",
-            f"found {run_time_s:g} s for {length_m:.1f} m",
-            f"at least {fastest_s:.1f} s, with its stops, turns and starts",
-        )
+        expected = f"at least {fastest_s:.1f} s, with its stops, turns and starts"
+        raise TrajectoryError("run time", f"found {run_time_s:g} s for {length_m:.1f} m", expected)
     low = min(high, length_m / run_time_s)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2

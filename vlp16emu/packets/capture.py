@@ -27,8 +27,7 @@ PCAP = {
 """Byte order, nanoseconds per unit of a stamp's fraction, and format of a record's header, by the first bytes of a file.
 Source: IETF draft-ietf-opsawg-pcap; the last magic number is the "modified" pcap of routers, as Wireshark's wiki describes it."""
 _PCAP_HEADER_BYTES = 24
-_LONGEST_FRAME_BYTES = 262_144
-"""A longer record means damage (MAXIMUM_SNAPLEN of libpcap)."""
+_LONGEST_FRAME_BYTES = 262_144  # a longer record means damage (MAXIMUM_SNAPLEN of libpcap)
 _ENDING = re.compile(r"\.(pcap|pcapng|cap)\d*(\.(gz|bz2|xz|zst))?$", re.IGNORECASE)
 
 _ETHERNET = 1
@@ -37,15 +36,12 @@ _MAC_AT = {_ETHERNET: 6, 113: 6, 276: 12}
 _IP_AT, _UDP_AT, _UDP_START = 14, 34, struct.Struct(">3H")
 """Offsets of both headers in a plain frame; source port, destination port and length of UDP (RFC 768)."""
 _UNFRAGMENTED = b"\x40\0", b"\0\0"
-_TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)
-"""UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)."""
+_TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
 _RECENT = 512
 """Packets in which a repeat is found: those of 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within milliseconds."""
-_STRAY = 0.02
-"""Smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident."""
-_NAMED = 16
-"""Units listed in an error line; as many as a rig may have."""
+_STRAY = 0.02  # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
+_NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
 
@@ -129,8 +125,7 @@ class Capture:
 
     Raises
     ------
-    CaptureError
-        If a file cannot be read, or is no capture; while iterating, if a record is damaged.
+    CaptureError : If a file cannot be read, or is no capture; while iterating, if a record is damaged.
     """
 
     def __init__(self, path: Path, *, repeats: bool = False) -> None:
@@ -207,7 +202,7 @@ class Capture:
         self._recent.add(known)
         self._order.append(known)
         if len(self._order) > _RECENT:
-            self._recent.discard(self._order.popleft())
+            self._recent.discard(self._order.popleft())  # so that memory stays small however long the capture
         return False
 
 
@@ -238,7 +233,7 @@ def _files(path: Path) -> list[Path]:
     """Return the files of a capture, in order of their first stamps."""
     if path.is_fifo():
         return [path]  # which can be read only once
-    is_pattern = not path.exists() and glob.has_magic(path.name)
+    is_pattern = not path.exists() and glob.has_magic(path.name)  # a file may have brackets in its name
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
     firsts = {file: next(_frames_in(file), None) for file in found or [path]}
     return sorted(firsts, key=lambda file: first.stamp_ns if (first := firsts[file]) else 0)
@@ -249,8 +244,7 @@ def _frames_in(path: Path) -> Iterator[Frame | None]:
 
     Raises
     ------
-    CaptureError
-        If it cannot be read, is no capture, or a record is damaged.
+    CaptureError : If it cannot be read, is no capture, or a record is damaged.
     """
     try:
         with path.open("rb") as file:
@@ -347,8 +341,7 @@ def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
 
     Raises
     ------
-    CaptureError
-        If the file is no capture, or is damaged, or there is no sensor in it and one is required.
+    CaptureError : If the file is no capture, or is damaged, or there is no sensor in it and one is required.
     """
     return _units_and_others(path, required=required)[0]
 
@@ -363,10 +356,8 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
 
     Raises
     ------
-    CaptureError
-        If the file is no capture, or is damaged.
-    InputError
-        If there is no such unit, or there are several and none is named.
+    CaptureError : If the file is no capture, or is damaged.
+    InputError : If there is no such unit, or there are several and none is named.
     """
     units, others = ([], False) if path.is_fifo() else _units_and_others(path)  # a pipe can be read only once
     if not units or (unit is None and len(units) == 1):

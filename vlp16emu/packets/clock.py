@@ -19,12 +19,9 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PpsState
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-_STEADY_NS = S_NS
-"""Steps of the sensor's clock up to this leave its hour alone, whatever the host's clock does."""
-_CLOSE_NS = S_NS
-"""A clock so close to the host's is taken for one that follows UTC, if no position packet says it."""
-_LOOKED_AT = 10_000
-"""Packets of a unit among which its first position packet is looked for: 7 s in dual return."""
+_STEADY_NS = S_NS  # steps of the sensor's clock up to this leave its hour alone, whatever the host's clock does
+_CLOSE_NS = S_NS  # a clock so close to the host's is taken for one that follows UTC, if no position packet says it
+_LOOKED_AT = 10_000  # packets of a unit among which its first position packet is looked for: 7 s in dual return
 _PERIOD_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
 
 

@@ -68,7 +68,7 @@ def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
 
     42 bytes: identification 0, don't fragment, and UDP checksum 0, which stands for none.
     """
-    header = _header(link, DATA_PORT, link.data_port, payload_bytes, DATA_TTL, _DONT_FRAGMENT)
+    header = bytearray(_header(link, DATA_PORT, link.data_port, payload_bytes, DATA_TTL, _DONT_FRAGMENT))
     header[_IP_CHECKSUM] = _checksum(header[_IP])
     return bytes(header)
 
@@ -87,7 +87,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
     """
     if len(payload) > POSITION_BYTES:
         raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"at most {POSITION_BYTES}")
-    header = bytearray(_position_header(link, len(payload)))
+    header = bytearray(_header(link, POSITION_PORT, link.position_port, len(payload), POSITION_TTL, 0))
     header[_IDENTIFICATION] = (link.identification + number & 0xFFFF).to_bytes(2)
     header[_IP_CHECKSUM] = _checksum(header[_IP])
     # Beside the datagram the sum takes in its addresses, protocol and length; a sum of 0 is sent as ones (RFC 768).
@@ -99,12 +99,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
 
 
 @lru_cache
-def _position_header(link: Link, payload_bytes: int) -> bytes:
-    """Header of position packets, identification and checksums 0."""
-    return bytes(_header(link, POSITION_PORT, link.position_port, payload_bytes, POSITION_TTL, 0))
-
-
-def _header(link: Link, port: int, to_port: int, payload_bytes: int, ttl: int, fragment: int) -> bytearray:
+def _header(link: Link, port: int, to_port: int, payload_bytes: int, ttl: int, fragment: int) -> bytes:
     """Ethernet II, IPv4 and UDP header, identification and checksums 0."""
     udp_bytes = _UDP_HEADER_BYTES + payload_bytes
     ethernet = struct.pack(">6s6sH", link.destination_mac, link.source_mac, _IPV4)
@@ -113,7 +108,7 @@ def _header(link: Link, port: int, to_port: int, payload_bytes: int, ttl: int, f
         *(_VERSION_AND_LENGTH, 0, _IP_HEADER_BYTES + udp_bytes, 0, fragment, ttl, _UDP, 0),
         *(IPv4Address(link.source).packed, IPv4Address(link.destination).packed),
     )
-    return bytearray(ethernet + ip + struct.pack(">4H", port, to_port, udp_bytes, 0))
+    return ethernet + ip + struct.pack(">4H", port, to_port, udp_bytes, 0)
 
 
 def _checksum(data: bytes | bytearray) -> bytes:

@@ -15,8 +15,7 @@ KNOT_M_S = 1852 / 3600
 """A nautical mile per hour, exact by definition."""
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, which no receiver passes (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
-_MINUTE_DECIMALS = 7
-"""Decimals that real units echo; 0.2 mm on the ground."""
+_MINUTE_DECIMALS = 7  # decimals that real units echo; 0.2 mm on the ground
 
 
 def rmc(fix: GnssFix) -> bytes:

@@ -37,8 +37,7 @@ from vlp16emu.packets.layout import (
 from vlp16emu.types import I8, U1, U2, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS
 
-_CHUNK = 2_000
-"""Packets decoded at once: 0.8 million records, some 50 MB of points."""
+_CHUNK = 2_000  # packets decoded at once: 0.8 million records, some 50 MB of points
 _BLOCK_RECORDS = 32
 
 
@@ -169,6 +168,7 @@ class CaptureReader:
             if sound.any():
                 numbers = np.array([(datagram.number, datagram.stamp_ns) for datagram in held])
                 yield self._decoded(payloads[sound], *numbers[sound].T)
+            # A capture of nothing but faults is none of this sensor: passing over it would leave an empty result.
             if faults and not (self._passes_over and self._azimuth_cdeg):
                 where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])

@@ -22,16 +22,17 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, U1, U4
 
 _EDGE = ZERO + Purpose.NO_RETURN
-_SPANS = (0.15, 0.6), (0.03, 1.0), (0.2, 1.0), (0.006, 0.03), (0.0004, 0.0025), (35.0, 120.0)
-"""Spans of the rates over units. Of pulses that meet two surfaces, half of the light each; up and down by far; of black pulses nearer than 4 m:
-0.2 to 1.2 % at codes 1 to 3; of all: 0.03 to 0.12 % at codes from 50 on; and the code of a return beside which half of the no-returns are
-raised. On one surface, up by factors of 2 to 4, 4 to 8 and 8 to 16 of code, are lost: einride 0.013, 0.22, 0.68; mrpt 0.022, 0.019, 0.036;
-nebula 0.005, 0.007, 0.028; down by 4 to 8, 8 to 16 and 16 to 32: einride 0.06, 0.15, 0.42; nebula 0.03, 0.06, 0.18; mrpt 0.05, 0.21 of the
-first two."""
+_SPANS = (0.15, 0.6), (0.05, 1.0), (0.2, 1.0), (0.005, 0.025), (0.0004, 0.0025), (35.0, 120.0)
+"""Spans of the rates over units. Of pulses that meet two surfaces, half of the light each; up and down by far; of black pulses nearer than
+4 m: 1.1 % at codes 0 and 1, 0.2 to 1.1 % at 1 to 3, 0.4 to 2.9 % at 3 to 6, 0.1 to 0.4 % at 6 to 10; of all: 0.03 to 0.12 % at codes from
+50 on; and the code of a return beside which half of the no-returns are raised. On one surface, up by factors of 2 to 4, 4 to 8 and 8 to 16
+of code, are lost: einride 0.013, 0.22, 0.68; mrpt 0.022, 0.019, 0.036; nebula 0.005, 0.007, 0.028; down by 4 to 8, 8 to 16 and 16 to 32:
+einride 0.06, 0.15, 0.42; nebula 0.03, 0.06, 0.18; mrpt 0.05, 0.21 of the first two."""
 _UP_AT, _DOWN_AT = 12.0, 120.0
 """Squares of half the factor less one at which half of that is reached: the middles of einride within a fifth."""
-_BRIGHT = 0.08
-"""Of a step up by 100 codes, whatever the factor: 0.02 at 50 to 100 codes on mrpt, nearer than 2 m."""
+_BRIGHT = 0.15
+"""Of a step up by 100 codes, whatever the factor: at 20 codes or more and factors below 2 mrpt, nebula, einride and 2014 lose 0.008, 0.007, 0
+and 0."""
 _FLOOR, _SETTLES = 1.0, 0.5
 """Code that is added to both sides of a factor, as codes are whole numbers; and how much of a step the power follows in one pulse (assumption:
 two pulses in a row are lost a fifth as often as one, at steps on einride)."""
@@ -39,7 +40,7 @@ _ROUGH_M, _MOST_ROUGH_M = 0.1, 1.0
 """Mean change of range from pulse to pulse at which steps cost half as many records, and the greatest that counts."""
 _STEP_M = 0.25
 """Difference of ranges from which on two surfaces of one pulse are a step: 0.3 to 1.2 % of records are lost at 0.04 to 0.3 m and like codes."""
-_BLACK, _NEAR_M = 9.0, 4.0
+_BLACK, _NEAR_M = 14.0, 4.0
 """Code at which the loss of dark records ends, and range beyond which it falls."""
 _ODD_ALONE, _EVEN_ALONE = 0.33, 0.37
 """Of dual return: lost in the odd block alone are 0.46 % of the records of nebula, in the even one 0.05 %, in both 0.9 %."""

@@ -30,8 +30,8 @@ _PRESETS: dict[str, dict[str, object]] = {
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
         "range_walk_mm": 0.13,
-        "reflectivity_noise_share": 0.026,
-        "reflectivity_step": 2.0,
+        "reflectivity_noise_share": 0.032,
+        "reflectivity_step": 2.3,
         "heavy_tails": True,
         "unit_spread": 0.15,
         "odd_codes_spread": 0.1,
@@ -91,7 +91,7 @@ class Noise(Preset):
     reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """The same as a share of the reflectivity, added to it; 0.03 to 0.04 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Spacing of codes at 90, less for darker ones; 2 on real units. Up to 1 sends every code."""
+    """Spacing of codes at 90, less for darker ones; 2 to 2.5 on real units. Up to 1 sends every code."""
     heavy_tails: bool = False
     """Whether white errors of reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real units, instead of
     Gaussian, and those of range a little so, with 3.3."""

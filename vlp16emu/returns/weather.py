@@ -14,8 +14,7 @@ _WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
 _LIDAR_RATIO_SR = 18.2
 """Extinction over backscatter of water droplets, near infrared (1.06 um): Pinnick et al., J. Geophys. Res. 88, 1983.
 For rain drops, too, an assumption."""
-_NEAREST_M = 0.05
-"""Least range of clutter: there the light leaves the housing, to a centimetre."""
+_NEAREST_M = 0.05  # least range of clutter: there the light leaves the housing, to a centimetre
 _WEATHER = int(Purpose.WEATHER)
 
 

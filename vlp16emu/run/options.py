@@ -11,11 +11,9 @@ from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
 from vlp16emu.options import Option, Options
 
-_LONGEST_S = 7 * 86_400
-"""Longest scene."""
+_LONGEST_S = 7 * 86_400  # longest scene
 LAST_PORT = 65_535
-_SLOWEST = 0.001
-"""One simulated second in a quarter of an hour."""
+_SLOWEST = 0.001  # one simulated second in a quarter of an hour
 
 Start = Annotated[
     float, Option("Simulated seconds to leave out at the beginning.", "S", ge=0, le=_LONGEST_S, shown=False)
@@ -157,8 +155,7 @@ class SendOptions(Options):
 
         Raises
         ------
-        InputError
-            If the port is none, or is given twice
+        InputError : If the port is none, or is given twice
         """
         to = self.to or ("127.0.0.1" if self.interface is None else "255.255.255.255")
         host, colon, port = to.partition(":")

@@ -25,8 +25,7 @@ from vlp16emu.sinks import PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
-_LONGEST_US = 4_500.0
-"""Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
+_LONGEST_US = 4_500.0  # later than any host that keeps up: `verify` takes 5 ms for a delay of the network
 _LANES_PER_UNIT = 8
 _LANE = {kind: place for place, kind in enumerate(PacketKind)}
 _MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0
@@ -44,7 +43,7 @@ def record(
     units, truth = run.engine.parts.units, TruthTo.of(options.truth)
     paths = _paths_of_units(Path(path), len(units)) if options.split else [Path(path)]
     for one in paths:
-        spare(run.files, one)
+        spare(run.files, one)  # an input of the scene is never written over
     files = _files(run, path, paths, truth, options)
     run, scenario, stop = run.with_truth_in(truth), run.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
@@ -60,7 +59,7 @@ def record(
         suppress(CancelledError),
     ):
         for packet in writer.beside(packets) if writer else packets:
-            if stop.is_set():
+            if stop.is_set():  # between two packets: the file ends with a whole one
                 break
             sinks[min(packet.unit, len(sinks) - 1)].send(host.stamped(packet))
             sent[packet.unit][packet.kind] += 1

@@ -31,24 +31,6 @@ class About:
 
 
 @dataclass(frozen=True, slots=True)
-class AuditFinding:
-    """Error of a run, estimated from pulses that are cast again; shares are of returns, None if not known."""
-
-    exact: bool
-    """A pulse is one ray, by the scene's own choice."""
-    pulses: int
-    """Pulses cast again."""
-    range_rmse_m: float | None
-    range_rmse_low_m: float | None
-    """Lower end of the 95 % confidence interval of the error."""
-    range_rmse_high_m: float | None
-    lost: float | None
-    invented: float | None
-    other_echo: float | None
-    """Share whose strongest return is another echo."""
-
-
-@dataclass(frozen=True, slots=True)
 class UnitSent:
     """Packets that one sensor sent, and its revolutions."""
 
@@ -105,8 +87,8 @@ class Recording(OfUnits):
     walk_share: float | None
     """Share of the whole motion, in time; None if that has no end."""
     wall_s: float
-    audit: AuditFinding | None
-    """None without an audit."""
+    audit: Any
+    """`AuditFinding` of `extras.accuracy.audit`; None without an audit."""
     interrupted: bool
     """True if the stop event ended it."""
     messages: Mapping[str, int] | None
@@ -138,8 +120,8 @@ class Streamed(OfUnits):
     """When packets left; `moved_s` leads from the time of the scene, which truth has, to that of stamps and sentences."""
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` with which the engine would keep up, each enough by itself."""
-    audit: AuditFinding | None
-    """None without an audit."""
+    audit: Any
+    """`AuditFinding` of `extras.accuracy.audit`; None without an audit."""
     live: Any | None
     """`LiveReport` of a run whose poses came in; else None."""
     gps_in: Any | None

@@ -12,7 +12,6 @@ from vlp16emu.errors import InputError
 from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import spare
 from vlp16emu.run.options import TruthPlace, TruthTo
-from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
 
@@ -60,7 +59,7 @@ class Run:
         return self.engine.scenario
 
     @property
-    def finding(self) -> AuditFinding | None:
+    def finding(self) -> Any:
         """Error found so far; None without an audit."""
         return self.audit.finding if self.audit else None
 
@@ -69,8 +68,7 @@ class Run:
 
         Raises
         ------
-        InputError
-            If there is no such unit
+        InputError : If there is no such unit
         """
         if not 1 <= unit <= (units := len(self.engine.parts.units)):
             raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")

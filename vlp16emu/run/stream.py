@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import asdict, replace
 from threading import Event, Thread
 from typing import Any
@@ -17,18 +17,7 @@ from vlp16emu.output import write_json
 from vlp16emu.run.options import StreamOptions, TruthTo
 from vlp16emu.run.report import About, Streamed, UnitSent
 from vlp16emu.run.run import Run
-from vlp16emu.sinks import (
-    LOOK_AHEAD_PACKETS,
-    FellBehind,
-    Late,
-    Pacer,
-    PacketSink,
-    StreamReport,
-    UdpSink,
-    UnderWay,
-    free_ports,
-    stream,
-)
+from vlp16emu.sinks import LOOK_AHEAD_PACKETS, FellBehind, Late, Pacer, PacketSink, StreamReport, UdpSink, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -62,17 +51,17 @@ def stream_run(
     _check(options, truth)
     pacer, policy, stop = Pacer(options.speed), Late(options.late), stop or Event()
     with ExitStack() as stack:
-        run = stack.enter_context(_on_ports(run.with_truth_in(truth), options))
+        run = stack.enter_context(_on_ports(run.with_truth_in(truth), options))  # frames have the ports in them
         scenario, units = run.scenario, run.engine.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
         stack.enter_context(run.engine.windows.stopped_by(stop))
         is_live = takes_poses(scenario.motion) or poses is not None
         flight = stack.enter_context(door("live")(run, poses)) if is_live else None
-        policy = flight.prepare(stop, pacer) if flight else policy
+        policy = flight.prepare(stop, pacer) if flight else policy  # waits for the first pose
         outlets = stack.enter_context(door("outlets")(outlets)) if outlets else None
-        engine = replace(run.engine, prompt=http is not None)
+        engine = replace(run.engine, prompt=http is not None)  # what is set there should show soon
         feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
-        udp = stack.enter_context(_udp(run, options, host, progress))
+        udp = stack.enter_context(_udp(run, options, host, progress))  # a wrong address fails before any casting
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
         if options.prepare:
@@ -82,14 +71,14 @@ def stream_run(
             packets = writer.beside(feed) if writer else feed
         way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
         gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
-        way = stack.enter_context(gps_in).sink(way) if gps_in else way
+        way = stack.enter_context(gps_in).sink(way) if gps_in else way  # outside: who watches sees what leaves
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
         report = stream(
             packets,
             way,
             pacer,
-            begun=lambda now: _serve(http, feed, udp, now, stack),
+            begun=lambda now: http and stack.enter_context(door("web")(feed, udp, now, http)),
             late=policy,
             notify=notify,
             go_on_from=None if options.prepare else flight.going_on(feed.go_on_from) if flight else feed.go_on_from,
@@ -125,7 +114,7 @@ def _on_ports(run: Run, options: StreamOptions) -> Iterator[Run]:
     """Yield the run with the ports of the options; those of 0 are free ones, one for each sensor, which are reserved meanwhile."""
     settings, rig = options.settings, run.scenario.rig
     free = [key for key, port in settings.items() if port == 0]
-    with free_ports(len(free) * (1 + len(rig))) as ports:
+    with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as ports:
         given = iter(ports)
         settings |= {key: next(given) for key in free}
         if free and rig:
@@ -145,12 +134,6 @@ def _udp(run: Run, options: StreamOptions, host: str, progress: Callable[[float]
         interface=options.interface,
         sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
     )
-
-
-def _serve(http: Any, feed: "PacketFeed", udp: UdpSink, now: UnderWay, until: ExitStack) -> None:
-    """Serve the web interfaces of the sensors until the stream ends, if they are wanted."""
-    if http is not None:
-        until.enter_context(door("web")(feed, udp, now, http))
 
 
 def _streamed(run: Run, options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any) -> Streamed:
@@ -178,8 +161,7 @@ class PacketFeed:
 
     Raises
     ------
-    InputError
-        If the engine has no such span, or the scene no device that `also` asks for
+    InputError : If the engine has no such span, or the scene no device that `also` asks for
     """
 
     def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:

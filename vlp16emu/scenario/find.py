@@ -45,8 +45,7 @@ def find(scene: str) -> Path:
 
     Raises
     ------
-    ScenarioError
-        If there is no scene of that name
+    ScenarioError : If there is no scene of that name
     """
     path = Path(scene)
     if path.suffix in (".toml", ".json") or path.parent != Path():

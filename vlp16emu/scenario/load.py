@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 
 from pydantic import ValidationError
 
+from vlp16emu.doors import door
 from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.motion import Walk
@@ -15,20 +16,12 @@ from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
 from vlp16emu.scenario.schema import schema
 from vlp16emu.sensor import Lidar
-from vlp16emu.settings import DEEPEST, OneOf, Preset, SceneFile, Section, merged, toml
+from vlp16emu.settings import DEEPEST, OneOf, Preset, SceneFile, Section, toml
 
 _RIVALS = frozenset(Walk.one_of), Walk.either_or
 """Keys that exclude each other: a setting of one takes the place of the others."""
 _UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)
 """Errors among the keys of `[sensor]` and `[[rig]]`, switched off."""
-_MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
-_FIELD: dict[str, Any] = {"imu": {"preset": "field", "mount": _MOUNT}}
-"""Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by self-calibration
-(Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third and half of that for each axis (assumption)."""
-_ON_FOOT: dict[str, Any] = {"motion": {"kind": "walk", "mount": _MOUNT, "mast": {}}, "people": {}}
-_FORESTS = ("forest", "plot")
-_IN_A_FOREST: dict[str, Any] = {"wind": {"speed_m_s": 2.0}}
-"""A light breeze, 1.6 to 3.3 m/s (Beaufort scale, WMO code table 1100)."""
 
 
 class _Setting(NamedTuple):
@@ -72,8 +65,7 @@ def load(
 
     Raises
     ------
-    ScenarioError
-        If the file or a setting is no scene
+    ScenarioError : If the file or a setting is no scene
     """
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene
@@ -95,19 +87,7 @@ def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
     for change in changes:
         _apply(source.tree, change)
     _check_depth(source.where, source.tree)
-    return source._replace(tree=_in_the_field(source.tree)) if source.tree.get("conditions") == "field" else source
-
-
-def _in_the_field(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return a scene with the keys that make a real walk harder, where it does not give them."""
-    motion, world = (
-        table.get("kind") if isinstance(table := tree.get(name), dict) else None for name in ("motion", "world")
-    )
-    base = _FIELD | (_ON_FOOT if motion == "walk" else {}) | (_IN_A_FOREST if world in _FORESTS else {})
-    units = tree.get("rig")
-    if isinstance(units, list):
-        tree = tree | {"rig": [merged({"mount": _MOUNT}, one) if isinstance(one, dict) else one for one in units]}
-    return merged(base, tree)
+    return source._replace(tree=door("field")(source.tree)) if source.tree.get("conditions") == "field" else source
 
 
 def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path) -> _Source:

@@ -258,8 +258,7 @@ class Scenario(Section):
 
         Raises
         ------
-        InputError
-            If the run would begin after the end of the scene; `where` is the name of its begin in the error
+        InputError : If the run would begin after the end of the scene; `where` is the name of its begin in the error
         """
         if duration_s is not None:
             return start_s, start_s + duration_s

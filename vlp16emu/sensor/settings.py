@@ -189,8 +189,7 @@ def on_the_wire(sensor: Sensor | FreeSensor) -> Sensor:
 
     Raises
     ------
-    ScenarioError
-        If it has none
+    ScenarioError : If it has none
     """
     if isinstance(sensor, FreeSensor):
         raise ScenarioError(

@@ -4,4 +4,4 @@ from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, Late
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
 from vlp16emu.sinks.sink import MemorySink, PacketSink
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, UnderWay, stream
-from vlp16emu.sinks.udp import LOOPBACK, UdpSink, free_ports
+from vlp16emu.sinks.udp import LOOPBACK, UdpSink

@@ -20,28 +20,34 @@ from vlp16emu.units import S_NS
 # Numbers of prctl(2). Source: linux/prctl.h.
 _PR_SET_TIMERSLACK = 29
 _PR_GET_TIMERSLACK = 30
-_FINEST_NS = 1
-"""0 would restore the default of 50 us."""
+_FINEST_NS = 1  # 0 would restore the default of 50 us
+
+
+_SWITCH_INTERVAL_S = 0.000_2
+"""Longest time for which the thread that computes may keep the interpreter from the one that sends. Python's own
+5 ms would be four packets late."""
 
 
 @contextmanager
-def prompt_sleeps() -> Iterator[None]:
-    """Let sleeps of the calling thread end at their time and not up to 50 us later; as before afterwards.
+def prompt() -> Iterator[None]:
+    """Let the calling thread wake at the end of its sleeps, and soon after another thread has the interpreter; as before afterwards.
 
-    The timer slack of Linux joins wake-ups to save power. Elsewhere nothing changes: sleeps are then as
-    late as the system makes them, and the report of a stream says so.
+    The timer slack of Linux joins wake-ups to save power, up to 50 us later. Elsewhere sleeps are as late as the system makes
+    them, and the report of a stream says so.
     """
-    if sys.platform != "linux":
-        yield
-        return
-    prctl = ctypes.CDLL(None).prctl
-    # The arguments are unsigned longs, and prctl is variadic: a plain int would leave half a register undefined.
-    before_ns = prctl(_PR_GET_TIMERSLACK, *[ctypes.c_ulong(0)] * 4)
-    prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(_FINEST_NS), *[ctypes.c_ulong(0)] * 3)
+    prctl, before_s, before_ns = None, sys.getswitchinterval(), 0
+    if sys.platform == "linux":
+        prctl = ctypes.CDLL(None).prctl
+        # The arguments are unsigned longs, and prctl is variadic: a plain int would leave half a register undefined.
+        before_ns = prctl(_PR_GET_TIMERSLACK, *[ctypes.c_ulong(0)] * 4)
+        prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(_FINEST_NS), *[ctypes.c_ulong(0)] * 3)
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
         yield
     finally:
-        prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(max(before_ns, 0)), *[ctypes.c_ulong(0)] * 3)
+        sys.setswitchinterval(before_s)
+        if prctl is not None:
+            prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(max(before_ns, 0)), *[ctypes.c_ulong(0)] * 3)
 
 
 TOLERANCE_NS = 50_000_000
@@ -91,8 +97,7 @@ _JITTER_NS = 10_000_000
 other threads before it wakes ours. Where wake-ups come that late each of them sends several packets, 8 at most."""
 _NAP_S = 0.2
 """Longest sleep at once: a signal sets an event, and Python goes on with a sleep that a signal interrupts (PEP 475)."""
-_BIN_BITS = 6
-"""Significant bits that separate the bins of lateness, which gives quantiles within 1.6 %."""
+_BIN_BITS = 6  # significant bits that separate the bins of lateness, which gives quantiles within 1.6 %
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,14 @@ from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-_ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
-"""Endings of classic pcap files; a name may have none."""
+_ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})  # endings of classic pcap files; a name may have none
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
     ".db3": "; a name that ends in / is a bag of ROS 2, a folder with SQLite",
     **dict.fromkeys((".npz", ".ply", ".csv", ".las", ".laz", ".pcd"), "; `vlp16emu points` writes points"),
 }
+# Little-endian with microseconds: readers with fixed offsets and older libraries know no other kind of file.
+_FILE_HEADER = struct.pack("<I2H4I", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1)
 _RECORD_HEADER = struct.Struct("<4I")
 
 
@@ -68,7 +69,7 @@ class PcapSink(PacketSink):
         self._output = OutputFile(path, buffering=0)
         self._file = self._output.file
         try:
-            self._write(_file_header())
+            self._write(_FILE_HEADER)
         except RunError:
             self._output.discard()
             raise
@@ -141,10 +142,3 @@ def check_ending(path: Path) -> None:
     if ending not in _ENDINGS:
         expected = f".pcap, or - for standard output{_WAYS_TO.get(ending, '')}"
         raise OutputError(str(path), f"found the ending {ending}", expected)
-
-
-def _file_header() -> bytes:
-    """Head of a little-endian microsecond pcap: readers with fixed offsets and older libraries know no other kind."""
-    import dpkt  # here, so that streams do without it
-
-    return bytes(dpkt.pcap.LEFileHdr(snaplen=65_535, linktype=dpkt.pcap.DLT_EN10MB))

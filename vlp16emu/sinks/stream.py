@@ -6,13 +6,12 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Self
 
 from vlp16emu.doors import door
 from vlp16emu.errors import InputError
-from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer, prompt_sleeps
+from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer, prompt
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
@@ -20,9 +19,6 @@ from vlp16emu.units import S_NS
 LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
 
-_SWITCH_INTERVAL_S = 0.000_2
-"""Longest time for which the thread that computes may keep the interpreter from the one that sends. Python's own
-5 ms would be four packets late."""
 _SPACING_NS = 1_327_104
 """Spacing of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
 _PATIENCE_NS = 250_000_000
@@ -31,8 +27,7 @@ _LEAD_NS = 250_000_000
 """First lead of the engine: most engines have ended the blocks under way and begun new ones by then; it doubles for others."""
 _SETTLED_NS = 5 * S_NS
 """Without a packet that is too late for so long, the next one is another time that the stream fell behind."""
-_POLL_S = 0.05
-"""Interval at which a waiting thread looks whether to stop."""
+_POLL_S = 0.05  # interval at which a waiting thread looks whether to stop
 _REFILLS = 8
 """Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
 packet would cost the one that sends as much as the sending."""
@@ -138,6 +133,7 @@ class LookAhead:
             earliest_ns = min(due_ns, self._redo[0]) if self._redo else due_ns
             while self._ready and self._ready[-1].due_ns >= earliest_ns:
                 self._ready.pop()
+            # A thread that is done waits until its buffer is empty, so that it can still begin again.
             self._redo, self._done = (earliest_ns, restart), False
             self._made_due_ns = min(self._made_due_ns, earliest_ns)
             self._changed.notify_all()
@@ -295,7 +291,7 @@ def stream(
     sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from, is_over=stop.is_set)
     left, interrupted = None, False
     try:
-        with _prompt_switching(), prompt_sleeps(), LookAhead(packets, look_ahead_packets, stop) as ahead:
+        with prompt(), LookAhead(packets, look_ahead_packets, stop) as ahead:
             ahead.fill()
             if first := ahead.first:
                 begun(UnderWay(ahead, pacer, first.due_ns))
@@ -308,21 +304,11 @@ def stream(
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
                 if left is None and not stop.is_set():
                     left = FirstPacket(packet.due_ns, present.began_ns if present else None, time.time_ns())
-                had_to_wait = ahead.first is None
+                had_to_wait = ahead.first is None  # asked before the wait, which would hide it
             interrupted = stop.is_set()
     except KeyboardInterrupt:
         interrupted = True
     return sender.report(interrupted=interrupted, moved_s=present.moved_s if present else 0, first=left)
-
-
-@contextmanager
-def _prompt_switching() -> Iterator[None]:
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before_s)
 
 
 class Sender:
@@ -359,7 +345,7 @@ class Sender:
                 self._skip(packet, deadline_ns + late_ns, had_to_wait=had_to_wait)
                 return
             behind.total_s += late_s
-            pacer.delay_ns += late_ns
+            pacer.delay_ns += late_ns  # for good: catching up would be a burst, which no sensor sends
         self._skipping_since_ns, self._lead_ns = None, 0
         late_ns = pacer.wait(packet, deadline_ns, is_over=self._is_over)
         if self._is_over():

@@ -2,12 +2,10 @@
 
 import errno
 import ipaddress
-import os
 import socket
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from itertools import count, islice
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, FACTORY_LINK, POSITION_PORT, POSITION_TTL, Link
@@ -17,18 +15,11 @@ from vlp16emu.types import Packet, PacketKind
 LOOPBACK = "127.0.0.1"
 """Default destination of packets: this machine."""
 
-_FREE = range(20_000, 32_768)
-"""Ports that are offered as free: below those that systems give to sockets that ask for any, which begin at 32768 on Linux
-(net.ipv4.ip_local_port_range, ip(7)) and at 49152 elsewhere (RFC 6335, section 6)."""
-_offered = count(os.getpid() * 61)
-"""Place in `_FREE` at which the next search begins: processes begin apart, so that searches are short."""
-
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
 _SO_NO_CHECK, _IP_MTU_DISCOVER = 11, 10
 _IP_PMTUDISC_DONT, _IP_PMTUDISC_DO = 0, 2
 
-_PORTS = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
-"""Port that a sensor sends a kind from."""
+_PORTS = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}  # port that a sensor sends a kind from
 _OF_SENSOR = {
     # No UDP checksum, don't fragment and, for that reason, identification 0.
     DATA_PORT: (
@@ -111,6 +102,7 @@ class UdpSink(PacketSink):
         if _is_broadcast(address, self._sources[unit], self._interface):
             for opened in self._sockets[unit].values():
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        # One assignment, as `send` runs on another thread and must see both ports change at once.
         self._to[unit] = {PacketKind.DATA: (address, data_port), PacketKind.POSITION: (address, position_port)}
 
     def send(self, packet: Packet) -> None:
@@ -134,32 +126,6 @@ class UdpSink(PacketSink):
         if kind is PacketKind.POSITION:
             self.latest_position[unit] = packet.payload
         self._after(packet.due_ns)
-
-
-@contextmanager
-def free_ports(number: int) -> Iterator[list[int]]:
-    """Find UDP ports that no socket of this machine is bound to, and reserve them for receivers that bind them later.
-
-    A TCP socket of the same number is the reservation: a receiver can bind the UDP port, and no other search finds it.
-
-    Raises
-    ------
-    OutputError : If there are not so many.
-    """
-    with ExitStack() as held:
-        ports = list[int]()
-        for port in islice((_FREE[place % len(_FREE)] for place in _offered), len(_FREE)):
-            if len(ports) == number:
-                break
-            with ExitStack() as tried, suppress(OSError):
-                tried.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM)).bind((LOOPBACK, port))
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                    probe.bind(("", port))
-                held.push(tried.pop_all())
-                ports.append(port)
-        if len(ports) < number:
-            raise OutputError("ports", f"{len(ports)} free ones", f"{number} from {_FREE[0]} to {_FREE[-1]}")
-        yield ports
 
 
 def resolve(host: str) -> str:

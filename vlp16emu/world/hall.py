@@ -81,14 +81,9 @@ class HallWorld:
         n = len(self._keys)
         world_T_shape = np.zeros((n, 3, 4))
         world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [_place_m(key) for key in self._keys]
-        return Window(
-            origin_m=np.round(track_m.mean(axis=0)),
-            shapes=self._keys,
-            shape=np.arange(n, dtype=np.int32),
-            world_T_shape=world_T_shape,
-            first_surface=np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32),
-            surfaces=self._surfaces,
-        )
+        first = np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32)
+        placed = self._keys, np.arange(n, dtype=np.int32), world_T_shape, first
+        return Window(np.round(track_m.mean(axis=0)), *placed, self._surfaces)
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of the room (floor, then walls with ceiling) or of a thing, about its centre or foot."""
@@ -128,11 +123,8 @@ def _check_inside(thing: Thing, room: _Room) -> None:
     spans = ((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0.0, height_m))
     for axis, (low, high), at, size in zip("xyz", spans, middle, half, strict=True):
         if not (low <= at - size and at + size <= high):
-            raise GeometryError(
-                f"hall: {thing.name}",
-                f"spans {at - size:g} to {at + size:g} m in {axis}",
-                f"inside {low:g} to {high:g} m",
-            )
+            found = f"spans {at - size:g} to {at + size:g} m in {axis}"
+            raise GeometryError(f"hall: {thing.name}", found, f"inside {low:g} to {high:g} m")
 
 
 def _box_quads(size_m: tuple[float, float, float]) -> Mesh:

@@ -275,7 +275,7 @@ class Hall(WorldSection):
     wall_reflectance: Fraction = 0.6
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
     texture: Texture = 0.16
-    """Share by which it varies over patches of some 0.2 m, one sigma over all; pieces of a wall of some 1.6 m differ
+    """Share by which it varies over patches of some 0.1 m, one sigma over all; pieces of a wall of some 1.6 m differ
     by a factor of three. With 0.16 neighbouring returns from walls scatter as on real units."""
     relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     """How far walls, floor and ceiling stand out and back over patches of a few centimetres, one sigma; ground truth has

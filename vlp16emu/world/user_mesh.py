@@ -24,6 +24,8 @@ Faces = IntArray
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
 _KINDS = ".obj", ".ply", ".glb", ".stl"
+_SPLIT = dict.fromkeys(("skip_materials", "split_objects", "split_groups", "maintain_order"), True)
+_AS_WRITTEN: dict[str, Any] = {"process": False, "group_material": False, **_SPLIT}  # trimesh joins and moves no face
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 """Nothing in a forest is taller, wider, or smaller as a whole."""
 _FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
@@ -114,16 +116,7 @@ def _scene(path: Path) -> Any:
     import trimesh
 
     try:
-        return trimesh.load_scene(
-            BytesIO(content),
-            file_type=kind[1:],
-            process=False,
-            skip_materials=True,
-            group_material=False,
-            split_objects=True,
-            split_groups=True,
-            maintain_order=True,
-        )
+        return trimesh.load_scene(BytesIO(content), file_type=kind[1:], **_AS_WRITTEN)
     except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
         raise GeometryError(str(path), f"cannot be read: {error}", expected) from None
 
@@ -173,11 +166,8 @@ def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
     own = extent_m.max() / _UNIT_M[unit]
     likely = [other for other, factor in _UNIT_M.items() if 0.1 <= own * factor <= 100 and other != unit]
     hint = f" (perhaps its unit is {' or '.join(likely)})" if likely else ""
-    raise GeometryError(
-        str(path),
-        f"measures {size} m with unit = {unit!r}",
-        f"at most {_TALLEST_M:g} m tall and {_WIDEST_M:g} m wide, at least {_SMALLEST_M * 1000:g} mm{hint}",
-    )
+    expected = f"at most {_TALLEST_M:g} m tall and {_WIDEST_M:g} m wide, at least {_SMALLEST_M * 1000:g} mm{hint}"
+    raise GeometryError(str(path), f"measures {size} m with unit = {unit!r}", expected)
 
 
 def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:

@@ -9,8 +9,8 @@ import pytest
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras.camera import Orthographic
+from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.viewer.picture import Canvas, laser_rows
-from vlp16emu.scan import decode
 
 Image = pytest.importorskip("PIL.Image", reason="the extra picture is not installed")
 pytest.importorskip("matplotlib", reason="the extra picture is not installed")

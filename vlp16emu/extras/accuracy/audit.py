@@ -23,7 +23,6 @@ from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.settings import Detector
-from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F4, F8, I8, U1, Firings, Hits
 
@@ -212,6 +211,24 @@ _RAYS, _TIMES = 512, 4
 """Sub-rays of an answer: at least the first, and the second times those of a pulse. With 512, what is left is a fifth of
 the error of pulses of 64, and 1/20 of that of one ray."""
 _SAMPLED = ("fixed", "adaptive")
+
+
+@dataclass(frozen=True, slots=True)
+class AuditFinding:
+    """Error of a run, estimated from pulses that are cast again; shares are of returns, None if not known."""
+
+    exact: bool
+    """A pulse is one ray, by the scene's own choice."""
+    pulses: int
+    """Pulses cast again."""
+    range_rmse_m: float | None
+    range_rmse_low_m: float | None
+    """Lower end of the 95 % confidence interval of the error."""
+    range_rmse_high_m: float | None
+    lost: float | None
+    invented: float | None
+    other_echo: float | None
+    """Share whose strongest return is another echo."""
 
 
 class Audit:

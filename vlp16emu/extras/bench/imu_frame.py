@@ -28,8 +28,7 @@ IMU_FRAME = np.dtype(
     align=True,
 )
 _MAGIC, _VERSION = b"IMU", 1
-_CHECKED = 8
-"""Offset of the bytes that the checksum covers."""
+_CHECKED = 8  # offset of the bytes that the checksum covers
 
 
 def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[bytes]:

@@ -10,8 +10,10 @@ import lzma
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets.capture import EXPECTED, PCAP, Frame, no_capture, pcap_frames, read
@@ -21,8 +23,7 @@ _SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3
 """Block types of pcapng, as all below from IETF draft-ietf-opsawg-pcapng."""
 _BYTE_ORDER = 0x1A2B3C4D
 _OPTION_RESOLUTION, _OPTION_OFFSET = 9, 14
-_LONGEST_BLOCK_BYTES = 16 << 20
-"""A longer block means damage (MAX_BLOCK_SIZE of Wireshark)."""
+_LONGEST_BLOCK_BYTES = 16 << 20  # a longer block means damage (MAX_BLOCK_SIZE of Wireshark)
 _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
@@ -39,31 +40,20 @@ def frames(path: Path, file: Any) -> Frames:
     CaptureError
         If it is neither pcapng nor an archive that can be unpacked with a capture in it, or a record is damaged.
     """
+    head = b""
     try:
         unpacked = _unpacked(path, file)
-        head = file.peek(4)[:4] if unpacked is file else read(unpacked, 4)
-        joined: Any = file if unpacked is file else _Prefixed(head, unpacked)
+        with suppress(EOFError):  # of an archive that is cut in its first bytes
+            head = unpacked.peek(4)[:4]
         if head in PCAP:
-            yield from pcap_frames(path, joined)
+            yield from pcap_frames(path, unpacked)
         elif int.from_bytes(head) == _SECTION:
-            read(joined, 4)
-            yield from _pcapng(path, joined)
+            read(unpacked, 4)
+            yield from _pcapng(path, unpacked)
         else:
             raise no_capture(path, head)
     except (zlib.error, lzma.LZMAError) as error:
         raise CaptureError(str(path), f"a damaged archive: {error}", EXPECTED) from error
-
-
-class _Prefixed:
-    """A stream that gives bytes back that were read from it."""
-
-    def __init__(self, head: bytes, file: BinaryIO) -> None:
-        self._head, self._file = head, file
-
-    def read(self, size: int) -> bytes:
-        """Read up to `size` bytes."""
-        part, self._head = self._head[:size], self._head[size:]
-        return part or self._file.read(size)
 
 
 def _unpacked(path: Path, file: Any) -> Any:
@@ -75,7 +65,7 @@ def _unpacked(path: Path, file: Any) -> Any:
         except ImportError:
             expected = "the library zstandard (pip install zstandard), or the file unpacked by `unzstd`"
             raise CaptureError(str(path), "a zstd archive", expected) from None
-        return zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
+        return BufferedReader(zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True))
     for magic, (name, command) in _OTHERS.items():
         if head.startswith(magic):
             raise CaptureError(str(path), f"a {name} archive", f"{EXPECTED}: `{command} {path.name} > some.pcap`")

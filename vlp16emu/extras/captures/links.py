@@ -27,13 +27,10 @@ _PPP_IP = (0x0021, 0x0057)
 _UDP, _IP_IN_IP, _IP6_IN_IP, _GRE = 17, 4, 41, 47
 _FRAGMENT6, _AUTHENTICATION, _EXTENSIONS6 = 44, 51, (0, 43, 60, 51, 44)
 """Protocol numbers of IANA; headers that may stand in front of the payload of IPv6 (RFC 8200)."""
-_VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)
-"""UDP ports of RFC 7348 and RFC 8926."""
-_ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB
-"""EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)."""
+_VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of RFC 7348 and RFC 8926
+_ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB  # EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)
 _MOST_LAYERS = 8
-_INCOMPLETE = 64
-"""Datagrams whose fragments are waited for at a time."""
+_INCOMPLETE = 64  # datagrams whose fragments are waited for at a time
 _NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
 
 

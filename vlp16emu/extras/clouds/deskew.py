@@ -24,6 +24,7 @@ from vlp16emu.extras.clouds.cloud import (
     point_file,
     time_comment,
 )
+from vlp16emu.extras.clouds.scan import twins
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
@@ -31,7 +32,6 @@ from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.packets import CaptureReader, Clock, PacketChunk, chosen_unit, packet_clock
-from vlp16emu.scan import twins
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
-from vlp16emu.engine.scans import points_of
 from vlp16emu.extras.clouds.cloud import (
     LABEL_COLUMNS,
     RETURN_NAMES,
@@ -27,6 +26,7 @@ from vlp16emu.extras.clouds.cloud import (
     point_file,
     scene_comments,
 )
+from vlp16emu.extras.clouds.scan import points_of
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
 from vlp16emu.scenario import Scenario

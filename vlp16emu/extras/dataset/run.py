@@ -31,8 +31,7 @@ from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import OutputFile, lock
-from vlp16emu.scan import Scan
-from vlp16emu.types import F8, U4
+from vlp16emu.types import F8, U4, Scan
 from vlp16emu.units import S_NS
 
 Entry = dict[str, Any]  # a walk in its list and in the manifest

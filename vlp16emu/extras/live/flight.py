@@ -8,12 +8,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Event
 from typing import Self
 
 import numpy as np
 
+from vlp16emu.engine.position import make_receiver
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.options import PosesIn
@@ -185,7 +186,8 @@ class Flight(PacketSink):
                 return Late.SKIP
         with suppress(CancelledError):
             # With a receiver of its own: this one sees a body that does not move yet.
-            deque(self._engine.with_new_receiver().packets(0.0, _WARM_S), 0)
+            receiver = make_receiver(self._engine.scenario, self._engine.parts, self._engine.windows)
+            deque(replace(self._engine, receiver=receiver).packets(0.0, _WARM_S), 0)
             while not self._windows.is_here() and not stop.is_set():  # the body has moved meanwhile
                 self._windows.begin_again()
                 self._windows.wait(self._windows.at_block(0))

@@ -24,9 +24,8 @@ from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
 from vlp16emu.motion.settings import Live, takes_poses
 from vlp16emu.packets import DATA_BYTES, decode_data
-from vlp16emu.scan import Scan
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
-from vlp16emu.types import F8, I8, Packet, PacketKind
+from vlp16emu.types import F8, I8, Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
 
 _HOST, _PORT = "127.0.0.1", 8016  # port of `vlp16emu view`; any other if it is in use

@@ -16,6 +16,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.clouds.deskew import Trajectory
+from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.images.images import species_of
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
@@ -24,7 +25,6 @@ from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.packets.layout import LASERS
 from vlp16emu.run.options import Span
-from vlp16emu.scan import decode
 from vlp16emu.types import F8, U1
 
 _BACKGROUND = (14, 18, 24)

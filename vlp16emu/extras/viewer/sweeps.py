@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
+from vlp16emu.extras.clouds.scan import LabelsOf, scans_in
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.verify import Rule, verify_units
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
-from vlp16emu.scan import Labels, LabelsOf, Scan, scans_in
 from vlp16emu.scenario import load
-from vlp16emu.types import F8, I8
+from vlp16emu.types import F8, I8, Labels, Scan
 
 _TURNS = 2.2  # span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed
 _KEPT = 300  # sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file

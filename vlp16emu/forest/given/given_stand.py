@@ -189,11 +189,9 @@ class GivenStand:
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
             x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]
-            raise GeometryError(
-                str(self._source),
-                f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path",
-                f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)",
-            )
+            found = f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path"
+            expected = f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)"
+            raise GeometryError(str(self._source), found, expected)
 
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0, in the order of the list."""
@@ -203,17 +201,8 @@ class GivenStand:
         """Name the crown prototype of a diameter class with such crown ratios."""
         own = self._species[cohort]
         dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class, variant]
-        return CrownKey(
-            species=own.name,
-            variant=variant,
-            dbh_m=dbh_m,
-            height_m=height_m,
-            crown_base_m=base_m,
-            crown_width_m=width_m,
-            leaf_area_m2=own.leaf_area_index * math.pi / 4 * width_m * width_m,
-            season=self._season,
-            dead_branches=self._dead_branches,
-        )
+        sizes = dbh_m, height_m, base_m, width_m, own.leaf_area_index * math.pi / 4 * width_m * width_m
+        return CrownKey(own.name, variant, *sizes, self._season, self._dead_branches)
 
 
 def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
@@ -256,11 +245,8 @@ def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], pa
     more = f", and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
     found = f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
     if section.on_conflict != "drop":
-        raise GeometryError(
-            section.stem_list,
-            f"{len(named)} of {len(trees)} trees {found}",
-            'none, or on_conflict = "drop" or "move_path"',
-        )
+        found, expected = f"{len(named)} of {len(trees)} trees {found}", 'none, or on_conflict = "drop" or "move_path"'
+        raise GeometryError(section.stem_list, found, expected)
     if in_the_way.all():
         raise GeometryError(section.stem_list, f"all trees {found}", "one that is left")
     _log.warning("%s: left out %d of %d trees %s", section.stem_list, len(named), len(trees), found)

@@ -218,15 +218,8 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
     radius_m = _radius_m(trees, above_m, table)
     over = np.arange(above_m.shape[1]) > at[:, None]
     radius_m[forked] *= np.sqrt(np.where(over, 1 - forms.forks[forked, 2:3], 1.0))
-    return StemRings(
-        above_ground_m=above_m,
-        radius_m=radius_m,
-        sides=_SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])],
-        flare_rings=2 + _BUTT_M.index(FLARE_TOP_M),
-        forms=forms,
-        forked=forked,
-        fork_m=fork_m,
-    )
+    sides, flare_rings = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])], 2 + _BUTT_M.index(FLARE_TOP_M)
+    return StemRings(above_m, radius_m, sides, flare_rings, forms, forked, fork_m)
 
 
 def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:

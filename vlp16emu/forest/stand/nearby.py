@@ -79,14 +79,9 @@ def cut_out(
     wanted = np.isin(window.surfaces["instance"], instances)
     keep, tile_at = _kept(window, wanted, inside)
     used, which = np.unique(window.shape[keep], return_inverse=True)
-    left = Window(
-        origin_m=window.origin_m,
-        shapes=tuple(window.shapes[i] for i in used),
-        shape=which.astype(np.int32),
-        world_T_shape=window.world_T_shape[keep],
-        first_surface=window.first_surface[keep],
-        surfaces=window.surfaces,
-    )
+    shapes, first = tuple(window.shapes[i] for i in used), window.first_surface[keep]
+    world_T_shape = window.world_T_shape[keep]
+    left = Window(window.origin_m, shapes, which.astype(np.int32), world_T_shape, first, window.surfaces)
 
     def grow(key: ShapeKey) -> tuple[Mesh, ...]:
         if not isinstance(key, TileKey):
@@ -130,15 +125,8 @@ def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
     size_m = unit_m * norm(world_T_shape[:, :3].T)
     kind = key.kind.value if isinstance(key, FloorKey) else Semantic(row["semantic"]).name.lower()
     kind = "sapling" if isinstance(key, SaplingKey) else kind
-    return Thing(
-        placement=placement,
-        instance=int(row["instance"]),
-        species=int(row["species"]),
-        kind=kind,
-        place_m=world_T_shape[:, 3].copy(),
-        outline_m=hull_m(seen_m),
-        size_m=tuple(size_m.tolist()),
-    )
+    numbers, place_m = (int(row["instance"]), int(row["species"])), world_T_shape[:, 3].copy()
+    return Thing(placement, *numbers, kind, place_m, hull_m(seen_m), tuple(size_m.tolist()))
 
 
 def _corners_m(meshes: Sequence[Mesh]) -> Array:

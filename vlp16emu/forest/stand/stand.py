@@ -288,17 +288,10 @@ class Stand:
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
-        return CrownKey(
-            species=own.species.name,
-            variant=variant,
-            dbh_m=float(dbh_cm[0]) / 100,
-            height_m=float(height_m[0]),
-            crown_base_m=float(own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])[0]),
-            crown_width_m=float(width_m[0]),
-            leaf_area_m2=float(leaf_area_m2[0]),
-            season=self._season,
-            dead_branches=self._dead_branches,
-        )
+        base_m = own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
+        height, base, width, leaves = (float(size[0]) for size in (height_m, base_m, width_m, leaf_area_m2))
+        sizes = float(dbh_cm[0]) / 100, height, base, width, leaves
+        return CrownKey(own.species.name, variant, *sizes, self._season, self._dead_branches)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:

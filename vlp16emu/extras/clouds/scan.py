@@ -9,11 +9,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.engine import Engine, Unit
 from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
     JUMP_NS,
     RETURN_MODE_BYTE,
+    SEQUENCES_PER_BLOCK,
     CaptureReader,
     PacketChunk,
     PointFrame,
@@ -23,60 +25,15 @@ from vlp16emu.packets import (
     packet_clock,
     scan_starts,
 )
-from vlp16emu.types import F4, F8, I8, U1, U2, U4, ReturnMode
+from vlp16emu.raycast.displace import offset_tangents
+from vlp16emu.sensor.place import place
+from vlp16emu.types import F8, I8, SURFACE, Labels, ReturnMode, Returns, Scan
+from vlp16emu.units import seconds_to_ns
+
+_LABELS = ("semantic", "part", "instance", "species")
 
 LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
 """Returns the arrays of `Labels` for the n points of packets; empty if there are none."""
-
-
-@dataclass(frozen=True, slots=True)
-class Labels:
-    """Ground truth of n points: the surface that each was reflected by."""
-
-    semantic: U1
-    """(n,) `Semantic`."""
-    part: U1
-    """(n,) `PlantPart`."""
-    instance: U4
-    """(n,) unique per plant, stone or object; 0 none."""
-    species: U2
-    """(n,) number in the species table; 0 none."""
-    range_m: F4
-    """(n,) distance without range errors."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scan:
-    """One revolution: n points in the order of their pulses; pulses without return make no point.
-
-    A revolution begins with the first azimuth reading (the sensor takes one in two firing sequences) that has passed
-    0. In dual return each echo is there once, the last one first.
-
-    Each point is in the sensor's frame at the instant of its own pulse. `world_T_sensor` is the pose at `start_ns`
-    alone: on a moving sensor it takes only the scan's first points to their places in the world. Those of all are
-    `Emulator.world_T_sensor(scan.t_ns)`.
-    """
-
-    start_ns: int
-    """UTC of the revolution's first pulse, whether or not it has a return."""
-    t_ns: I8
-    """(n,) UTC of the pulse. Of a capture: by the clock that is chosen for `decode`, in whole microseconds for each packet."""
-    xyz_m: F4
-    """(n, 3) in the sensor: x forward at azimuth 0, y left, z up."""
-    distance_m: F4
-    """(n,) from the centre of the sensor."""
-    azimuth_deg: F8
-    """(n,) at the instant of the pulse, [0, 360)."""
-    ring: U2
-    """(n,) by elevation, 0 the lowest."""
-    reflectivity: U1
-    """(n,) 0..100 diffuse, 101..255 retroreflective."""
-    is_last: NDArray[np.bool_]
-    """(n,) a last return; else the strongest, or in dual return, where that is the last, the second strongest."""
-    world_T_sensor: F8 | None = None
-    """(4, 4) takes `xyz_m` to the world (local east, north, up), at `start_ns`; None for a capture."""
-    labels: Labels | None = None
-    """Where the truth was asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,3 +182,100 @@ def twins(points: Points) -> NDArray[np.bool_]:
     same &= points.laser[1:] == points.laser[:-1]
     same &= points.distance_m[1:] == points.distance_m[:-1]
     return np.concatenate([np.zeros(min(1, len(points.laser)), np.bool_), same])
+
+
+def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool) -> Iterator[Scan]:
+    """Return whole revolutions of a unit, numbered from 0, within a span; with labels if `truth`.
+
+    Raises
+    ------
+    TrajectoryError : If the walk is over before the span
+    """
+    start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
+    begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
+    returns = engine.returns(*span_s, number, truth=truth)
+    chunks = (_chunk(unit, block, begin_ns, end_ns, truth=truth) for block in returns)
+    return cut_scans(chunks, lambda t_ns: unit.world_T_sensor(np.array([t_ns]))[0])
+
+
+def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
+    """Points of a block whose azimuth is read within a span, each echo once, the last one first."""
+    firings, step = returns.firings, SEQUENCES_PER_BLOCK
+    reading_ns = firings.t_ns[::step, 0]
+    taken = (reading_ns >= begin_ns) & (reading_ns < end_ns)
+    inside = np.broadcast_to(np.repeat(taken, step)[:, None], firings.t_ns.shape)
+    points, sequence = points_of(unit, returns, inside, truth=truth)
+    # Of dual return, the strongest one is the last one where both are the same.
+    distance_m, is_dual = returns.distance_m[sequence, points["laser"]], unit.section.return_mode == "dual"
+    is_last = points["return_number"] == 1
+    is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
+    order = np.lexsort((~is_last, points["laser"], sequence))
+    arrays = {
+        "t_ns": points["t_ns"],
+        "xyz_m": points["sensor_m"].astype(np.float32),
+        "distance_m": points["distance_m"],
+        "azimuth_deg": points["azimuth_deg"],
+        "ring": points["ring"],
+        "reflectivity": points["reflectivity"],
+        "is_last": is_last,
+    } | ({name: points[name] for name in (*_LABELS, "range_m")} if truth else {})
+    return Chunk(
+        t_ns=reading_ns[taken],
+        azimuth_deg=firings.reading_deg[::step][taken],
+        reading=(np.cumsum(taken) - 1)[sequence[order] // step],
+        arrays={name: array[order] for name, array in arrays.items()},
+    )
+
+
+def points_of(
+    unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
+    firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
+    sent = _sent(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
+    sequence, laser, number = np.nonzero(sent)
+    distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
+    poses = unit.motion.poses_at(pulse_ns)
+    tangents = None
+    if unit.beam.section.model == "offset":
+        tangents = offset_tangents(distance_m, unit.beam, firings.index + sequence, laser, t_ns.shape[1])
+    placed = place(beams, firings, sequence, laser, distance_m, poses, tangents)
+    points: dict[str, NDArray[Any]] = {
+        "t_ns": pulse_ns,
+        "world_m": placed.world_m,
+        "sensor_m": placed.sensor_m,
+        "distance_m": distance_m,
+        "azimuth_deg": placed.azimuth_deg,
+        "elevation_deg": placed.elevation_deg,
+        "reflectivity": returns.reflectivity[sent],
+        "ring": beams.ring[laser],
+        "laser": laser,
+        "return_number": number,
+        "viewpoint_m": np.broadcast_to(poses.world_p_body_m, placed.world_m.shape),
+    }
+    return points | (_labels(returns, sent) if truth else {}), sequence
+
+
+def _sent(distance_m: NDArray[np.float32], mode: ReturnMode) -> NDArray[np.bool_]:
+    """(k, L, 3) which returns the sensor would report: each echo once, a lone one as the strongest.
+
+    The rules of dual return: 63-9243 Rev D, section 9.3.2.
+    """
+    sent = distance_m > 0
+    if mode is ReturnMode.DUAL:
+        same = distance_m[..., 0] == distance_m[..., 1]
+        sent[..., 1] &= ~same
+        sent[..., 2] &= same
+    else:
+        sent &= np.arange(3) == (1 if mode is ReturnMode.LAST else 0)
+    return sent
+
+
+def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Look up the surface behind each point; what fog or rain throws back is of no class."""
+    assert returns.surface is not None
+    assert returns.surfaces is not None
+    assert returns.range_m is not None
+    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of `NO_SURFACE`
+    rows = surfaces[np.minimum(returns.surface[sent], len(returns.surfaces))]
+    return {name: rows[name] for name in (*_LABELS, "reflectance")} | {"range_m": returns.range_m[sent]}

@@ -1,0 +1,26 @@
+"""What makes a real walk harder: the tables that `conditions = "field"` gives."""
+
+from typing import Any
+
+from vlp16emu.settings import merged
+
+_MOUNT = {"error_deg": 0.3, "error_mm": 5.0}
+_FIELD: dict[str, Any] = {"imu": {"preset": "field", "mount": _MOUNT}}
+"""Tables of `conditions = "field"`. Extrinsics of a backpack are known within a degree and a centimetre by self-calibration
+(Pan, Shao et al., IEEE TGRS 61, 5703713, 2023); from a drawing within a third and half of that for each axis (assumption)."""
+_ON_FOOT: dict[str, Any] = {"motion": {"kind": "walk", "mount": _MOUNT, "mast": {}}, "people": {}}
+_FORESTS = ("forest", "plot")
+_IN_A_FOREST: dict[str, Any] = {"wind": {"speed_m_s": 2.0}}
+"""A light breeze, 1.6 to 3.3 m/s (Beaufort scale, WMO code table 1100)."""
+
+
+def in_the_field(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return a scene with the keys that make a real walk harder, where it does not give them."""
+    motion, world = (
+        table.get("kind") if isinstance(table := tree.get(name), dict) else None for name in ("motion", "world")
+    )
+    base = _FIELD | (_ON_FOOT if motion == "walk" else {}) | (_IN_A_FOREST if world in _FORESTS else {})
+    units = tree.get("rig")
+    if isinstance(units, list):
+        tree = tree | {"rig": [merged({"mount": _MOUNT}, one) if isinstance(one, dict) else one for one in units]}
+    return merged(base, tree)

@@ -1,0 +1,42 @@
+"""Ports that are free, for streams whose receivers learn theirs: several tests or programs on one machine."""
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import count, islice
+
+from vlp16emu.errors import OutputError
+from vlp16emu.sinks import LOOPBACK
+
+_FREE = range(20_000, 32_768)
+"""Ports that are offered as free: below those that systems give to sockets that ask for any, which begin at 32768 on Linux
+(net.ipv4.ip_local_port_range, ip(7)) and at 49152 elsewhere (RFC 6335, section 6)."""
+_offered = count(os.getpid() * 61)
+"""Place in `_FREE` at which the next search begins: processes begin apart, so that searches are short."""
+
+
+@contextmanager
+def free_ports(number: int) -> Iterator[list[int]]:
+    """Find UDP ports that no socket of this machine is bound to, and reserve them for receivers that bind them later.
+
+    A TCP socket of the same number is the reservation: a receiver can bind the UDP port, and no other search finds it.
+
+    Raises
+    ------
+    OutputError : If there are not so many.
+    """
+    with ExitStack() as held:
+        ports = list[int]()
+        for port in islice((_FREE[place % len(_FREE)] for place in _offered), len(_FREE)):
+            if len(ports) == number:
+                break
+            with ExitStack() as tried, suppress(OSError):
+                tried.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM)).bind((LOOPBACK, port))
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                    probe.bind(("", port))
+                held.push(tried.pop_all())
+                ports.append(port)
+        if len(ports) < number:
+            raise OutputError("ports", f"{len(ports)} free ones", f"{number} from {_FREE[0]} to {_FREE[-1]}")
+        yield ports
