@@ -207,7 +207,7 @@ def _mark_silent(
     """
     rates, key = constants.lost, constants.seed
     for i in range(distance_m.shape[0]):
-        knot, rest = min(np.int64(place[i]), NO_RETURN_KNOTS - 1), place[i] % 1.0
+        knot, rest = min(int(place[i]), NO_RETURN_KNOTS - 1), place[i] % 1.0
         for j in range(distance_m.shape[1]):
             silent = True
             for column in range(3):
