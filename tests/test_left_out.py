@@ -142,7 +142,7 @@ def test_without_gait_nothing_swings(monkeypatch):
 
 def test_without_a_harness_nothing_is_solved(monkeypatch):
     """Straps are solved only where there are some."""
-    forbid(monkeypatch, (harness, "_advance"), (harness, "_swing"))
+    forbid(monkeypatch, (harness, "_swing"))
     t_ns = birch().start_ns + 2 * 10**9 + np.arange(10, dtype=np.int64)
     Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
     with pytest.raises(TouchedError):

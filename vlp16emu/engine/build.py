@@ -192,6 +192,7 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     else:
         carrier, ground_m, world, wind = _world(scenario)
     start_ns, imu, seed = scenario.start_ns, scenario.imu, scenario.sensor_seed
+    # A mast bends between the carrier and its sensors; the inertial unit is below it.
     top, sampler, imu_mount, people = scenario.motion.under_sensors(carrier), None, Mount(), None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)

@@ -94,13 +94,8 @@ class _Twin:
         if name not in self.scene.geometry:
             material = self._material(row, self._colours[surface])
             self.scene.geometry[name] = _geometry(vertices_m, mesh.faces, material)
-        self.scene.graph.update(
-            frame_to=self._unused(label(row, self._species, with_part=True)),
-            frame_from=parent,
-            matrix=world_T_shape,
-            geometry=name,
-            metadata=_extras(row),
-        )
+        node = {"frame_to": self._unused(label(row, self._species, with_part=True)), "frame_from": parent}
+        self.scene.graph.update(**node, matrix=world_T_shape, geometry=name, metadata=_extras(row))
 
     def _instance(self, row: np.void, place_m: Array) -> str:
         name = label(row, self._species, with_part=False)
@@ -120,13 +115,9 @@ class _Twin:
         what = PlantPart(row["part"]).name if row["part"] else Semantic(row["semantic"]).name
         name = f"{self._species.get(int(row['species']), '')} {what}".strip().lower()
         if name not in self._materials:
-            self._materials[name] = trimesh.visual.material.PBRMaterial(
-                name=name,
-                baseColorFactor=[*_linear(colour), 1.0],
-                metallicFactor=0.0,
-                roughnessFactor=1.0,
-                doubleSided=True,
-            )
+            look = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
+            material = trimesh.visual.material.PBRMaterial(name, baseColorFactor=[*_linear(colour), 1.0], **look)
+            self._materials[name] = material
         return self._materials[name]
 
 

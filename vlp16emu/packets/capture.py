@@ -202,7 +202,7 @@ class Capture:
         self._recent.add(known)
         self._order.append(known)
         if len(self._order) > _RECENT:
-            self._recent.discard(self._order.popleft())
+            self._recent.discard(self._order.popleft())  # so that memory stays small however long the capture
         return False
 
 
@@ -233,7 +233,7 @@ def _files(path: Path) -> list[Path]:
     """Return the files of a capture, in order of their first stamps."""
     if path.is_fifo():
         return [path]  # which can be read only once
-    is_pattern = not path.exists() and glob.has_magic(path.name)
+    is_pattern = not path.exists() and glob.has_magic(path.name)  # a file may have brackets in its name
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
     firsts = {file: next(_frames_in(file), None) for file in found or [path]}
     return sorted(firsts, key=lambda file: first.stamp_ns if (first := firsts[file]) else 0)

@@ -168,6 +168,7 @@ class CaptureReader:
             if sound.any():
                 numbers = np.array([(datagram.number, datagram.stamp_ns) for datagram in held])
                 yield self._decoded(payloads[sound], *numbers[sound].T)
+            # A capture of nothing but faults is none of this sensor: passing over it would leave an empty result.
             if faults and not (self._passes_over and self._azimuth_cdeg):
                 where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])

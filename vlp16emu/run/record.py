@@ -43,7 +43,7 @@ def record(
     units, truth = run.engine.parts.units, TruthTo.of(options.truth)
     paths = _paths_of_units(Path(path), len(units)) if options.split else [Path(path)]
     for one in paths:
-        spare(run.files, one)
+        spare(run.files, one)  # an input of the scene is never written over
     files = _files(run, path, paths, truth, options)
     run, scenario, stop = run.with_truth_in(truth), run.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
@@ -59,7 +59,7 @@ def record(
         suppress(CancelledError),
     ):
         for packet in writer.beside(packets) if writer else packets:
-            if stop.is_set():
+            if stop.is_set():  # between two packets: the file ends with a whole one
                 break
             sinks[min(packet.unit, len(sinks) - 1)].send(host.stamped(packet))
             sent[packet.unit][packet.kind] += 1

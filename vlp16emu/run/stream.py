@@ -51,17 +51,17 @@ def stream_run(
     _check(options, truth)
     pacer, policy, stop = Pacer(options.speed), Late(options.late), stop or Event()
     with ExitStack() as stack:
-        run = stack.enter_context(_on_ports(run.with_truth_in(truth), options))
+        run = stack.enter_context(_on_ports(run.with_truth_in(truth), options))  # frames have the ports in them
         scenario, units = run.scenario, run.engine.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
         stack.enter_context(run.engine.windows.stopped_by(stop))
         is_live = takes_poses(scenario.motion) or poses is not None
         flight = stack.enter_context(door("live")(run, poses)) if is_live else None
-        policy = flight.prepare(stop, pacer) if flight else policy
+        policy = flight.prepare(stop, pacer) if flight else policy  # waits for the first pose
         outlets = stack.enter_context(door("outlets")(outlets)) if outlets else None
-        engine = replace(run.engine, prompt=http is not None)
+        engine = replace(run.engine, prompt=http is not None)  # what is set there should show soon
         feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
-        udp = stack.enter_context(_udp(run, options, host, progress))
+        udp = stack.enter_context(_udp(run, options, host, progress))  # a wrong address fails before any casting
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
         if options.prepare:
@@ -71,7 +71,7 @@ def stream_run(
             packets = writer.beside(feed) if writer else feed
         way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
         gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
-        way = stack.enter_context(gps_in).sink(way) if gps_in else way
+        way = stack.enter_context(gps_in).sink(way) if gps_in else way  # outside: who watches sees what leaves
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
         report = stream(

@@ -133,6 +133,7 @@ class LookAhead:
             earliest_ns = min(due_ns, self._redo[0]) if self._redo else due_ns
             while self._ready and self._ready[-1].due_ns >= earliest_ns:
                 self._ready.pop()
+            # A thread that is done waits until its buffer is empty, so that it can still begin again.
             self._redo, self._done = (earliest_ns, restart), False
             self._made_due_ns = min(self._made_due_ns, earliest_ns)
             self._changed.notify_all()
@@ -303,7 +304,7 @@ def stream(
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
                 if left is None and not stop.is_set():
                     left = FirstPacket(packet.due_ns, present.began_ns if present else None, time.time_ns())
-                had_to_wait = ahead.first is None
+                had_to_wait = ahead.first is None  # asked before the wait, which would hide it
             interrupted = stop.is_set()
     except KeyboardInterrupt:
         interrupted = True
@@ -344,7 +345,7 @@ class Sender:
                 self._skip(packet, deadline_ns + late_ns, had_to_wait=had_to_wait)
                 return
             behind.total_s += late_s
-            pacer.delay_ns += late_ns
+            pacer.delay_ns += late_ns  # for good: catching up would be a burst, which no sensor sends
         self._skipping_since_ns, self._lead_ns = None, 0
         late_ns = pacer.wait(packet, deadline_ns, is_over=self._is_over)
         if self._is_over():

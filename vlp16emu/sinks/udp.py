@@ -102,6 +102,7 @@ class UdpSink(PacketSink):
         if _is_broadcast(address, self._sources[unit], self._interface):
             for opened in self._sockets[unit].values():
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        # One assignment, as `send` runs on another thread and must see both ports change at once.
         self._to[unit] = {PacketKind.DATA: (address, data_port), PacketKind.POSITION: (address, position_port)}
 
     def send(self, packet: Packet) -> None:

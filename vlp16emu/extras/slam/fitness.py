@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vlp16emu.extras.slam.configure import pose_names
+from vlp16emu.extras.slam.configure import Program, chosen, pose_names
 from vlp16emu.extras.slam.facts import Facts, read_facts, rest_s
-from vlp16emu.extras.slam.programs import Program, chosen
 
 _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
 """Units of times, and their numbers in FAST-LIO2 and Point-LIO (src/preprocess.h)."""

@@ -285,17 +285,12 @@ class Models:
 
     def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
         """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
-        return [
-            PlacedThings(
-                (ModelKey(i, self._models[i].content),),
-                np.zeros(len(own), np.int64),
-                self._models[i].world_T_model(own),
-                plant_surfaces(own, self._models[i].parts, self._plants),
-                own,
-                is_exact=is_exact,
-            )
-            for i, own in self._by_model(trees)
-        ]
+        placed = []
+        for i, own in self._by_model(trees):
+            model, rows = self._models[i], plant_surfaces(own, self._models[i].parts, self._plants)
+            shape = (ModelKey(i, model.content),), np.zeros(len(own), np.int64)
+            placed.append(PlacedThings(*shape, model.world_T_model(own), rows, own, is_exact=is_exact))
+        return placed
 
     def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
         """Meshes of a model."""

@@ -289,11 +289,9 @@ class Stand:
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
         base_m = own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
-        sizes = (float(size[0]) for size in (height_m, base_m, width_m, leaf_area_m2))
-        dbh_m = float(dbh_cm[0]) / 100
-        return CrownKey(
-            own.species.name, variant, dbh_m, *sizes, season=self._season, dead_branches=self._dead_branches
-        )
+        height, base, width, leaves = (float(size[0]) for size in (height_m, base_m, width_m, leaf_area_m2))
+        sizes = float(dbh_cm[0]) / 100, height, base, width, leaves
+        return CrownKey(own.species.name, variant, *sizes, self._season, self._dead_branches)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:
