@@ -116,7 +116,7 @@ class Swing:
         """Sample the swings of one unit: one of its mean speed, over minutes, two within seconds, and one within a turn, at 600 rpm.
 
         A unit (einride) was 0.04 deg off an even turn within half a second, others 0.02. Between 6.5 and 20 cycles per turn mrpt, einride,
-        nebula and the unit of 2014 are off by 0.37, 0.39, 0.76 and 0.37 cdeg (root mean square), of which the reading has 0.2.
+        nebula and the unit of 2014 are off by 0.37, 0.39, 0.76 and 0.37 cdeg (root mean square); noise of the reading is 0.2 of it.
 
         Parameters
         ----------
