@@ -105,7 +105,7 @@ def _surfaces(out: Features, d: Array, r: Array, flat: Array, slot: Array) -> No
     out.shape("range", bend[flat])
     out.lags("range", bend, flat)
     out.unevenness("range", d[d > 0], 2, 4, 5, 8, 10)
-    out.unevenness("code", r[d > 0], 2, 3, 5)
+    out.unevenness("code", r[(d > 0) & (r < 100)], 2, 3, 5)  # bright surfaces are cut at 100
     for low, high in LEVELS:
         at = flat & (level >= low) & (level < high)
         out.shape(f"range.at_{low}", bend[at])

@@ -1,10 +1,10 @@
 """Records that a real unit loses, and what it sends in place of a range.
 
 The receiver sets its power by the pulses before: one of 8 levels on the HDL-64E S3, whose manual recommends the full one for last
-returns ("Laser Output Power Level Management"), of 11 on the HDL-32E (software version 2.0). So a record is lost where the light of a laser steps up, for it is then too strong, or
-down, beside what it was on average. A pulse that meets two surfaces gives the strongest or the last return as the manual says, and seldom
-nothing; and a dark record is lost now and then. The laws are those of mrpt, einride, nebula and the unit of 2014, whose records between
-returns are there or not; how units differ is the span of these four.
+returns ("Laser Output Power Level Management"), of 11 on the HDL-32E (software version 2.0). So a record is lost where the light of a
+laser steps up, for it is then too strong, or down, beside what it was on average. A pulse that meets two surfaces gives the strongest or
+the last return as the manual says, and seldom nothing; and a dark record is lost now and then. The laws are those of mrpt, einride, nebula
+and the unit of 2014, whose records between returns are there or not; how units differ is the span of these four.
 
 Where the ranges of neighbours differ by more than 0.1 m on either side, as in trees at 35 to 48 m before the unit of 2014 and in the
 clutter of offices, these lose 0.02 to 0.08 of the records; a step between two smooth surfaces of like brightness costs 0.05 to 0.14,
@@ -65,7 +65,7 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
     drawn = uniform(seed, Purpose.LOSS, 0, len(_SPANS), 1 << 16).tolist()
     *rates, code = (low * power(high / low, z) for (low, high), z in zip(_SPANS, drawn, strict=True))
     step, *others = (share * rate for rate in rates)
-    return LossRates(step, share * _BRIGHT, *others, code if raised else 0.0)
+    return LossRates._make([step, share * _BRIGHT, *others, code if raised else 0.0])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)

@@ -81,13 +81,13 @@ def _raised(silent: NDArray[np.bool_], r: NDArray[np.int64]) -> Statistics:
     mode = commonest(silent, r)
     raised = silent & (r > _RAISED * mode) & (mode > 0)
     neighbour = np.maximum(*(np.where(silent[side], -1, r[side]) for side in (slice(None, -2), slice(2, None))))
-    shares = []
+    beside, shares = silent[1:-1] & (neighbour >= 0), []
     for low, high in (_DARK, _BRIGHT):
         at = silent[1:-1] & (neighbour >= low) & (neighbour < high) & (mode > 0)
         shares.append(raised[1:-1][at].mean() if at.sum() >= _LEAST_EDGES else np.nan)
     begins = ~silent[:-2] & raised[1:-1]
     return {
-        "no_return.above_100": (r[1:-1][silent[1:-1] & (neighbour >= 0)] > 100).mean(),
+        "no_return.above_100": (r[1:-1][beside] > 100).mean() if beside.sum() >= _LEAST_EDGES else np.nan,
         "no_return.raised_beside_bright": shares[1] - shares[0],
         "no_return.raised_once": (~raised[2:])[begins].mean() if begins.sum() >= _LEAST_EDGES else np.nan,
     }
