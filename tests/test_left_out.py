@@ -215,7 +215,13 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     wrong, json_ = ("birch_walk", "--set", "sensor.rpm=17"), "--json"
     lean = "record", "static_bench", f"{tmp_path}/x.pcap", "--duration", "0.1", "--set", "gps.connected=false", json_
-    sets = "sensor.max_range_m=8", "world.near_m=5", "world.stems_per_ha=50", "world.stones.cover=0.01"
+    sets = (
+        "sensor.max_range_m=8",
+        "world.near_m=5",
+        "world.stems_per_ha=50",
+        "world.stones.cover=0.01",
+        "gps.connected=false",
+    )
     words = [word for each in sets for word in ("--set", each)]
     ports = "--data-port", "23680", "--position-port", "23681"
     walk = "stream", "birch_walk", "--duration", "0.05", "--no-audit", *words, *ports, json_

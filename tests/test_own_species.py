@@ -67,7 +67,7 @@ def test_own_plants_are_scanned_and_labelled(scene):
 def test_own_plants_stand_in_the_inventory_by_name(scene, tmp_path):
     """The inventory names the user's species."""
     out = tmp_path / "trees.csv"
-    assert run(["forest", str(scene), "--inventory", str(out), "--json"]) == 0
+    assert run(["forest", str(scene), "--radius", "14", "--inventory", str(out), "--json"]) == 0
     lines = out.read_text(encoding="utf-8").splitlines()
     assert len(lines) > 20
     assert all("grey_alder" in line for line in lines[1:])

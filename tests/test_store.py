@@ -211,7 +211,7 @@ def use(monkeypatch):
 
 SMALL = (
     "sensor.max_range_m=8",
-    "world.near_m=4",
+    "world.near_m=5",
     "world.stems_per_ha=150",
     "world.species=[{species='scots_pine',share=1,dbh_cm=28,height_m=22}]",
     "world.regeneration.species=['scots_pine']",

@@ -28,10 +28,10 @@ def digest(packets):
 def test_threads_and_cuts_do_not_change_a_byte_of_a_windy_run():
     """One thread, or three and a run in pieces, across the change of a window: the same packets."""
     windy = load("birch_walk", [*BLOWS, "sensor.max_range_m=8.0"])
-    start, stop = STRETCH_S - 0.03, STRETCH_S + 0.03
+    start, stop = STRETCH_S - 0.06, STRETCH_S + 0.06
     whole = digest(Emulator(windy, threads=1).packets(start, stop))
     emulator = Emulator(windy, threads=3)
-    cuts = [start, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.0101, stop]
+    cuts = [start, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.0301, stop]
     assert digest(p for a, b in itertools.pairwise(cuts) for p in emulator.packets(a, b)) == whole
 
 
@@ -46,13 +46,12 @@ def test_still_air_changes_nothing():
 
 def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
     """Points on stems, taken back by the lean at their own time, lie 4 mm from the circle of DBH; left as they are, not."""
-    settings = ["motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}", "seed=5", "sensor.max_range_m=12.0"]
+    settings = ["motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}", "seed=5", "sensor.max_range_m=25.0"]
     settings += ["wind={speed_m_s=9.0, towards_deg=70.0}", "world.stems_per_ha=400", "world.crooked_stems=false"]
     scenario = load("birch_walk", settings, ideal=True)
     emulator = Emulator(scenario)
     wind, checked, left_m = emulator.parts.wind, 0, []
-    for start_s in np.arange(0.0, 9.0, 1.3):
-        returns = next(iter(emulator.returns(start_s, start_s + 0.1, truth=True)))
+    for returns in itertools.islice(emulator.returns(0.0, 9.0, truth=True), 0, 85, 12):
         f, distance_m = returns.firings, returns.distance_m[..., 0]
         trees = emulator.parts.world.trees(f.origin_m[0, :1])
         row = returns.surfaces[np.where(distance_m > 0, returns.surface[..., 0], 0)]

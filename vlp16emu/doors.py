@@ -39,10 +39,10 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
     "scenes": {},  # folders of scene files
     "clouds": {},  # suffix -> writer; ours are in `extras/clouds`
     "verbs": {  # in the order of the help
-        "record": "vlp16emu.cli.write:record",
+        "record": "vlp16emu.cli.record:record",
         "stream": "vlp16emu.cli.stream:stream",
         "replay": "vlp16emu.cli.stream:replay",
-        "decode": "vlp16emu.cli.write:decode",
+        "decode": "vlp16emu.cli.record:decode",
         "verify": "vlp16emu.cli.check:verify",
         "scenes": "vlp16emu.cli.about:scenes",
         "schema": "vlp16emu.cli.about:schema",

@@ -113,7 +113,7 @@ def test_a_missing_address_is_answered_with_the_command_that_adds_it(seen):
     ended = seen["without address"]
     assert (ended["code"], ended["out"]) == (2, "")
     assert ended["err"] == (
-        "error: 192.168.1.201:0: Cannot assign requested address; expected an address of this machine: "
+        "error: 192.168.1.201:2368: Cannot assign requested address; expected an address of this machine: "
         "sudo ip addr add 192.168.1.201/24 dev sensor0\n"
     )
 

@@ -146,9 +146,9 @@ def test_the_picture_is_small(written):
 
 def test_a_table_is_printed_for_people(cli):
     """Species, sums, relief and what lies on the ground are told in lines."""
-    out = cli("forest", "birch_walk", *WORDS, "--set", "duration_s=3.0", "--radius", "9").out
+    out = cli("forest", "managed_mixed", *SMALL).out
     lines = out.splitlines()
-    assert lines[0].startswith("birch_walk: A walk through a stand of silver birch")
+    assert lines[0].startswith("managed_mixed: A walk through a managed stand")
     header = next(line for line in lines if line.startswith("species ") and "stems per ha" in line)
     assert " ".join(header.split()) == (
         "species stems stems per ha dbh mean cm dbh min cm dbh max cm height mean m height max m "

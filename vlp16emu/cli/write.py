@@ -1,63 +1,19 @@
-"""Verbs that write files of a run, a scene or a capture: record, truth, points, decode, bag, images and dataset."""
+"""Verbs that write files of a run, a scene or a capture: truth, points, bag, images and dataset."""
 
-import sys
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack, nullcontext, redirect_stdout
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from threading import Event
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, size
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
-from vlp16emu.errors import InputError, OutputError
+from vlp16emu.errors import InputError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PointOptions, TrajectoryErrors
 from vlp16emu.options import Option, options_of
-from vlp16emu.run.options import BagOptions, RecordOptions, Span, TruthPackets, TruthRate, TruthReturns, TruthTo
-
-if TYPE_CHECKING:
-    from vlp16emu.packets import CaptureReader, PointFrame, Summary
-
-
-def record(
-    scene: args.SceneName,
-    out: Annotated[
-        str,
-        Option(
-            "File to write, classic pcap (.pcap, .cap, .dump or no ending); overwritten if it exists. - is standard output; the report "
-            "then goes to stderr. With .mcap (ROS 2), .bag (ROS 1), or a slash at its end (new folder, ROS 2) a bag, with the truth in it.",
-            name="OUT",
-        ),
-    ],
-    options: RecordOptions,
-    *,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
-    threads: args.Threads = 0,
-    audit: args.Audit = True,
-    as_json: args.AsJson = False,
-) -> None:
-    """Record a scene into a pcap file, or a bag.
-
-    The file holds data and position packets in order of sending, in the frames of a real sensor and
-    stamped with simulated time. Ctrl-C ends it early and leaves a valid file. Until its end it is
-    OUT.xxxxxxxx.part, which after kill -9 holds all whole packets.
-    """
-    from vlp16emu.output import STDOUT
-
-    if Path(out) == STDOUT and sys.stdout is None:
-        raise OutputError("standard output", "closed", "a file or a pipe")
-    began_s = time.perf_counter()
-    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=audit)
-    with running(emulator, "recording", options) as hooks:
-        recording = emulator.record(out, **vars(options), **hooks)
-    recording = replace(recording, wall_s=time.perf_counter() - began_s)  # of the whole command
-    with redirect_stdout(sys.stderr) if Path(out) == STDOUT else nullcontext():
-        finish(recording, as_json=as_json)
+from vlp16emu.run.options import BagOptions, Span, TruthPackets, TruthRate, TruthReturns, TruthTo
 
 
 def truth(
@@ -162,87 +118,6 @@ def _deskew(
     with stop_on_ctrl_c() as stop:
         cloud = write_deskewed(capture, out, way, truth, stop=stop, clock=clock)
     finish(cloud, as_json=as_json)
-
-
-def decode(
-    file: CaptureFile,
-    *,
-    out: Annotated[
-        Path | None, Option("Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.", "FILE")
-    ] = None,
-    unit: UnitName = None,
-    clock: WhichClock = None,
-    frame: Annotated[
-        str,
-        Option(
-            "Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y forward, as the manual "
-            "of Velodyne and VeloView do (manual).",
-            words=("sensor", "manual"),
-        ),
-    ] = "sensor",
-    model: Annotated[
-        str | None,
-        Option(
-            "What a unit from before release is, whose packets name an HDL-32E (product 0x21).",
-            words=("vlp-16", "puck-hi-res"),
-        ),
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Decode a capture by the formulas of the sensor's manual.
-
-    Works on recordings of real sensors too. Points are in metres in the sensor: x forward (azimuth 0), y left,
-    z up, unless --frame chooses other axes. Pulses without return become no points. Ctrl-C and a broken packet leave a
-    valid file with the points before.
-    """
-    from vlp16emu.packets import CaptureReader, chosen_unit, frame_named, packet_clock
-    from vlp16emu.types import SensorModel
-
-    axes, chosen = frame_named(frame, where="--frame"), chosen_unit(file, unit, where="--unit")
-    product = SensorModel(model) if model else None
-    stamps = packet_clock(file, chosen, clock, where="--clock")
-    with CaptureReader(file, chosen, axes, product, stamps) as reader, stop_on_ctrl_c() as stop:
-        _read(reader, file, out, axes, stop)
-    interrupted = stop.is_set()
-    title = f"{file}, interrupted" if interrupted else str(file)
-    tree = {"file": file, "out": out} if as_json else {"wrote": out}
-    finish(tree | _tree(reader.summary) | {"interrupted": interrupted}, title, as_json=as_json)
-
-
-def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFrame", stop: Event) -> None:
-    """Read a capture to its end or until `stop`, and write its points if `out` is given."""
-    with ExitStack() as stack:
-        writer = None
-        if out:
-            from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
-
-            about = CloudAbout(capture_comments(axes, f"{reader.clock.clock}'s"))
-            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
-            writer = stack.enter_context(opened)
-        for chunk in reader.points():
-            if writer:
-                writer.write(chunk.columns)
-            if stop.is_set():
-                break
-
-
-_DECODED = (
-    *("model", "return_mode", "rpm", "packets", "position_packets", "other_datagrams", "points", "no_returns", "scans"),
-    *("records_per_scan", "range_m", "start_utc", "duration_s", "clock", "host_ahead_s", "gps", "cut", "repeats"),
-)
-
-
-def _tree(summary: "Summary") -> dict[str, Any]:
-    gps, ranges_m = summary.gps, summary.range_m
-    start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=summary.first_stamp_ns // 1000)
-    own = {
-        "rpm": round(summary.rpm, 2),
-        "range_m": ranges_m and dict(zip(("min", "median", "max"), (round(r, 3) for r in ranges_m), strict=True)),
-        "start_utc": start.isoformat().replace("+00:00", "Z"),
-        "host_ahead_s": round(summary.host_ahead_s, 6),
-        "gps": gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
-    }
-    return {name: own[name] if name in own else getattr(summary, name) for name in _DECODED}
 
 
 def bag(

@@ -183,7 +183,7 @@ class ReplayOptions(SendOptions):
 
 @dataclass(frozen=True)
 class StreamOptions(SendOptions):
-    """Options of a stream; `extras.bench.options` adds those of what stands beside it."""
+    """Options of a stream; `extras.bench.options` has the types of what stands beside it, None for what there is not."""
 
     duration_s: Duration = None
     truth: TruthPlace | None = None
@@ -195,11 +195,10 @@ class StreamOptions(SendOptions):
             "--prepare-to",
         ),
     ] = None
-
-    @property
-    def beside(self) -> tuple[Any, Any, Any, Any]:
-        """Web interfaces, poses that come in, outlets, and a real receiver; None for what there is not."""
-        return None, None, None, None
+    http: Any = None
+    poses: Any = None
+    outlets: Any = None
+    gps_in: Any = None
 
     @property
     def settings(self) -> dict[str, object]:

@@ -47,7 +47,7 @@ def stream_run(
     stop : ends the stream from another thread
     """
     (host, _), truth = options.receiver, TruthTo.of(options.truth)
-    http, poses, outlets, gps_in = options.beside
+    http, poses, outlets, gps_in = options.http, options.poses, options.outlets, options.gps_in
     _check(options, truth)
     pacer, policy, stop = Pacer(options.speed), Late(options.late), stop or Event()
     with ExitStack() as stack:
@@ -95,7 +95,7 @@ def stream_run(
 
 def _check(options: StreamOptions, truth: TruthTo | None) -> None:
     """Refuse options that exclude each other."""
-    http, _, outlets, gps_in = options.beside
+    http, outlets, gps_in = options.http, options.outlets, options.gps_in
     beside = outlets and (outlets.gps_out or outlets.imu_out)
     _exclude(options.prepare, "--prepare", {"--http": http, "--gps-out or --imu-out": beside})
     _exclude(options.now, "--now", {"--gps-in": gps_in})

@@ -129,8 +129,3 @@ class BenchOptions(StreamOptions):
     outlets: Outlets | None = None
     gps_in: GpsIn | None = None
     """Sets the clock of the sensors instead of the receiver of the scene."""
-
-    @property
-    def beside(self) -> tuple[Any, Any, Any, Any]:
-        """Fields of this class, for the core."""
-        return self.http, self.poses, self.outlets, self.gps_in
