@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.lost import loss_rates
-from vlp16emu.types import Hits, PlantPart, Semantic
+from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
 LOSSES = {"records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
 LASERS = 16
@@ -66,6 +66,17 @@ def test_two_surfaces_in_a_pulse_cost_it(detector, firings, table, sheet, least,
     met = np.repeat([0, int(sheet == "ground")], 4)
     rates = [lost(seen(detector, firings, surfaces, range_m, met, seed=seed)).mean() for seed in range(12)]
     assert least - 0.02 <= min(rates) <= max(rates) <= most + 0.02
+
+
+def test_an_echo_of_the_air_alone_has_one_surface(detector, firings, table):
+    """In thick fog pulses whose sub-rays meet nothing have returns, and lose few: what is not met has no number to look up."""
+    range_m = np.full((500, LASERS, 4), np.inf)
+    here = [
+        seen(detector, firings, table(0.5), range_m, NO_SURFACE, noise, visibility_m=10.0) for noise in (LOSSES, None)
+    ]
+    least, most = ((~lost(out)).mean() for out in here)
+    assert 0.9 * most < least <= most
+    assert most > 0.05
 
 
 def test_rough_places_lose_less(detector, firings, table):

@@ -82,6 +82,8 @@ def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
             light = np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             if light > most:
                 most, at_m, surface = light, np.float64(range_m[ray]), met[ray]
+    if most == 0.0:  # an echo of the air alone: what no sub-ray has met has no number
+        return 0.0
     own = sheet[surface]
     for ray in range(np.uint64(start), np.uint64(stop)):
         if range_m[ray] < np.inf:
