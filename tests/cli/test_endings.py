@@ -117,7 +117,7 @@ def test_a_signal_while_a_class_is_made_ends_the_run(program):
 
 
 def test_warnings_of_numpy_stay_away_from_the_line_of_an_error(program):
-    """What numpy warns of while a scene is read is not printed; the error is one line."""
+    """Warnings of numpy while a scene is read are not printed; the error is one line."""
     process = program("record", "nope", "x.pcap", before=NOISY)
     out, err = process.communicate(timeout=100)
     assert (process.returncode, out, err.count("\n")) == (2, "", 1)
@@ -125,7 +125,7 @@ def test_warnings_of_numpy_stay_away_from_the_line_of_an_error(program):
 
 
 def test_an_error_without_a_file_is_not_one_of_standard_output(main_here, monkeypatch, tmp_path):
-    """Where the system has no more files to give, the line says so."""
+    """The error line names the limit of open files when the system has no more."""
 
     def load(*_, **__):
         raise OSError(24, "Too many open files")
@@ -155,7 +155,7 @@ def test_a_file_does_not_take_the_place_of_a_closed_output(cli, tmp_path):
     "line", ["picture birch_walk {}/x.png", "forest birch_walk --picture {}/x.png", "accuracy birch_walk --out {}"]
 )
 def test_a_missing_matplotlib_is_named_before_the_work(cli, monkeypatch, tmp_path, line):
-    """What draws says at once which extra it lacks, before a world is made."""
+    """Verbs that draw name the missing extra before a world is made."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr("vlp16emu.engine.Engine.of", lambda *_, **__: 1 / 0)
     outcome = cli(*line.format(tmp_path).split())

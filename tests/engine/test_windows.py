@@ -65,7 +65,7 @@ def test_with_any_number_of_threads_windows_are_opened_once(threads):
 
 
 def test_only_windows_that_are_needed_are_opened():
-    """Where nothing moves one segment serves all, an empty span opens nothing, and before the first pulse the first segment serves."""
+    """One segment serves a scene in which nothing moves, an empty span opens nothing, and before the first pulse the first segment serves."""
     opened = []
     list(run(lambda _run, scene: scene.result(), range(100), per_segment=None, opened=opened))
     assert opened == [0]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.texture import textured
+from vlp16emu.raycast.texture import _STRENGTH, textured
 from vlp16emu.types import SURFACE, Firings, Hits, PlantPart
 
 FAR_M = 30.0
@@ -28,14 +28,16 @@ def factors(at_m, texture=0.1, *, reflectance=0.4, seed=3, part=PlantPart.NONE, 
 
 @pytest.fixture(scope="module")
 def places_m():
-    return np.random.default_rng(1).uniform(-FAR_M, FAR_M, (20_000, 3))
+    return np.random.default_rng(1).uniform(-FAR_M, FAR_M, (200_000, 3))
 
 
 def test_brightness_varies_by_the_texture(places_m):
-    """Over a space of many patches the factor has mean 1, and at 60 degrees of incidence 1.5 times the deviation asked for."""
+    """At 60 degrees of incidence patches deviate 1.5 times as much as asked for, brighter ones by a factor and darker ones by its inverse."""
     factor = factors(places_m, 0.03)
     assert factor.mean() == pytest.approx(1.0, abs=0.003)
-    assert factor.std() == pytest.approx(0.045, rel=0.07)
+    even = np.sqrt(3.0) * np.linspace(-1.0, 1.0, 2001)
+    more = 0.045 * _STRENGTH[:, None] * even
+    assert factor.std() == pytest.approx(np.where(more > 0, 1 + more, 1 / (1 + np.abs(more))).std(), rel=0.04)
 
 
 def test_pieces_of_a_surface_differ_in_their_contrast():
@@ -59,9 +61,9 @@ def test_patches_have_the_size_of_what_they_are_on(places_m, away_m, part, size_
 
     one = at(0.0)
     same = {steps: np.isclose(at(steps), one, atol=1e-4).mean() for steps in (0.05, 1.0)}
-    assert same[0.05] > 0.88
+    assert same[0.05] > 0.9
     assert 0.2 < same[1.0] < 0.5
-    assert abs(np.corrcoef(one, at(5.0))[0, 1]) < 0.06
+    assert abs(np.corrcoef(one, at(5.0))[0, 1]) < 0.03
 
 
 def test_a_patch_looks_the_same_from_everywhere(places_m):

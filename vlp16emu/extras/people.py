@@ -21,6 +21,7 @@ _SHOULDERS = 0.82  # height of the shoulders, as a share of the stature (assumpt
 _STATURE_M, _WIDTH_M = 1.74, 0.5
 """Height, and width of the shoulders with 0.04 m of outdoor clothing; medians of British men (City University of Hong Kong, online
 anthropometry, chapter 2)."""
+_PASSES_AT_M = 1.0  # to the side (assumption)
 _REFLECTANCE = 0.5  # Lambertian, at 903 nm (assumption)
 _HEAD_M = 0.0975
 """Radius of the head, half its length of 0.195 m (median British men; City University of Hong Kong, online anthropometry)."""
@@ -90,7 +91,7 @@ class People:
         when, side = np.array([uniform(self._seed, Purpose.PASSER, 2 * int(one), 2, 0) for one in periods])[which].T
         meets_ns = self._start_ns + every_ns * periods[which] + np.rint(every_ns * (0.25 + 0.5 * when)).astype(np.int64)
         poses = self._carrier.poses_at(np.clip(2 * meets_ns - t_ns, self._start_ns, self._end_ns))
-        aside_m = np.where(side < 0.5, -1.0, 1.0) * self._section.passes_at_m
+        aside_m = np.where(side < 0.5, -1.0, 1.0) * _PASSES_AT_M
         return self._beside(poses.world_p_body_m, poses.world_R_body[:, :2, 1], aside_m)
 
     def _beside(self, place_m: F8, axis: F8, by_m: F8) -> F8:

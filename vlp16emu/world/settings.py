@@ -216,9 +216,7 @@ class People(Section):
     behind_m: Annotated[float, Field(ge=0, le=100)] = 1.5
     """Distance of a companion who follows behind the carrier, and hides a sector of what is seen; 0 for none (assumption)."""
     passes_every_s: Annotated[float, Field(ge=0, le=86_400)] = 40.0
-    """Time from one person to the next who comes towards the carrier on the same way, and passes; 0 for none (assumption)."""
-    passes_at_m: Annotated[float, Field(ge=0.6, le=100)] = 1.0
-    """How far to the side such a person passes (assumption)."""
+    """Time from one person to the next who comes towards the carrier and passes 1 m to the side; 0 for none (assumption)."""
 
 
 class HallThing(Finish):

@@ -257,7 +257,7 @@ def test_last_returns_and_nothing_are_judged_as_such():
 
 @pytest.mark.parametrize(("sigma", "least"), [(0.5, 0.90), (0.8, 0.86)])
 def test_the_interval_holds_the_true_rmse_as_often_as_it_says(sigma, least):
-    """Of errors alike within clusters some 95 % of intervals hold the RMSE, 92 % where tails are heavy; here 3 sigma less."""
+    """Some 95 % of intervals hold the RMSE of errors that are alike within clusters, 92 % where tails are heavy; here 3 sigma less."""
     rng = np.random.default_rng(2)
     held, trials, size, clusters = 0, 100, 12, 60
     true_m = np.sqrt(np.exp(2 * -4.0 + 2 * sigma**2) / 2)  # E[x^2] of lognormal scale times half of uniform's
@@ -302,7 +302,7 @@ def test_of_too_few_clusters_nothing_is_said():
 
 
 def test_clusters_that_err_alike_leave_no_doubt():
-    """Where all clusters have the same mean square the interval is that square's root alone, however it is rounded."""
+    """Clusters of one mean square have an interval that is that square's root alone, however it is rounded."""
     for off_m in np.arange(1, 33) / 64:
         tally, answer, got = Tally(), detections_of(*[30.0] * 7), detections_of(*[30.0 + off_m] * 7)
         for _ in range(8):
@@ -364,7 +364,7 @@ def test_groups_are_eights_of_a_run():
 
 
 def test_a_long_walk_opens_few_windows():
-    """Of an hour's walk eight segments are looked at, one from each eighth of it."""
+    """The audit of an hour's walk samples eight segments, one from each eighth of it."""
     blocks = 530 * BATCHING.segment
     segments = np.array([segment for segment, _ in draw_groups(BATCHING, blocks, 8192, 1, moves=True)])
     assert (segments * 8 // 530 == np.arange(8)).all()

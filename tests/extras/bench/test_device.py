@@ -1,4 +1,4 @@
-"""What is set on a sensor, what of it survives, and its converters against the formulas of the manual, applied the other way."""
+"""Settings of a running sensor, those that survive a restart, and its converters against the formulas of the manual, applied the other way."""
 
 import json
 import math
