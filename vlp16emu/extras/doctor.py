@@ -96,7 +96,6 @@ def all_checks() -> Iterator[Check]:
 
 
 def _check(name: str, found: str, mend: str = "", *, bad: Condition = Condition.WARNING) -> Check:
-    """Return a check, which is ok if there is nothing to mend."""
     return Check(name, bad if mend else Condition.OK, found, mend)
 
 

@@ -35,10 +35,7 @@ class OutputFolder:
     expected : what error lines call a folder that may be written
     inputs : files that the run reads, and that may not be in the folder
 
-    Raises
-    ------
-    OutputError
-        If it cannot be made, holds something else or one of the inputs, or another run writes it.
+    Raises OutputError if it cannot be made, holds something else or one of the inputs, or another run writes it.
     """
 
     def __init__(
@@ -114,12 +111,8 @@ def report(folder: Path, names: Iterable[str]) -> Iterator[list[BinaryIO]]:
 
     Each file says within its first 4096 bytes that vlp16emu has written it, and replaces none that does not say so.
 
-    Raises
-    ------
-    OutputError
-        If the folder or a file cannot be made, or a file that no report has is in its place
-    RunError
-        If a file cannot be written to its end
+    Raises OutputError if the folder or a file cannot be made, or a file that no report has is in its place;
+    RunError if a file cannot be written to its end.
     """
     where = f"--out {folder}"
     with ExitStack() as stack:
@@ -158,7 +151,6 @@ def _exchange(one: Path, other: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove the flat folder of an earlier run; a file that cannot be removed stays, beside the new folder."""
     with suppress(OSError):
         for file in folder.iterdir():
             file.unlink()

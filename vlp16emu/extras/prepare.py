@@ -24,9 +24,8 @@ def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]
     ----------
     hooks : as of `record`
 
-    Raises
-    ------
-    OutputError : If the place cannot be read again, or has the ending of another format; and others as `record`
+    Raises OutputError if the place cannot be read again, or has the ending of another format; and others as
+    `record`.
     """
     path = Path(options.prepare or "")
     if path == STDOUT or (path.exists() and not path.is_file()):
@@ -46,9 +45,7 @@ def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
     ----------
     links : of the units that the packets are from
 
-    Raises
-    ------
-    CaptureError : If the file is damaged
+    Raises CaptureError if the file is damaged.
     """
     ways = {
         (IPv4Address(link.source).packed, port): (kind, number)

@@ -35,17 +35,14 @@ class Replay:
     keep_gaps : wait through gaps of more than a minute; else they are shortened to one or two seconds, and what packets
         say of their time stays
 
-    Raises
-    ------
-    CaptureError : If the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged
+    Raises CaptureError if the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged.
     """
 
     def __init__(self, path: Path, *, loop: bool = False, keep_gaps: bool = False) -> None:
         if path.is_fifo():
             raise CaptureError(str(path), "a pipe", "a file, which can be read twice")
         self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
-        self.units = units_in(path, required=True)
-        """In order of address, then of port."""
+        self.units = units_in(path, required=True)  # in order of address, then of port
         self.links = [
             replace(
                 FACTORY_LINK,
@@ -56,12 +53,9 @@ class Replay:
             for unit in self.units
         ]
         """Where the packets of each are sent."""
-        self.passes = 0
-        """Begun so far."""
-        self.left_out = 0
-        """Datagrams of the first pass that are no whole packets of a unit."""
-        self.gaps_s = list[float]()
-        """Gaps of the first pass that were shortened."""
+        self.passes = 0  # begun so far
+        self.left_out = 0  # datagrams of the first pass that are no whole packets of a unit
+        self.gaps_s = list[float]()  # gaps of the first pass that were shortened
 
     def __iter__(self) -> Iterator[Packet]:
         later_ns = cut_ns = 0
@@ -102,13 +96,10 @@ class Replayed(OfUnits):
 
     file: str
     to: str
-    units: tuple[UnitSent, ...]
-    """Address of each sensor in the capture, and the ports that its packets were sent to."""
-    left_out: int
-    """Datagrams of the file that are no packets of a VLP-16."""
+    units: tuple[UnitSent, ...]  # address of each sensor in the capture, and the ports that its packets were sent to
+    left_out: int  # datagrams of the file that are no packets of a VLP-16
     passes: int
-    gaps_s: tuple[float, ...]
-    """Gaps of more than a minute that were shortened."""
+    gaps_s: tuple[float, ...]  # gaps of more than a minute that were shortened
     sent: StreamReport
 
     @property
@@ -137,12 +128,8 @@ def replay(
     stop : ends it from another thread
     options : fields of `ReplayOptions`
 
-    Raises
-    ------
-    InputError
-        If an option is not right, ports are given for several sensors, or the present is wanted at another speed than its own
-    CaptureError : As `Replay`
-    OutputError, RunError : As `Emulator.stream`
+    Raises InputError if an option is not right, ports are given for several sensors, or the present is wanted at
+    another speed than its own; CaptureError as `Replay`; OutputError, RunError as `Emulator.stream`.
     """
     asked = ReplayOptions(**options)
     to, data_port = asked.receiver

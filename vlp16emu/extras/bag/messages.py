@@ -25,8 +25,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 """PointXYZIRT of velodyne_pointcloud (pointcloudXYZIRT.cpp, ros-drivers/velodyne): packed, 22 bytes."""
-_FLOAT32, _UINT16 = 7, 4
-"""Types of sensor_msgs/PointField."""
+_FLOAT32, _UINT16 = 7, 4  # types of sensor_msgs/PointField
 _FIELDS = [
     (name, offset, _FLOAT32 if kind.kind == "f" else _UINT16, 1)
     for name, (kind, offset, *_) in (_POINT.fields or {}).items()
@@ -34,10 +33,8 @@ _FIELDS = [
 _NO_ATTITUDE, _NO_ESTIMATE = (0.0,) * 4, np.array([-1.0, *[0.0] * 8])
 """Orientation of an inertial unit that has none, and the covariance that says so (sensor_msgs/Imu)."""
 _EXACT = np.zeros(36)
-_UNKNOWN_M2 = 1e6
-"""Variance of the height, which an RMC sentence does not have."""
-_UNKNOWN_RAD2 = math.pi**2 / 3.0
-"""Variance of a heading that may be any, as drift makes it in the end."""
+_UNKNOWN_M2 = 1e6  # variance of the height, which an RMC sentence does not have
+_UNKNOWN_RAD2 = math.pi**2 / 3.0  # variance of a heading that may be any, as drift makes it in the end
 
 
 class UnitMessages:
@@ -98,7 +95,6 @@ class UnitMessages:
         return payloads
 
     def _write_scan(self) -> None:
-        """Write the packets of a scan, and their points."""
         bag, payloads, t_ns = self._bag, self.check(), np.array([t_ns for t_ns, _, _ in self._held])
         if not self._held:
             return
@@ -200,7 +196,6 @@ class TrueMessages:
 
 
 def _placed(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """Return translation and quaternion of a rigid transform."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True) + 0.0  # no -0.0

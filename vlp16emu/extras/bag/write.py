@@ -46,15 +46,11 @@ _POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
 _AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 _SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
-_OFTEN_NS = S_NS // 10
-"""Time whose truth is written together."""
-_SET_RPM = 60.0
-"""Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)."""
+_OFTEN_NS = S_NS // 10  # time whose truth is written together
+_SET_RPM = 60.0  # speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)
 
-Row = tuple[int, list[float]]
-"""UTC of a sample, and its numbers."""
-Feed = Callable[[int], None]
-"""Writes all samples until and with an instant that are not written yet."""
+Row = tuple[int, list[float]]  # UTC of a sample, and its numbers
+Feed = Callable[[int], None]  # writes all samples until and with an instant that are not written yet
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,30 +58,21 @@ class BagResult:
     """Contents of a bag."""
 
     file: str
-    messages: dict[str, int]
-    """Messages of each topic."""
-    duration_s: float
-    """Time from the first message to the last."""
-    clocks: tuple[str, ...]
-    """Clock of each unit, in the order of their topics: sensor, gps or host."""
-    host_ahead_s: tuple[float, ...]
-    """Capture stamps less the sensor's clock at the first data packet of each unit."""
-    repeats: int
-    """Packets left out as they came before."""
+    messages: dict[str, int]  # messages of each topic
+    duration_s: float  # time from the first message to the last
+    clocks: tuple[str, ...]  # clock of each unit, in the order of their topics: sensor, gps or host
+    host_ahead_s: tuple[float, ...]  # capture stamps less the sensor's clock at the first data packet of each unit
+    repeats: int  # packets left out as they came before
     interrupted: bool
 
 
 class Truth(NamedTuple):
     """Ground truth of a run, from its engine or from its files."""
 
-    rig: Mapping[str, Any]
-    """`rig.json`, with the units that are written."""
-    scenario: Mapping[str, Any]
-    """`scenario.json`."""
-    feeds: Callable[[TrueMessages, int], Sequence[Feed]]
-    """Opens the samples from the first pulse on."""
-    after_ns: int
-    """Time after the last packet that is written too."""
+    rig: Mapping[str, Any]  # `rig.json`, with the units that are written
+    scenario: Mapping[str, Any]  # `scenario.json`
+    feeds: Callable[[TrueMessages, int], Sequence[Feed]]  # opens the samples from the first pulse on
+    after_ns: int  # time after the last packet that is written too
 
 
 class BagSink(PacketSink):
@@ -101,12 +88,7 @@ class BagSink(PacketSink):
     options : transforms
     truth : what else is to be in the bag
 
-    Raises
-    ------
-    OutputError, MissingExtraError
-        as `BagFile`
-    RunError
-        If the disk is full: here, or later
+    Raises OutputError, MissingExtraError as `BagFile`; RunError if the disk is full: here, or later.
     """
 
     def __init__(
@@ -135,10 +117,7 @@ class BagSink(PacketSink):
     def send(self, packet: Packet) -> None:
         """Take one packet, which is due at the stamp of its capture, and numbered as its frame if it has a number.
 
-        Raises
-        ------
-        PacketError
-            If it is not a VLP-16's
+        Raises PacketError if it is not a VLP-16's.
         """
         if (unit := self._units.get(packet.unit)) is None:
             clock = self._clock_of(packet.unit, packet.due_ns)
@@ -264,14 +243,9 @@ def write_bag(
     options : transforms, and a configuration beside the bag, which without truth has the capture's speed alone
     stop : ends the bag between two packets; it is valid
 
-    Raises
-    ------
-    CaptureError, PacketError
-        If the capture is none, is damaged, or has stamps that no bag can hold
-    InputError
-        If the truth cannot be read or is not of as many units, or there is no such unit or clock
-    OutputError, MissingExtraError, RunError
-        as `BagFile` and `written_beside`
+    Raises CaptureError, PacketError if the capture is none, is damaged, or has stamps that no bag can hold;
+    InputError if the truth cannot be read or is not of as many units, or there is no such unit or clock;
+    OutputError, MissingExtraError, RunError as `BagFile` and `written_beside`.
     """
     options, stop = options or BagOptions(), stop or Event()
     spare([capture], out)

@@ -142,7 +142,6 @@ class DisturbedGps(GpsInput):
 
     @property
     def _off(self) -> _Spans:
-        """Spans without power."""
         return _merged(self._span_ns(event) for event in self.events if event.effect == "power")
 
     @property

@@ -102,8 +102,7 @@ class Kind(NamedTuple):
 
     effect: Literal["settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"]
     """What it changes; a sensor without packets takes `optics` alone, and `gps` needs `gps.connected`."""
-    keys: str
-    """Names of `KEYS`, beside those of `Event`."""
+    keys: str  # names of `KEYS`, beside those of `Event`
     selects: str
     meaning: str
 

@@ -164,8 +164,7 @@ class NowSink(PacketSink):
         self._ahead_ns = 0
         self.moved_s = 0
         """Whole seconds from the time of the packets to the present; known when the first one leaves, as `began_ns`."""
-        self.began_ns = 0
-        """UTC at which that is by the sensor's clock."""
+        self.began_ns = 0  # UTC at which that is by the sensor's clock
 
     def begin(self, first: Packet, stop: Event) -> int:
         """Wait for the instant at which the first packet leaves, or until the stream is to stop.

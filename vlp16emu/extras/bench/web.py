@@ -190,7 +190,6 @@ async def _listen_out(reader: StreamReader, line: StreamWriter) -> bool:
 
 
 def _answer(request: _Request, server: WebServer) -> _Answer:
-    """Answer as a sensor does that is well."""
     if len(request.body) > MOST_BODY_BYTES:
         return _said(413, "error", f"more than {MOST_BODY_BYTES} bytes")
     if _is_foreign(request, is_private=server.is_private):

@@ -13,16 +13,13 @@ from vlp16emu.returns import Noise
 from vlp16emu.sensor import Sensor
 
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
-_LEVEL = 80.0
-"""Reflectivity in the middle of those whose neighbours are compared."""
+_LEVEL = 80.0  # reflectivity in the middle of those whose neighbours are compared
 _EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
 """Step of bright codes over their scatter and the share of equal neighbours, from our own packets; its limit; where it is one, and set."""
-_ELSE_MM = 2.6
-"""White error that the detector and the 2 mm of a code add to that of the settings, from our own packets."""
+_ELSE_MM = 2.6  # white error that the detector and the 2 mm of a code add to that of the settings, from our own packets
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
-_HALF_DEG_PER_US = 0.0018
-"""Half of what a rotor of 600 rpm turns in a microsecond."""
+_HALF_DEG_PER_US = 0.0018  # half of what a rotor of 600 rpm turns in a microsecond
 _SET_RPM, _MOST_OFF_RPM = 60, 3.0
 """Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (sibling manuals)."""
 

@@ -16,14 +16,11 @@ _LEAST, _LEAST_EDGES, _LEAST_PACKETS = 500, 15, 250
 _FLAT_LSB, _EQUAL_LSB, _STEPS_LSB = 20, 15, (150, 700)
 """Most change of range on either side of a record, and across it, to be of one surface; least steps that are near and far."""
 _CODE_STEP = 20
-_RAISED = 1.5
-"""Code of a no-return over the commonest of its laser, from which on it is raised."""
-_DARK, _BRIGHT = (0, 5), (40, 100)
-"""Codes of returns beside which raised no-returns are counted."""
+_RAISED = 1.5  # code of a no-return over the commonest of its laser, from which on it is raised
+_DARK, _BRIGHT = (0, 5), (40, 100)  # codes of returns beside which raised no-returns are counted
 _TICK_US, _PHASES = 1.2, 48
 """Period of the clock at whose ticks the encoder is read, on four units; phases that are tried."""
-_LEAST_STEP_CDEG, _AT_RPM = 38, (590.0, 610.0)
-"""Least step between two blocks on real units at 600 rpm."""
+_LEAST_STEP_CDEG, _AT_RPM = 38, (590.0, 610.0)  # least step between two blocks on real units at 600 rpm
 
 
 def statistics_of(sequences: Sequences) -> Statistics:
@@ -106,11 +103,9 @@ def dual_returns(sequences: Sequences) -> Statistics:
 class Turning(NamedTuple):
     """Errors of the encoder against an even turn that changes its speed evenly."""
 
-    once_cdeg: complex
-    """Amplitudes of the sine (imaginary) and the cosine (real) of the azimuth."""
+    once_cdeg: complex  # amplitudes of the sine (imaginary) and the cosine (real) of the azimuth
     twice_cdeg: complex
-    rest_cdeg: NDArray[np.float64]
-    """(b,) what is left."""
+    rest_cdeg: NDArray[np.float64]  # (b,) what is left
 
 
 def turning_of(sequences: Sequences) -> Turning:
@@ -176,7 +171,6 @@ def rotation(sequences: Sequences) -> Statistics:
 
 
 def _residues(sequences: Sequences) -> Statistics:
-    """Evenness of the codes of distance."""
     d = sequences.distance_lsb
     odd = [(codes[codes > 0] % 2).mean() for codes in d.T if (codes > 0).sum() >= _LEAST]
     if len(odd) < 5:

@@ -9,24 +9,20 @@ from numpy.typing import NDArray
 from vlp16emu.extras.compare.sequences import Sequences
 
 _PULSES = 15
-_SMOOTHEST_MM = 14.0
-"""Root mean square about a cubic, from which on a surface is no smooth one."""
+_SMOOTHEST_MM = 14.0  # root mean square about a cubic, from which on a surface is no smooth one
 _POWERS = np.vander(np.arange(_PULSES) - _PULSES // 2, 4).astype(float)
-_Q = np.eye(_PULSES) - _POWERS @ np.linalg.pinv(_POWERS)
-"""(15, 15) removes the cubic of least squares."""
+_Q = np.eye(_PULSES) - _POWERS @ np.linalg.pinv(_POWERS)  # (15, 15) removes the cubic of least squares
 _FREE = _PULSES - 4
 _SLOTS = 5
 _MIDDLE_LEVEL = 20.0
-_LEAST, _LEAST_STRETCHES = 500, 30
-"""Pairs of neighbours and stretches, from which on a statistic is worth its name."""
+_LEAST, _LEAST_STRETCHES = 500, 30  # pairs of neighbours and stretches, from which on a statistic is worth its name
 _MOST_COUNTS = 15
 _COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
 """Codes, edges of the range classes from half a metre to 40 m, and the least number of codes in a class."""
 _SCATTERED, _BRIGHT = 0.4, 90
 """Scatter in counts from which on reflectivity is more than its rounding, and level up to which it is not cut at 100."""
 _GAIN_CODES, _SECTOR_CDEG, _LEAST_GAIN = (10, 90), 4500, 100
-_UPWARDS = np.r_[0:16:2, 1:16:2]
-"""Lasers by elevation (63-9243 Rev D, table 9-1)."""
+_UPWARDS = np.r_[0:16:2, 1:16:2]  # lasers by elevation (63-9243 Rev D, table 9-1)
 
 Statistics = dict[str, float]
 
@@ -35,12 +31,10 @@ Statistics = dict[str, float]
 class Stretches:
     """s stretches of 15 pulses of one laser on a smooth surface."""
 
-    residual_mm: NDArray[np.float64]
-    """(s, 15) ranges less the cubic."""
+    residual_mm: NDArray[np.float64]  # (s, 15) ranges less the cubic
     first_slot: NDArray[np.int64]
     """(s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from pulse to pulse."""
-    codes: NDArray[np.int64]
-    """(s, 15) reflectivities."""
+    codes: NDArray[np.int64]  # (s, 15) reflectivities
 
     @property
     def level(self) -> NDArray[np.float64]:

@@ -24,8 +24,7 @@ class Known(NamedTuple):
 
     low: float
     high: float
-    text: str
-    """Its name in reports, with the unit of its values."""
+    text: str  # its name in reports, with the unit of its values
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -108,18 +107,13 @@ _LEAST_SPREAD = 0.25
 class Compared(NamedTuple):
     """One statistic of two captures."""
 
-    name: str
-    """Name with the unit of the values, if they have one."""
-    text: str
-    """Its name in reports."""
+    name: str  # name with the unit of the values, if they have one
+    text: str  # its name in reports
     first: float
     second: float
-    distance: float
-    """Difference as a multiple of the spread of real units."""
-    apart: bool
-    """Real units do not differ so much."""
-    unlike: tuple[bool, bool]
-    """True for each that is outside what real units show, widened by half."""
+    distance: float  # difference as a multiple of the spread of real units
+    apart: bool  # real units do not differ so much
+    unlike: tuple[bool, bool]  # true for each that is outside what real units show, widened by half
 
 
 def compared(first: Sequences, second: Sequences) -> list[Compared]:

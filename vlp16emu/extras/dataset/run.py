@@ -137,7 +137,6 @@ def _is_ours(tree: Any) -> bool:
 
 
 def _described(path: Path, folder: Path) -> Entry:
-    """Return name in a folder, size and sha256 of a file."""
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}

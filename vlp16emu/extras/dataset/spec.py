@@ -84,8 +84,7 @@ class DatasetSpec(Section):
 class DatasetWalk:
     """One sensor on one path through one stand."""
 
-    number: int
-    """From 0, in the order of stands, seeds, paths and sensors."""
+    number: int  # from 0, in the order of stands, seeds, paths and sensors
     stand: str
     path: str
     sensor: str

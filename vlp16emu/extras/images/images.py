@@ -196,7 +196,6 @@ def species_of(world: World) -> dict[int, str]:
 
 
 def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
-    """Return the content of `cameras.json`: intrinsics, extrinsics, units and the meaning of labels."""
     sensor_T_camera = np.eye(4)
     sensor_T_camera[:3, :3] = _BODY_R_CAMERA
     size: dict[str, Any] = {"kind": camera.kind, "width": camera.width, "height": camera.height}

@@ -130,7 +130,6 @@ def turn_between(old: Array, new: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _cross(a: Array, b: Array) -> Array:
-    """Cross product (3,)."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 

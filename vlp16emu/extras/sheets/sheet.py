@@ -316,7 +316,6 @@ def _draw_strip(axes: "Axes", section: StandSection) -> None:
 
 
 def _draw_scale_and_north(axes: "Axes") -> None:
-    """Draw a bar of a round length, and an arrow to the north, below the plan."""
     (x_m, right_m), pixel = axes.get_xlim(), 1.0 / axes.get_window_extent().height
     bar_m, y = _round_up_m((right_m - x_m) / 12), -_BELOW_PX * pixel
     below: dict[str, Any] = {"color": INK, "transform": axes.get_xaxis_transform(), "clip_on": False}
@@ -408,7 +407,6 @@ def draw_side(axes: "Axes", seen: Survey, section: StandSection, drawn: U1) -> N
 
 
 def _draw_sensor(axes: "Axes", seen: Survey, row: int, x_m: float) -> None:
-    """Draw the sensor at a row of the path, the pole that holds it, and the ends of its field of view."""
     ground_m = float(seen.bare.height_m(seen.path_m[row : row + 1, 0], seen.path_m[row : row + 1, 1])[0])
     sensor_m = float(seen.path_m[row, 2])
     axes.plot([x_m, x_m], [ground_m, sensor_m], color=WALK, lw=2.2, solid_capstyle="butt", zorder=5)
@@ -442,7 +440,6 @@ def write_sheets(
 def _writer(
     name: str, seen: Survey, title: str, summary: WorldSummary, truth: Path | None
 ) -> Callable[[BinaryIO], object]:
-    """Return what writes the file of an option."""
     if name == "--inventory":  # all trees within the sensor's range, with what a run saw of their stems
         more, rows = seen.stems_seen(seen.trees, truth) if truth else None, seen.inventory(seen.trees)
         return lambda file: write_csv(file, rows, more, table=seen.plants.trees)

@@ -457,7 +457,6 @@ def subtitle_of(summary: WorldSummary) -> str:
 
 
 def _things(seen: Survey, ground_m2: float) -> dict[str, Things]:
-    """Count things without names by kind, with their species and the range of their sizes."""
     kinds = dict[str, Things]()
     nameless = [thing for thing in seen.things if thing.instance not in seen.names]
     for kind in sorted({thing.kind for thing in nameless}):

@@ -13,13 +13,10 @@ from vlp16emu.units import S_NS
 
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "timestamps", "stamps", "offset_time")
 """Fields of times, as the programs of the table name them."""
-_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""Types of sensor_msgs/PointField."""
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # types of sensor_msgs/PointField
 _CLOUD, _IMU = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu"
-_RING_SCANS = 20
-"""Scans whose rings are looked at."""
-_SMOOTHED_S = 0.1
-"""Samples of an inertial unit are averaged over this time before rest is looked for."""
+_RING_SCANS = 20  # scans whose rings are looked at
+_SMOOTHED_S = 0.1  # samples of an inertial unit are averaged over this time before rest is looked for
 _RESTS_RAD_S, _RESTS_SHARE = 0.15, 0.05
 """A person who stands turns more slowly than this, and feels 1 g within this share."""
 
@@ -29,23 +26,20 @@ class Facts:
     """Contents of a bag: the clouds and the samples of the topics that are most like ours, and the transforms."""
 
     topic: str
-    imu_topic: str
-    """Empty if there is no inertial unit."""
+    imu_topic: str  # empty if there is no inertial unit
     frame: str = ""
     imu_frame: str = ""
     fields: Mapping[str, np.dtype[Any]] = field(default_factory=dict)
     time_name: str = ""
     clouds: list[tuple[float, ...]] = field(default_factory=list)
     """Stamp in s since the first message; earliest, latest and last time in the field's own unit; points; 1 if NaN or not dense."""
-    rings: dict[int, list[float]] = field(default_factory=dict)
-    """Sums and numbers of sines of the elevation by ring."""
+    rings: dict[int, list[float]] = field(default_factory=dict)  # sums and numbers of sines of the elevation by ring
     samples: list[tuple[float, ...]] = field(default_factory=list)
     """Stamp as those of clouds, angular rate, acceleration, length of the quaternion, first covariances of attitude, angular rate
     and acceleration."""
     fixed: dict[str, tuple[str, NDArray[np.float64]]] = field(default_factory=dict)
     """Parent and pose of each frame of /tf_static."""
-    parents: dict[str, set[str]] = field(default_factory=dict)
-    """All parents of each frame, fixed or moving."""
+    parents: dict[str, set[str]] = field(default_factory=dict)  # all parents of each frame, fixed or moving
 
     def pose(self, frame: str, of: str) -> NDArray[np.float64] | None:
         """Return the fixed pose (4, 4) of one frame in another; None if they are not connected."""
@@ -67,12 +61,8 @@ class Facts:
 def read_facts(path: Path) -> Facts:
     """Read a bag of ROS 1 or ROS 2 once, message by message.
 
-    Raises
-    ------
-    CaptureError
-        If it is no bag, is damaged, or holds no point cloud
-    MissingExtraError
-        If rosbags is not installed
+    Raises CaptureError if it is no bag, is damaged, or holds no point cloud; MissingExtraError if rosbags is not
+    installed.
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError

@@ -14,11 +14,9 @@ from vlp16emu.extras.slam.facts import Facts, read_facts, rest_s
 
 _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
 """Units of times, and their numbers in FAST-LIO2 and Point-LIO (src/preprocess.h)."""
-_EARLY_S = 1e-3
-"""Time before the stamp that rounding does not explain."""
+_EARLY_S = 1e-3  # time before the stamp that rounding does not explain
 _GRAVITY_M_S2 = 9.80665
-_TILT_DEG = 30.0
-"""No person carries a body whose vertical axis leans more than this."""
+_TILT_DEG = 30.0  # no person carries a body whose vertical axis leans more than this
 _SWEEP_S, _IMU_HZ, _SLOW_HZ, _BEAMS = 0.1, 200.0, 100.0, 16
 """What the configurations of `protocol/slam` are for, and the rate below which programs deskew badly."""
 
@@ -30,8 +28,7 @@ class Unfit:
     program: str
     rule: str
     found: str
-    needs: str
-    """The parameter to set, or what the bag must have; and behind a semicolon what happens otherwise."""
+    needs: str  # the parameter to set, or what the bag must have; and behind a semicolon what happens otherwise
 
     def __str__(self) -> str:
         remedy, _, otherwise = self.needs.partition("; ")
@@ -55,10 +52,8 @@ class _Row(NamedTuple):
     """A row of the table of rules."""
 
     rule: str
-    broken: Callable[[Any, Program], Any]
-    """Of the values of `_of_clouds`, `_of_samples` and `_of_frames`."""
-    found: str
-    """Format of the words, with names of values."""
+    broken: Callable[[Any, Program], Any]  # of the values of `_of_clouds`, `_of_samples` and `_of_frames`
+    found: str  # format of the words, with names of values
 
 
 ROWS = (
@@ -110,12 +105,7 @@ ROWS = (
 def fitness(path: Path, name: str) -> Fitness:
     """Hold a bag against what a program, or all of them, need as `protocol/slam` configures them.
 
-    Raises
-    ------
-    InputError
-        If there is no such program
-    CaptureError, MissingExtraError
-        as `read_facts`
+    Raises InputError if there is no such program; CaptureError, MissingExtraError as `read_facts`.
     """
     programs = chosen(name)
     facts = read_facts(path)

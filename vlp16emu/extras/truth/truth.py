@@ -327,13 +327,11 @@ class Samples(Generic[_T]):
             self._next = stop
 
     def _count_before(self, t_ns: int) -> int:
-        """Count the samples, from sample 0 on, before an instant."""
         # Sample i lies i * S_NS // rate_hz after sample 0.
         return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
 
 
 def _file(name: str, unit: Unit, suffix: str = "tum") -> str:
-    """Name a file of a unit; the first has no number in it."""
     return f"{name}_{unit.number + 1}.{suffix}" if unit.number else f"{name}.{suffix}"
 
 
@@ -440,7 +438,6 @@ def _mount(section: Mount) -> dict[str, Any]:
 
 
 def _transform(R: NDArray[np.float64], p_m: NDArray[np.float64]) -> dict[str, Any]:
-    """Write a rigid transform as matrix and as translation and quaternion."""
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
     T = np.eye(4)

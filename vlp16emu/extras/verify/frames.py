@@ -84,8 +84,7 @@ class Finding:
     """One place where a rule is broken."""
 
     rule: Rule
-    packet: int
-    """Number of the frame in the capture, from 1, as Wireshark counts."""
+    packet: int  # number of the frame in the capture, from 1, as Wireshark counts
     found: str
     expected: str
     level: Level = Level.ERROR

@@ -272,7 +272,6 @@ class Editor:
         return min(max(int(number) - 1, 0), last) if math.isfinite(number) else 0
 
     def _as_in_panel(self, course: Course, number: int) -> Course:
-        """Return the course with speed, laps, gait, harness and stop of the panel."""
         gait = None if self._gait.value == _GAITS[0] else str(self._gait.value)
         speed_m_s, laps = float(self._speed.value), int(self._laps.value)
         walked = replace(course, speed_m_s=speed_m_s, laps=laps, gait=gait, harness=self._harness.value is True)
@@ -304,7 +303,6 @@ class Editor:
         self._note = f"saved {self._to.name}"
 
     def _show(self) -> None:
-        """Draw the course, and report what it leads to."""
         course = self._draft.course
         outlook = self._draft.outlook(course)
         with self._server.atomic():

@@ -84,7 +84,6 @@ def _labels(scan: Scan, layer: str) -> NDArray[Any]:
 
 
 def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]:
-    """Return name and colour of the values of a layer."""
     if layer == "class":
         named = {kind.value: (name := kind.name.lower(), colour_of_kind(name)) for kind in Semantic}
         return named | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}

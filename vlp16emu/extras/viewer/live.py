@@ -228,7 +228,6 @@ class LivePage:
         self._text.content = "  \n".join(_lines(glimpse, sum(len(part.world_m) for part in self._parts)))
 
     def _look_at(self, place_m: F8) -> None:
-        """Move cameras with the sensor, with their direction and distance kept."""
         if self._follow.value is not True:
             return
         for client in self._server.get_clients().values():

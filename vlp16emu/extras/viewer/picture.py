@@ -240,7 +240,6 @@ def _slanted(look: PictureLook, box_m: F8) -> View:
 
 
 def _inside(box_m: F8, places: F8) -> F8:
-    """Return places (n, 3), NaN for those beside a box."""
     inside = ((places >= box_m[0]) & (places <= box_m[1]))[:, :2].all(axis=1)
     return np.where(inside[:, None], places, np.nan)
 
