@@ -194,7 +194,7 @@ class Live(PacketSink):
         They have labels if the stream has truth. Their times are those of the scene. A program that is behind by more than
         2048 packets goes on with the newest. What is no whole data packet is passed over.
 
-        Raises InputError if there is no such unit; Vlp16emuError errors of the stream.
+        Raises InputError if there is no such unit; others as of the stream.
         """
         lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
         return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])

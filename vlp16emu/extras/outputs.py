@@ -17,10 +17,6 @@ _MARK, _MARK_WITHIN = b"vlp16emu", 4096
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
 
-def _first_name(folder: Path) -> str | None:
-    return min((path.name for path in folder.iterdir()), default=None)
-
-
 class OutputFolder:
     """A folder to be written; a context manager that keeps it unless an error leaves the block.
 
@@ -42,7 +38,9 @@ class OutputFolder:
         self,
         path: Path,
         *,
-        stranger: Callable[[Path], str | None] = _first_name,
+        stranger: Callable[[Path], str | None] = lambda folder: min(
+            (path.name for path in folder.iterdir()), default=None
+        ),
         expected: str = "a new or empty folder",
         inputs: Iterable[Path] = (),
     ) -> None:
@@ -81,7 +79,12 @@ class OutputFolder:
             self._check()
             if self._final.exists():
                 _exchange(self.path, self._final)
-                _remove(self.path)
+                with suppress(
+                    OSError
+                ):  # what cannot be removed of the earlier run, a flat folder, stays beside the new one
+                    for file in self.path.iterdir():
+                        file.unlink()
+                    self.path.rmdir()
             else:
                 self.path.rename(self._final)
         except (OSError, OutputError) as error:
@@ -148,10 +151,3 @@ def _exchange(one: Path, other: Path) -> None:
         aside.rename(other)
         raise
     aside.rename(one)
-
-
-def _remove(folder: Path) -> None:
-    with suppress(OSError):
-        for file in folder.iterdir():
-            file.unlink()
-        folder.rmdir()

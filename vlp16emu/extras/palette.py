@@ -32,11 +32,11 @@ def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> U
     """Colours (m, 3) of a table of surfaces (m,) `SURFACE`, by the names of species by number."""
     looks = np.column_stack([surfaces[name].astype(np.int64) for name in ("semantic", "part", "species")])
     different, which = np.unique(looks, axis=0, return_inverse=True)
-    colours = [_colour(Semantic(s), PlantPart(p), species.get(n, "")) for s, p, n in different.tolist()]
+
+    def colour(kind: Semantic, part: int, plant: str) -> Rgb:
+        if kind not in (Semantic.TREE, Semantic.SHRUB):
+            return colour_of_kind(kind.name.lower())
+        return _PLANTS.get(plant, _PLANTS[""])[part != PlantPart.LEAF]
+
+    colours = [colour(Semantic(s), p, species.get(n, "")) for s, p, n in different.tolist()]
     return np.array(colours, np.uint8).reshape(-1, 3)[which.ravel()]
-
-
-def _colour(kind: Semantic, part: PlantPart, species: str) -> Rgb:
-    if kind not in (Semantic.TREE, Semantic.SHRUB):
-        return colour_of_kind(kind.name.lower())
-    return _PLANTS.get(species, _PLANTS[""])[part != PlantPart.LEAF]

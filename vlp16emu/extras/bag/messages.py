@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
-from vlp16emu.extras.truth.truth import given_mount
+from vlp16emu.extras.truth.truth import given_mount, transform
 from vlp16emu.motion.imu import GRAVITY_M_S2
 from vlp16emu.packets import (
     DATA_PAYLOAD,
@@ -162,7 +162,11 @@ class TrueMessages:
         if "imu" in self._rig:
             mounts.append(("imu", given_mount(self._rig["imu"], "body_T_imu")))
         header = self._bag.header(t_ns, "base_link", "/tf_static")
-        if moved := [(header, child, _placed(T)) for child, T in mounts if T is not None]:
+        if moved := [
+            (header, child, (place["translation_m"], place["quaternion_xyzw"]))
+            for child, T in mounts
+            if T is not None and (place := transform(T[:3, :3], T[:3, 3]))
+        ]:
             self._bag.write("/tf_static", t_ns, "tf2_msgs/msg/TFMessage", moved)
 
     def odometry(self, t_ns: int, numbers: Sequence[float]) -> None:
@@ -193,13 +197,6 @@ class TrueMessages:
         what = (int(valid) - 1, 1), latitude_deg, longitude_deg, math.nan, self._place, 1
         header = self._bag.header(t_ns, "gps", "/fix")
         self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", header, *what)
-
-
-def _placed(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True) + 0.0  # no -0.0
-    return T[:3, 3].tolist(), turn.tolist()
 
 
 def _moved(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:

@@ -27,7 +27,6 @@ from vlp16emu.packets import (
     DATA_BYTES,
     POSITION_BYTES,
     Capture,
-    CapturedUnit,
     CaptureReader,
     Clock,
     PacketClock,
@@ -148,18 +147,18 @@ class BagSink(PacketSink):
         """Contents of the closed bag; sha256 of several files in the order of their names."""
         path = self.bag.path
         files = sorted(path.iterdir()) if path.is_dir() else [path]
+
+        def sha256(file: Path) -> str:
+            with file.open("rb") as opened:
+                return hashlib.file_digest(opened, "sha256").hexdigest()
+
         return PcapResult(
             data_packets=self._sent[PacketKind.DATA],
             position_packets=self._sent[PacketKind.POSITION],
             bytes=sum(file.stat().st_size for file in files),
-            sha256=", ".join(map(_sha256, files)),
+            sha256=", ".join(map(sha256, files)),
             messages=dict(sorted(self.bag.counts.items())),
         )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager
@@ -187,38 +186,36 @@ def _frames(units: int) -> list[str]:
 
 
 def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Feed]:
-    parts, start_ns = engine.parts, engine.scenario.start_ns
-    poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
-    feeds = [Samples(partial(_odometry, to), poses, start_ns, rate_hz, begin_ns).up_to]
-    if (imu := engine.scenario.imu) is not None and parts.imu is not None:
-        feeds.append(Samples(partial(_inertial, to), parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
-    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
-        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
-        feeds.append(Samples(partial(_fixes, to, engine), seconds, 0, 1, max(named_ns, begin_ns)).up_to)
-    return feeds
-
-
-def _odometry(to: TrueMessages, true: Kinematics) -> None:
     from scipy.spatial.transform import Rotation
 
-    quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
-    own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
-    numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
-    for sample in zip(true.t_ns.tolist(), numbers, strict=True):
-        to.odometry(*sample)
+    parts, start_ns = engine.parts, engine.scenario.start_ns
 
+    def odometry(true: Kinematics) -> None:
+        quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
+        own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
+        numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
+        for sample in zip(true.t_ns.tolist(), numbers, strict=True):
+            to.odometry(*sample)
 
-def _inertial(to: TrueMessages, read: Inertial) -> None:
-    rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
-    stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
-    for sample in zip(stamps_ns.tolist(), rates, strict=True):
-        to.inertial(*sample)
+    def inertial(read: Inertial) -> None:
+        rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
+        stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+        for sample in zip(stamps_ns.tolist(), rates, strict=True):
+            to.inertial(*sample)
 
+    def fixes(seconds: range) -> None:
+        for second in seconds:
+            said = engine.receiver.fix(second * S_NS)
+            to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
 
-def _fixes(to: TrueMessages, engine: Engine, seconds: range) -> None:
-    for second in seconds:
-        said = engine.receiver.fix(second * S_NS)
-        to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
+    poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
+    feeds = [Samples(odometry, poses, start_ns, rate_hz, begin_ns).up_to]
+    if (imu := engine.scenario.imu) is not None and parts.imu is not None:
+        feeds.append(Samples(inertial, parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
+    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
+        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
+        feeds.append(Samples(fixes, seconds, 0, 1, max(named_ns, begin_ns)).up_to)
+    return feeds
 
 
 def write_bag(
@@ -258,7 +255,11 @@ def write_bag(
     true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every))
 
     def rig() -> Rig:
-        return Rig.of(true.rig, true.scenario, frames[0]) if true else _measured(capture, units[0], frames[0])
+        if true:
+            return Rig.of(true.rig, true.scenario, frames[0])
+        with CaptureReader(capture, units[0]) as reader:  # the speed of its first packets
+            next(reader.points(), None)
+            return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frames[0])
 
     with (
         written_beside(out, options.slam, rig),
@@ -285,13 +286,6 @@ def write_bag(
         repeats=datagrams.repeated,
         interrupted=stop.is_set(),
     )
-
-
-def _measured(capture: Path, unit: CapturedUnit, frame: str) -> Rig:
-    """Return the rig of a capture without truth, with the speed of its first packets."""
-    with CaptureReader(capture, unit) as reader:
-        next(reader.points(), None)
-        return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frame)
 
 
 def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:

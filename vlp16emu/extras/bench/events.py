@@ -1,15 +1,17 @@
 """The tables `[[events]]` of a scene: what is set on a sensor while it runs, and what goes wrong."""
 
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Union
 
 from pydantic import Field, TypeAdapter, create_model, model_validator
 
-from vlp16emu.sensor.settings import FreeSensor
+from vlp16emu.sensor.settings import FreeSensor, Sensor
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section
 from vlp16emu.units import seconds_to_ns
 
 FOREVER_NS = 2**62  # end of an event that lasts until the run ends
+ALL_AROUND = 0, 359  # field of view that leaves nothing out
 _MOST = 10_000
 
 
@@ -55,6 +57,28 @@ class Event(Section):
         if getattr(self, "count", None) is not None and self.duration_s is not None:
             raise ValueError("duration_s or count in it, not both")
         return self
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """Settings of a sensor from an instant on: the keys of the event `setting`."""
+
+    rpm: int
+    return_mode: str
+    laser: bool = True
+    fov_deg: tuple[int, int] = ALL_AROUND
+    phase_lock_deg: float | Literal["off"] = "off"
+
+    @classmethod
+    def of(cls, section: Sensor | FreeSensor) -> Self:
+        """Return the settings at power-up."""
+        phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
+        return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
+
+    def after(self, event: Event) -> Self:
+        """Return the settings after an event `setting`."""
+        given = {field.name: getattr(event, field.name) for field in fields(self)}
+        return replace(self, **{name: value for name, value in given.items() if value is not None})
 
 
 def _from(kind: type, **bounds: Any) -> Any:

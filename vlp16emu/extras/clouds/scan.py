@@ -126,7 +126,7 @@ def decode(
     iterator over the whole revolutions, which reads the file as it goes; errors come after the scans before them
 
     Raises CaptureError where the file cannot be read or is damaged, or has no data packets; PacketError where a
-    packet is not a VLP-16's; InputError there is no such frame, clock or unit, or there are several units and none
+    packet is not a VLP-16's; InputError if there is no such frame, clock or unit, or there are several units and none
     is named.
     """
     path = Path(capture)

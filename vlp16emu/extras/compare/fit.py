@@ -63,17 +63,12 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         )
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
-        if level := _silent_level(sequences):
+        silent = sequences.distance_lsb == 0
+        enough = silent.sum(axis=0) >= _LEAST_SILENT
+        if enough.any():  # the middle over the lasers of what no-returns carry most often; codes are cut
+            level = float(np.median(commonest(silent, sequences.reflectivity)[enough])) + 0.5
             out["no_return_level"] = round(level, 1)
     return out
-
-
-def _silent_level(sequences: Sequences) -> float:
-    """Find the middle over the lasers of what no-returns carry most often, 0 where there are too few; codes are cut."""
-    silent = sequences.distance_lsb == 0
-    enough = silent.sum(axis=0) >= _LEAST_SILENT
-    codes = commonest(silent, sequences.reflectivity)[enough]
-    return float(np.median(codes)) + 0.5 if enough.any() else 0.0
 
 
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:

@@ -31,7 +31,7 @@ from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import OutputFile, lock
-from vlp16emu.types import F8, U4, Scan
+from vlp16emu.types import U4
 from vlp16emu.units import S_NS
 
 Entry = dict[str, Any]  # a walk in its list and in the manifest
@@ -52,7 +52,8 @@ def finished(out: Path, walk: DatasetWalk) -> Entry | None:
     ours = _ours(out / walk.folder)
     if entry.items() >= identity(walk).items() and len(ours) == len(entry["files"]) + 1:
         return entry
-    if strange := _files_in(out / walk.folder) - ours:
+    folder = out / walk.folder
+    if strange := {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()} - ours:
         found = f"{min(strange).relative_to(out)} is there, and no {_LIST} lists it so"
         raise OutputError(str(out), found, "a new folder, or one of an earlier run")
     return None
@@ -142,10 +143,6 @@ def _described(path: Path, folder: Path) -> Entry:
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}
 
 
-def _files_in(folder: Path) -> set[Path]:
-    return {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()}
-
-
 _MOST_INSTANCES = 0xFFFF  # the upper 16 bits of a label hold the instance (SemanticKITTI, "Data")
 _IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
 
@@ -163,7 +160,9 @@ def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
     for number, scan in enumerate(emulator.scans(truth=True)):
         assert scan.labels is not None
         assert scan.world_T_sensor is not None
-        rows = np.column_stack([_deskewed(emulator, scan), scan.reflectivity / 255]).astype("<f4")
+        pulse, first = emulator.world_T_sensor(scan.t_ns), scan.world_T_sensor
+        from_first_m = np.einsum("nij,nj->ni", pulse[:, :3, :3], scan.xyz_m) + (pulse[:, :3, 3] - first[:3, 3])
+        rows = np.column_stack([from_first_m @ first[:3, :3], scan.reflectivity / 255]).astype("<f4")
         (folder / "velodyne" / f"{number:06d}.bin").write_bytes(rows.tobytes())
         classes = scheme.codes(scan.labels.semantic, scan.labels.part).astype("<u4")
         labels = classes | _numbers(scan.labels.instance, known) << np.uint32(16)
@@ -174,15 +173,6 @@ def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
     calibration = [f"{name}: {_IDENTITY}" for name in ("P0", "P1", "P2", "P3", "Tr")]
     for name, lines in (("poses.txt", poses), ("times.txt", times), ("calib.txt", calibration)):
         (folder / name).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
-
-
-def _deskewed(emulator: Emulator, scan: Scan) -> F8:
-    """Return points (n, 3) of a scan in the sensor's frame at the scan's first pulse."""
-    assert scan.world_T_sensor is not None
-    pulse = emulator.world_T_sensor(scan.t_ns)
-    first = scan.world_T_sensor
-    world_m = np.einsum("nij,nj->ni", pulse[:, :3, :3], scan.xyz_m) + (pulse[:, :3, 3] - first[:3, 3])
-    return np.asarray(world_m @ first[:3, :3])
 
 
 def _numbers(instances: U4, known: dict[int, int]) -> U4:
@@ -335,10 +325,10 @@ def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
 def _start_worker() -> None:
     """Leave Ctrl-C to the parent process, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Thread(target=_end_with_parent, daemon=True).start()
 
+    def end_with_parent() -> None:
+        if parent := multiprocessing.parent_process():
+            parent.join()
+            os._exit(1)
 
-def _end_with_parent() -> None:
-    if parent := multiprocessing.parent_process():
-        parent.join()
-        os._exit(1)
+    Thread(target=end_with_parent, daemon=True).start()

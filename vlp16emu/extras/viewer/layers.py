@@ -57,8 +57,14 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> U1:
     different, which = np.unique(_labels(scan, layer), return_inverse=True)
     named, other = _named(layer, species), ("", colour_of_kind("ground"))
     of_instance = layer == "instance"
-    rgb = [_instance_rgb(value) if of_instance else named.get(value, other)[1] for value in different.tolist()]
-    return np.array(rgb, np.uint8).reshape(-1, 3)[which.ravel()]
+
+    def rgb(value: int) -> Rgb:
+        if not of_instance or not value:
+            return (140, 140, 140) if of_instance else named.get(value, other)[1]
+        red, green, blue = colorsys.hsv_to_rgb(value * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (value % 2))
+        return round(255 * red), round(255 * green), round(255 * blue)
+
+    return np.array([rgb(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()]
 
 
 def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
@@ -107,13 +113,6 @@ def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
     }
     value, most, unit = values[layer]
     return np.asarray(value, np.float64), (0.0, most, unit)
-
-
-def _instance_rgb(number: int) -> Rgb:
-    if not number:
-        return (140, 140, 140)
-    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (number % 2))
-    return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def legend_of(entries: Entries) -> str:

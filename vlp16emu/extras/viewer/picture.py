@@ -207,7 +207,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
                 pass
             _still(file, drawing, entries_of(first.scan, colour, species))
         else:
-            (_gif if suffix == ".gif" else _mp4)(file, (drawing.marked(sweep) for sweep in images), look.size)
+            _film(file, (drawing.marked(sweep) for sweep in images), look, suffix)
     interrupted = stop.is_set()
     return PictureRun(str(path), drawing.revolutions, drawing.points, colour, path.stat().st_size, interrupted)
 
@@ -223,14 +223,9 @@ def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View
     else:
         low = way_m.min(axis=0) - np.array([_AROUND_M, _AROUND_M, _BELOW_M])
         high = way_m.max(axis=0) + np.array([_AROUND_M, _AROUND_M, _ABOVE_M])
-    return _slanted(look, np.stack([low, high]))
-
-
-def _slanted(look: PictureLook, box_m: F8) -> View:
-    """Return a view of the world from above at a slant; points beside the box would hide what is near the path."""
-    camera = Orthographic.around(
-        box_m, _FROM_DEG if look.from_deg is None else look.from_deg, _ELEVATION_DEG, look.size
-    )
+    # From above at a slant; points beside the box would hide what is near the path.
+    box_m, from_deg = np.stack([low, high]), _FROM_DEG if look.from_deg is None else look.from_deg
+    camera = Orthographic.around(box_m, from_deg, _ELEVATION_DEG, look.size)
 
     def sensor(sweep: Sweep) -> F8 | None:
         pose = sweep.scan.world_T_sensor
@@ -324,18 +319,17 @@ class _Drawing(Canvas):
         return image
 
 
-def _gif(file: Any, frames: Iterator[U1], _size: tuple[int, int]) -> None:
-    from PIL import Image
+def _film(file: Any, frames: Iterator[U1], look: PictureLook, suffix: str) -> None:
+    if suffix == ".gif":
+        from PIL import Image
 
-    made = (Image.fromarray(frame) for frame in frames)
-    next(made).save(file, "GIF", save_all=True, append_images=made, duration=1000 // _FRAMES_PER_S, loop=0)
-
-
-def _mp4(file: Any, frames: Iterator[U1], size: tuple[int, int]) -> None:
-    """Write a film as MP4, frame by frame; ffmpeg writes by name."""
+        made = (Image.fromarray(frame) for frame in frames)
+        next(made).save(file, "GIF", save_all=True, append_images=made, duration=1000 // _FRAMES_PER_S, loop=0)
+        return
     from imageio_ffmpeg import write_frames
 
-    writer = write_frames(file.name, size, fps=_FRAMES_PER_S, macro_block_size=2, output_params=["-f", "mp4"])
+    # ffmpeg writes by name.
+    writer = write_frames(file.name, look.size, fps=_FRAMES_PER_S, macro_block_size=2, output_params=["-f", "mp4"])
     writer.send(None)
     for frame in frames:
         writer.send(np.ascontiguousarray(frame))
