@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -50,19 +49,6 @@ _SET_RPM = 60.0  # speeds that can be set are multiples (63-9243 Rev D, section 
 
 Row = tuple[int, list[float]]  # UTC of a sample, and its numbers
 Feed = Callable[[int], None]  # writes all samples until and with an instant that are not written yet
-
-
-@dataclass(frozen=True, slots=True)
-class BagResult:
-    """Contents of a bag."""
-
-    file: str
-    messages: dict[str, int]  # messages of each topic
-    duration_s: float  # time from the first message to the last
-    clocks: tuple[str, ...]  # clock of each unit, in the order of their topics: sensor, gps or host
-    host_ahead_s: tuple[float, ...]  # capture stamps less the sensor's clock at the first data packet of each unit
-    repeats: int  # packets left out as they came before
-    interrupted: bool
 
 
 class Truth(NamedTuple):
@@ -227,8 +213,8 @@ def write_bag(
     clock: str | None = None,
     options: BagOptions | None = None,
     stop: Event | None = None,
-) -> BagResult:
-    """Write the bag of a capture; memory does not grow with its length.
+) -> dict[str, Any]:
+    """Write the bag of a capture, and return what is in it; memory does not grow with its length.
 
     Parameters
     ----------
@@ -277,15 +263,15 @@ def write_bag(
                 except PacketError as error:
                     raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
-    return BagResult(
-        file=str(out),
-        messages=dict(sorted(sink.bag.counts.items())),
-        duration_s=(last_ns - first_ns) / S_NS,
-        clocks=tuple(one.clock for one in clocks),
-        host_ahead_s=tuple((one.host_ahead_ns or 0) / S_NS for one in made),
-        repeats=datagrams.repeated,
-        interrupted=stop.is_set(),
-    )
+    return {
+        "file": str(out),
+        "messages": dict(sorted(sink.bag.counts.items())),  # of each topic
+        "duration_s": (last_ns - first_ns) / S_NS,
+        "clocks": tuple(one.clock for one in clocks),  # of each unit, in the order of their topics
+        "host_ahead_s": tuple((one.host_ahead_ns or 0) / S_NS for one in made),
+        "repeats": datagrams.repeated,  # packets left out as they came before
+        "interrupted": stop.is_set(),
+    }
 
 
 def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:

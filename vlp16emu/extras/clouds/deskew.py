@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import chain, pairwise
 from pathlib import Path
@@ -116,27 +115,10 @@ class CaptureTruth:
         return rows | self._labels.of(rows | {"world_m": world_m})
 
 
-@dataclass(frozen=True, slots=True)
-class Deskewed:
-    """Contents of a file of points of a capture."""
-
-    file: str
-    capture: str
-    trajectory: str
-    points: int
-    without_pose: int  # points left out, as the trajectory has no pose at their pulses
-    truth: bool  # true if points have labels
-    simulated_s: float  # time from the first pulse of the capture to the last
-    clock: str  # clock of the pulses: sensor, gps or host
-    host_ahead_s: float  # capture stamps less the sensor's clock at the first packet
-    bytes: int
-    interrupted: bool  # ended by its stop event
-
-
 def write_deskewed(
     capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event, clock: str | None = None
-) -> Deskewed:
-    """Write the points of a capture, in the world and in the sensor's frame, to a file as of `cloud.point_file`.
+) -> dict[str, Any]:
+    """Write the points of a capture, in the world and in the sensor's frame, to a file as of `point_file`; return what is in it.
 
     Parameters
     ----------
@@ -178,19 +160,19 @@ def write_deskewed(
                 raise TrajectoryError(
                     str(way.path), found, f"poses at the pulses, from {first_s:.3f} to {end_s:.3f} s {by}"
                 )
-    return Deskewed(
-        file=str(path),
-        capture=str(capture),
-        trajectory=str(way.path),
-        points=points,
-        without_pose=without_pose,
-        truth=truth is not None,
-        simulated_s=last_ns / S_NS,
-        clock=stamped.clock,
-        host_ahead_s=(stamped.host_ahead_ns or 0) / S_NS,
-        bytes=path.stat().st_size,
-        interrupted=stop.is_set(),
-    )
+    return {
+        "file": str(path),
+        "capture": str(capture),
+        "trajectory": str(way.path),
+        "points": points,
+        "without_pose": without_pose,  # points left out, as the trajectory has no pose at their pulses
+        "truth": truth is not None,
+        "simulated_s": last_ns / S_NS,  # from the first pulse of the capture to the last
+        "clock": stamped.clock,
+        "host_ahead_s": (stamped.host_ahead_ns or 0) / S_NS,  # capture stamps less the sensor's clock at first
+        "bytes": path.stat().st_size,
+        "interrupted": stop.is_set(),
+    }
 
 
 def _blocks(

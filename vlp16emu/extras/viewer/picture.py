@@ -90,18 +90,6 @@ _FEWEST_COLUMNS = 800  # firing sequences of a revolution at 1200 rpm are some 9
 
 
 @dataclass(frozen=True, slots=True)
-class PictureRun:
-    """Content of a picture."""
-
-    file: str
-    revolutions: int
-    points: int
-    colour: str
-    bytes: int
-    interrupted: bool
-
-
-@dataclass(frozen=True, slots=True)
 class View:
     """Layout of a picture: the places of a sweep's points, and the words beside them."""
 
@@ -175,7 +163,7 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
     return Source(sweeps, way_m, rings, species_of(parts.world), emulator.run.files)
 
 
-def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> PictureRun:
+def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
     InputError if there is no revolution, or none with such a layer; OutputError, MissingExtraError as `check_suffix`.
@@ -208,8 +196,8 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
             _still(file, drawing, entries_of(first.scan, colour, species))
         else:
             _film(file, (drawing.marked(sweep) for sweep in images), look, suffix)
-    interrupted = stop.is_set()
-    return PictureRun(str(path), drawing.revolutions, drawing.points, colour, path.stat().st_size, interrupted)
+    made = {"file": str(path), "revolutions": drawing.revolutions, "points": drawing.points, "colour": colour}
+    return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
 
 
 def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View:
