@@ -4,8 +4,19 @@ import numpy as np
 import pytest
 
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import dual_returns, lost_records, no_returns, rotation, statistics_of
-from vlp16emu.extras.compare.surfaces import beat_of, codes, gains, range_noise, reflectivity_noise, stretches_of
+from vlp16emu.extras.compare.statistics import (
+    beat_of,
+    codes,
+    dual_returns,
+    gains,
+    lost_records,
+    no_returns,
+    range_noise,
+    reflectivity_noise,
+    rotation,
+    statistics_of,
+    stretches_of,
+)
 from vlp16emu.extras.compare.table import REAL, Known
 
 COUNT = 7200

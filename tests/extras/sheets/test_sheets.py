@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vlp16emu.errors import InputError
-from vlp16emu.extras.palette import colour_of_species
+from vlp16emu.extras.plots import colour_of_species
 from vlp16emu.extras.sheets.sheet import StandSection, draw_section, draw_sheet, draw_side, legend_entries, strip_along
 from vlp16emu.extras.sheets.survey import (
     CELL_M,

@@ -6,8 +6,15 @@ import numpy as np
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import commonest, local, statistics_of, turning_of
-from vlp16emu.extras.compare.surfaces import Statistics, beat_of, stretches_of
+from vlp16emu.extras.compare.statistics import (
+    Statistics,
+    beat_of,
+    commonest,
+    local,
+    statistics_of,
+    stretches_of,
+    turning_of,
+)
 from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
 from vlp16emu.sensor import Sensor

@@ -8,8 +8,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import local, statistics_of, turning_of
-from vlp16emu.extras.compare.surfaces import stretches_of
+from vlp16emu.extras.compare.statistics import local, statistics_of, stretches_of, turning_of
 from vlp16emu.extras.plots import plotted
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.outputs import OutputFolder
-from vlp16emu.extras.palette import surface_colours
+from vlp16emu.extras.plots import surface_colours
 from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.output import write_json

@@ -14,8 +14,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from vlp16emu.extras.camera import Orthographic, look
-from vlp16emu.extras.palette import colour_of_kind, colour_of_species, surface_colours
-from vlp16emu.extras.plots import plotted
+from vlp16emu.extras.plots import colour_of_kind, colour_of_species, plotted, surface_colours
 from vlp16emu.extras.sheets.survey import Survey, subtitle_of, summary_of, survey
 from vlp16emu.forest.ground.dem import write_ascii
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE

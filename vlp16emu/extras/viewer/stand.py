@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.extras.palette import colour_of_kind, surface_colours
+from vlp16emu.extras.plots import colour_of_kind, surface_colours
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.forest.plants.undergrowth import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
