@@ -171,10 +171,6 @@ def replay(
 def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
     """Record a whole run into the file `prepare` of the options, and yield its packets as `packets_of` does.
 
-    Parameters
-    ----------
-    hooks : as of `record`
-
     Raises OutputError if the place cannot be read again, or has the ending of another format; and others as
     `record`.
     """
@@ -192,11 +188,7 @@ def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]
 def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
     """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
 
-    Parameters
-    ----------
-    links : of the units that the packets are from
-
-    Raises CaptureError if the file is damaged.
+    `links` are those of the units that the packets are from. Raises CaptureError if the file is damaged.
     """
     ways = {
         (IPv4Address(link.source).packed, port): (kind, number)

@@ -51,11 +51,8 @@ def check_bag(path: Path) -> None:
 class BagFile:
     """A bag, which takes its name when it is closed without error; a context manager.
 
+    It is .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not.
     Messages may come in any order within a second, and are written in the order of their times.
-
-    Parameters
-    ----------
-    path : .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not
 
     Raises OutputError if the suffix is another, the folder is there already, or nothing can be written there;
     MissingExtraError if rosbags is not installed.

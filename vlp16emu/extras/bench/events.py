@@ -202,11 +202,7 @@ def tables() -> TypeAdapter[list[Event]]:
 
 
 def checked(given: object, scene: dict[str, Any]) -> list[Event]:
-    """Check the events of a scene.
-
-    Parameters
-    ----------
-    scene : the tables `sensor`, `rig` and `gps`, as far as they are sound
+    """Check the events of a scene, which is the tables `sensor`, `rig` and `gps` as far as they are sound.
 
     Raises ValueError if one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene.
     """

@@ -234,12 +234,7 @@ class SerialPort:
 
 
 class SerialSink(PacketSink):
-    """Writes packets to a serial port, and pulses to its line; a thread of its own does it, so that a port never holds up others.
-
-    Parameters
-    ----------
-    port : of the thread from now on
-    """
+    """Writes packets to a serial port, and pulses to its line, in a thread that owns it: a port never holds up others."""
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port

@@ -62,9 +62,7 @@ def read_trajectory_csv(path: Path) -> RecordedPoses:
 def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     """Read lines of 12 numbers, the rows of a 3 x 4 pose matrix (KITTI odometry benchmark, development kit).
 
-    Parameters
-    ----------
-    times : a file with a time in seconds for each pose, one to a line, or the rate of the poses in Hz
+    Their times are the rate of the poses in Hz, or a file with a time in seconds for each pose, one to a line.
     """
     columns = {name: Column({name: 1.0}) for name in _MATRIX}
     table = read_table(path, columns, "the numbers of a 3 x 4 matrix", TrajectoryError, has_header=False)

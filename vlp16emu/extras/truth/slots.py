@@ -119,11 +119,7 @@ _FLOATS = [name for name in _OF_RETURNS if SLOT_COLUMNS[name].startswith("float"
 
 
 class SlotTable:
-    """Writes a row for each record of the data packets that it is given; a context manager.
-
-    Parameters
-    ----------
-    path : of the file, which is readable when this has been left
+    """Writes a row for each record of the data packets that it is given; a context manager, after which the file is readable.
 
     Raises MissingExtraError if pyarrow is not installed; OutputError if the file cannot be opened.
     """
@@ -201,10 +197,6 @@ class SlotReader:
 
     A packet of the capture is found by its time stamp, from the one before on, so that some of the run's packets may be
     missing, twice, or late by up to 64.
-
-    Parameters
-    ----------
-    path : of the table
 
     Raises MissingExtraError if pyarrow is not installed; InputError if the file is no such table.
     """
