@@ -54,8 +54,7 @@ LADDER = (
     Rung(4, math.inf, 1.25, 75.0),
     Rung(1, math.inf, 3.0, 120.0),
     Rung(1, 45.0, 6.0, 120.0),
-)
-"""No rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing."""
+)  # no rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing
 
 
 def below(scenario: Scenario) -> list[Rung]:

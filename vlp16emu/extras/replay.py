@@ -55,8 +55,7 @@ class Replay:
                 position_port=next(iter(unit.position_ports), POSITION_PORT),
             )
             for unit in self.units
-        ]
-        """Where the packets of each are sent."""
+        ]  # where the packets of each are sent
         self.passes = 0  # begun so far
         self.left_out = 0  # datagrams of the first pass that are no whole packets of a unit
         self.gaps_s = list[float]()  # gaps of the first pass that were shortened

@@ -61,30 +61,18 @@ class DeviceSettings:
 
     rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
     """Speed of the rotor; others upset speed control and phase lock (section 8.3)."""
-    return_mode: ReturnMode = ReturnMode.STRONGEST
-    """Echoes that are sent."""
-    laser_on: bool = True
-    """False: no data packets; position packets go on."""
-    fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)
-    """First and last azimuth that is sent; (0, 359) is all around."""
-    phase_lock_on: bool = False
-    """Whether the rotor follows the pulse of the GPS receiver."""
-    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0
-    """Rotor angle at each pulse, in 0.01 degree."""
-    host: Annotated[str, _Receiver] = "255.255.255.255"
-    """IPv4 address that packets are sent to."""
-    data_port: Port = 2368
-    """Destination port of data packets."""
-    position_port: Port = 8308
-    """Destination port of position packets."""
-    address: Address = "192.168.1.201"
-    """IPv4 address of the sensor."""
-    mask: Annotated[str, _Mask] = "255.255.255.0"
-    """Of its network."""
-    gateway: Annotated[str, _Gateway] = "192.168.1.1"
-    """Of its network."""
-    dhcp: bool = False
-    """Whether it asks a server for them."""
+    return_mode: ReturnMode = ReturnMode.STRONGEST  # echoes that are sent
+    laser_on: bool = True  # false: no data packets; position packets go on
+    fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)  # first and last azimuth that is sent; (0, 359) is all around
+    phase_lock_on: bool = False  # whether the rotor follows the pulse of the GPS receiver
+    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0  # rotor angle at each pulse, in 0.01 degree
+    host: Annotated[str, _Receiver] = "255.255.255.255"  # IPv4 address that packets are sent to
+    data_port: Port = 2368  # destination port of data packets
+    position_port: Port = 8308  # destination port of position packets
+    address: Address = "192.168.1.201"  # IPv4 address of the sensor
+    mask: Annotated[str, _Mask] = "255.255.255.0"  # of its network
+    gateway: Annotated[str, _Gateway] = "192.168.1.1"  # of its network
+    dhcp: bool = False  # whether it asks a server for them
 
 
 _SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
@@ -211,8 +199,7 @@ _RAILS = {
     | {"pwr_v_in": (11.964 / 11, 23)},
     "top": {"hv": (5 - 181 / 101, 29), "ad_temp": (0.735, 31), "pwr_5v": (5.073 / 2, 37), "pwr_2_5v": (2.499, 41)}
     | {"pwr_3_3v": (3.280, 43), "pwr_5v_raw": (5.347 / 2, 47), "pwr_vccint": (1.1914, 59)},
-}
-"""Volts at the converters of both boards, and the period of their small movement in seconds."""
+}  # volts at the converters of both boards, and the period of their small movement in seconds
 
 
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
@@ -246,8 +233,7 @@ _FIRMWARE = Path(__file__).with_name("firmware.json")
 """Images 3.0.41.1, and 1.9.3.0 to fall back on, and their states: invented, and of one piece."""
 _PARTS = {
     f"/cgi/{name}.json": part for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
-}
-"""What is read alone, and its name in the snapshot of all."""
+}  # what is read alone, and its name in the snapshot of all
 _MOST_KEYS = 16
 
 

@@ -117,8 +117,7 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     "bits": (_from(int, ge=1, le=4096), 8, "Number of bits that are flipped in a packet."),
     "to_bytes": (_from(int, ge=0, le=1205), 600, "Bytes of the payload that are left."),
     "status": (_from(int, ge=400, le=599) | None, None, "Status of the answers; no answer where it is left out."),
-}
-"""Type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ."""
+}  # type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ
 
 
 class Kind(NamedTuple):
@@ -182,8 +181,7 @@ KINDS = {
         "A sensor that hangs: it sends the same payload again and again.",
     ),
     "http_error": Kind("web", "duration_s status", "an error of the web interface", _HTTP),
-}
-"""What can happen, by the word that selects it."""
+}  # what can happen, by the word that selects it
 
 
 @cache

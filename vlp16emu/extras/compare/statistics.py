@@ -179,8 +179,7 @@ def gains(sequences: Sequences) -> Statistics:
     return {"reflectivity.gain_spread": math.sqrt(max(common, 0.0) / 1.5)}
 
 
-_LEAST_EDGES, _LEAST_PACKETS = 15, 250
-"""Records at edges and packets, from which on a statistic is worth its name."""
+_LEAST_EDGES, _LEAST_PACKETS = 15, 250  # records at edges and packets, from which on a statistic is worth its name
 _FLAT_LSB, _EQUAL_LSB, _STEPS_LSB = 20, 15, (150, 700)
 """Most change of range on either side of a record, and across it, to be of one surface; least steps that are near and far."""
 _CODE_STEP = 20

@@ -58,8 +58,7 @@ _Seed = Annotated[int, Field(ge=0, lt=2**63)]
 class _Variant(Section):
     """A name and settings of a scene."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,60}$")]
-    """Part of the names of walks."""
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,60}$")]  # part of the names of walks
     set: Annotated[list[str], Field(default_factory=list)]
     """Settings, each `key.path=value` as in `--set`; their files are found from the current folder."""
 
@@ -88,22 +87,15 @@ class _Splits(Section):
 class DatasetSpec(Section):
     """The file of a dataset: each stand with each seed, path and sensor is a walk."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")]
-    """Version of this format."""
-    layout: Literal["semantickitti", "pcap+truth", "las-plots"]
-    """Which files are written."""
-    seed: _Seed = 1
-    """Seed of the assignment of stands to splits."""
+    schema_version: Annotated[Literal[1], Field(alias="schema")]  # version of this format
+    layout: Literal["semantickitti", "pcap+truth", "las-plots"]  # which files are written
+    seed: _Seed = 1  # seed of the assignment of stands to splits
     seeds: Annotated[list[_Seed], *_OnceEach] = [1]  # noqa: RUF012  # pydantic copies it
     """Seeds of the scenes."""
-    stands: Annotated[list[_Stand], *_OnceEach]
-    """Scenes to walk in."""
-    paths: Annotated[list[_Variant], *_OnceEach]
-    """Paths through each stand."""
-    sensors: Annotated[list[_Variant], *_OnceEach]
-    """Sensors on each path."""
-    splits: _Splits = _Splits()
-    """Shares of the stands in train, val and test."""
+    stands: Annotated[list[_Stand], *_OnceEach]  # scenes to walk in
+    paths: Annotated[list[_Variant], *_OnceEach]  # paths through each stand
+    sensors: Annotated[list[_Variant], *_OnceEach]  # sensors on each path
+    splits: _Splits = _Splits()  # shares of the stands in train, val and test
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,8 +323,7 @@ LAYOUTS: dict[str, Callable[[Emulator, Path], object]] = {
     "semantickitti": _semantic_kitti,
     "pcap+truth": lambda emulator, folder: emulator.record(folder / "walk.pcap", truth=folder / "truth"),
     "las-plots": lambda emulator, folder: write_points(emulator, folder / "points.laz", truth=True),
-}
-"""Writers of a walk into an empty folder, by the layout's name in the file of a dataset."""
+}  # writers of a walk into an empty folder, by the layout's name in the file of a dataset
 
 
 _DEATHS = 10  # deaths of workers, without a finished walk between them, that end a run: then a walk kills them

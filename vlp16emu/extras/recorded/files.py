@@ -25,8 +25,7 @@ POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 TIMED_POSES = {
     "t_s": Column({"t_s": 1.0}),
     **{name: Column({name: 1.0, name.removesuffix("_m"): 1.0}) for name in POSE},
-}
-"""Columns of a table of poses."""
+}  # columns of a table of poses
 _TUM = "t x y z qx qy qz qw"
 _MATRIX = tuple(f"{row}{column}" for row in "123" for column in "1234")
 

@@ -22,8 +22,7 @@ _PLACES = (
     ("world_x_m", "world_y_m", "world_z_m"),
     tuple("xyz"),
     ("x_m", "y_m", "z_m"),
-)
-"""Columns that hold the place of a point, the world's before the sensor's."""
+)  # columns that hold the place of a point, the world's before the sensor's
 _INSTANCES = ("instance", "treeID", "tree_id", "treeid")
 """Names of the column of instances: the first that is there counts, of ours and of other tools."""
 _KEPT = ("semantic", "part", "leaf_wood", "instance")

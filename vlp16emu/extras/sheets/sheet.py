@@ -183,8 +183,7 @@ INK, SOFT, WALK = "#26302b", "#747e78", "#c8372d"
 _DRAWN_IN_ORDER = (
     *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "broken_log"),
     *("stump", "broken_stump", "root_plate", "deadwood", "sapling", "shrub", "tree", "other"),
-)
-"""Kinds of things, the lowest first."""
+)  # kinds of things, the lowest first
 _MARGIN_M = 2.0
 _LEAST_STEM_PX = 2.4  # thinner stems are drawn this wide, or nobody would see them
 _SMOOTH_M = 2.0  # one sigma of the smoothing of contour lines, which show hills and not every step

@@ -35,8 +35,7 @@ STEM_SEEN = np.dtype(
         ("stem_seen", "<f8"),  # share of the surface between 0.3 m and the crown base, in cells of 10 degrees by 0.5 m
         ("breast_seen_deg", "<f8"),  # of the stem's girth between 1.1 m and 1.5 m, in cells of 10 degrees
     ]
-)
-"""Coverage of a stem by returns."""
+)  # coverage of a stem by returns
 
 _SECTORS = 36  # cells around a stem
 
@@ -324,8 +323,7 @@ _MEASURES = {
     **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
     "root_plate": ("diameter", 1),
     **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
-}
-"""Reported size of a kind of thing, and its axis."""
+}  # reported size of a kind of thing, and its axis
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ from vlp16emu.units import S_NS
 _FILES = re.compile(
     r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json|(packets|trajectory)(_\d+)?\.tum"
     r"|returns(_\d+)?\.parquet"
-)
-"""Names of all files that a run may write."""
+)  # names of all files that a run may write
 
 
 class TruthFolder:

@@ -27,8 +27,7 @@ PART_RGB: dict[PlantPart, Rgb] = {
     PlantPart.LEAF: (70, 150, 70),
     PlantPart.ROOT_FLARE: (160, 40, 60),
     PlantPart.DEAD_BRANCH: (130, 110, 150),
-}
-"""Colours of the layer "part"."""
+}  # colours of the layer "part"
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)

@@ -27,8 +27,7 @@ _MARKED = 10_000  # most findings of a rule that are shown; all are counted
 _ABOUT_POINTS = (
     *(Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE, Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE),
     *(Rule.FROZEN, Rule.AZIMUTH_STEP, Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
-)
-"""Rules whose findings are shown with a sweep; with the others, such as late packets, points are right."""
+)  # rules whose findings are shown with a sweep; with the others, such as late packets, points are right
 
 
 class Sweep(NamedTuple):
