@@ -6,6 +6,7 @@ import shutil
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, Self
 
@@ -15,6 +16,8 @@ from vlp16emu.output import OutputFile, claim, final_name, opening, part_beside,
 _MARK, _MARK_WITHIN = b"vlp16emu", 4096
 """What the files of a report name as their writer, and in how many of their first bytes."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
+
+_NAME_OF = attrgetter("name")
 
 
 class OutputFolder:
@@ -38,9 +41,7 @@ class OutputFolder:
         self,
         path: Path,
         *,
-        stranger: Callable[[Path], str | None] = lambda folder: min(
-            (path.name for path in folder.iterdir()), default=None
-        ),
+        stranger: Callable[[Path], str | None] = lambda folder: min(map(_NAME_OF, folder.iterdir()), default=None),
         expected: str = "a new or empty folder",
         inputs: Iterable[Path] = (),
     ) -> None:

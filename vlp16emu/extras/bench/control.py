@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -286,7 +286,7 @@ class Control:
 
 
 def _in_force(settings: DeviceSettings) -> InForce:
-    phase = settings.phase_lock_cdeg / 100 if settings.phase_lock_on else "off"
+    phase: float | Literal["off"] = settings.phase_lock_cdeg / 100 if settings.phase_lock_on else "off"
     return InForce(settings.rpm, str(settings.return_mode), settings.laser_on, settings.fov_deg, phase)
 
 
