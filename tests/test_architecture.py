@@ -61,13 +61,13 @@ EXTRAS_TAKE = {
     "handle": {"bench", "clouds", "truth"},
     "plan": {"keep_up"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "options", "outputs", "palette", "truth"},
+    "images": {"camera", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
-    "sheets": {"camera", "palette", "plots", "truth"},
+    "sheets": {"camera", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench", "outputs"},
-    "viewer": {"camera", "clouds", "images", "options", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "images", "options", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
