@@ -231,7 +231,15 @@ def test_kernels_are_where_changes_are_looked_for():
     found |= set().union(*(taken_at_once(name, trees()[name]) for name in found))
     folders = tuple(source if source.endswith(".py") else f"{source}/" for source in SOURCES)
     others = {name for name in found if not name.startswith(folders)}
-    assert others == {"errors.py", "store.py"}  # no number is theirs
+    assert others == {"errors.py", "kernels/compiler.py", "store.py"}  # no number is theirs
+
+
+def test_kernels_take_numba_as_it_is_prepared():
+    """What makes kernels takes numba from `kernels/compiler.py`, which sets the processor and the folder before any is made."""
+    for name, tree in trees().items():
+        text = (PACKAGE / name).read_text(encoding="utf-8")
+        if "njit(" in text and not name.startswith("kernels/"):
+            assert "vlp16emu.kernels.compiler.numba" in imports(tree), name
 
 
 def test_sources_of_what_is_kept_are_there():
