@@ -18,7 +18,6 @@ FLOORS = (
     {"__main__"},
     {"cli", "pytest"},
     {"extras"},
-    {"emulator"},
     {"run"},
     {"engine"},
     {"scenario"},
@@ -152,7 +151,7 @@ def test_the_core_knows_no_forest_and_no_extra():
 
 def test_foliage_and_forest_know_no_run():
     """What is far takes from casting, a forest from worlds and from what is far; neither knows engine, runs or extras."""
-    above = {"forest", "scenario", "engine", "run", "emulator", "extras", "cli"}
+    above = {"forest", "scenario", "engine", "run", "extras", "cli"}
     for name in NAMES:
         if (room := room_of(name)) in ("foliage", "forest"):
             assert not {full.split(".")[0] for full in targets(name)} & (above - {room}), name

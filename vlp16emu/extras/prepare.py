@@ -9,15 +9,15 @@ from typing import Any
 from vlp16emu.errors import OutputError
 from vlp16emu.output import STDOUT
 from vlp16emu.packets import Capture, Link
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import RecordOptions, StreamOptions
 from vlp16emu.run.record import record
-from vlp16emu.run.run import Run
 from vlp16emu.scenario.model import CaptureClock
 from vlp16emu.sinks import check_ending
 from vlp16emu.types import Packet, PacketKind
 
 
-def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
+def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
     """Record a whole run into the file `prepare` of the options, and yield its packets as `packets_of` does.
 
     Parameters
@@ -33,10 +33,10 @@ def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]
         raise OutputError(str(path), "no file that can be read again", "the name of a file")
     check_ending(path)
     # Packets leave when they are due: the clock of a host that records has no part in it.
-    scenario = run.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
+    scenario = emulator.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
     asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
-    record(replace(run, engine=replace(run.engine, scenario=scenario)), path, asked, **hooks)
-    return packets_of([unit.link for unit in run.engine.parts.units], path)
+    record(emulator.with_engine(replace(emulator.engine, scenario=scenario)), path, asked, **hooks)
+    return packets_of([unit.link for unit in emulator.engine.parts.units], path)
 
 
 def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:

@@ -131,7 +131,7 @@ def _prepare() -> None:
         else:
             enable_caching(dispatcher)
 
-    Dispatcher.enable_caching = enable_our_caching
+    Dispatcher.enable_caching = enable_our_caching  # type: ignore[method-assign, assignment]
 
 
 _prepare()

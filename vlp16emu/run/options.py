@@ -200,13 +200,6 @@ class StreamOptions(SendOptions):
     outlets: Any = None
     gps_in: Any = None
 
-    @property
-    def settings(self) -> dict[str, object]:
-        """Settings of the scene that the ports change; a port of 0 stands for a free one."""
-        _, data_port = self.receiver
-        ports = {"sensor.data_port": data_port, "sensor.position_port": self.position_port}
-        return {key: port for key, port in ports.items() if port is not None}
-
 
 def stream_options() -> type[StreamOptions]:
     """Return the options of a stream in this installation, with or without those of extras."""

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import in_one_world
 from vlp16emu.errors import OutputError, RunError, readable
 from vlp16emu.extras.clouds.cloud import label_scheme
@@ -31,6 +30,7 @@ from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import OutputFile, lock
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8, U4, Scan
 from vlp16emu.units import S_NS
 
