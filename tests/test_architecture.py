@@ -7,7 +7,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from vlp16emu.kernels.cache import SOURCES
+from vlp16emu.kernels.cache import sources_of
 from vlp16emu.store import MAKERS
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
@@ -130,8 +130,8 @@ def taken_at_once(name: str, tree: ast.Module) -> set[str]:
     taken = set[str]()
     for node in tree.body:
         for full in imports(node) if isinstance(node, ast.Import | ast.ImportFrom) else ():
-            parts = full.split(".")
-            paths = ["/".join(stem[1:]) for stem in (parts, parts[:-1])]
+            first, *parts = full.split(".")
+            paths = ["/".join(stem) for stem in (parts, parts[:-1]) if first == "vlp16emu"]
             files = [file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES]
             taken |= set(files[:1])
     return taken - {name}
@@ -223,14 +223,17 @@ def test_no_module_needs_itself():
     list(TopologicalSorter(arrows).static_order())
 
 
-def test_kernels_are_where_changes_are_looked_for():
-    """What has a kernel, and what that takes of ours as it is loaded, is among the sources that name a compiled kernel."""
+def test_changes_of_all_that_a_kernel_takes_are_seen():
+    """What decides the name of a compiled kernel is all that its module takes of ours as it is loaded, and what this takes in turn."""
     found = {name for name in NAMES if "njit(" in (PACKAGE / name).read_text(encoding="utf-8")}
     assert "raycast/kernel.py" in found
-    found |= set().union(*(taken_at_once(name, trees()[name]) for name in found))
-    folders = tuple(source if source.endswith(".py") else f"{source}/" for source in SOURCES)
-    others = {name for name in found if not name.startswith(folders)}
-    assert others == {"errors.py", "kernels/compiler.py", "store.py"}  # no number is theirs
+    for name in found:
+        left, needed = {name}, set()
+        while left:
+            needed.add(file := left.pop())
+            left |= taken_at_once(file, trees()[file]) - needed
+        module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        assert needed <= set(sources_of(frozenset({f"vlp16emu.{module}"}))), name
 
 
 def test_kernels_take_numba_as_it_is_prepared():
@@ -242,8 +245,8 @@ def test_kernels_take_numba_as_it_is_prepared():
 
 
 def test_sources_of_what_is_kept_are_there():
-    """Each file and folder whose changes make compiled kernels and grown worlds anew exists under that name."""
-    assert [source for source in (*SOURCES, *MAKERS) if not (PACKAGE / source).exists()] == []
+    """Each file and folder whose changes make grown worlds anew exists under that name."""
+    assert [source for source in MAKERS if not (PACKAGE / source).exists()] == []
 
 
 def test_a_library_is_imported_where_it_belongs():
