@@ -45,9 +45,7 @@ class Emulator:
     like : another emulator; where both go the same way through the same world, what that one has grown and built is used
         again. Never changes a byte.
 
-    Raises
-    ------
-    InputError : If the scene cannot be read, or a part of it cannot be made
+    Raises InputError if the scene cannot be read, or a part of it cannot be made.
 
     Examples
     --------
@@ -77,8 +75,7 @@ class Emulator:
         self.engine: Engine = Engine.of(scenario, threads=threads, taps=taps, like=like.engine if like else None)
         """Makes the packets."""
         is_named = isinstance(scene, str | Path)
-        self.name = str(scene) if is_named else scenario.title
-        """Name, path or title of the scene."""
+        self.name = str(scene) if is_named else scenario.title  # Name, path or title of the scene
         self.files = (*([find(str(scene))] if is_named else []), *named_files(scenario))
         """Files that the run reads; no output replaces them."""
 
@@ -100,9 +97,7 @@ class Emulator:
     def number(self, unit: int) -> int:
         """Return the index in the rig, from 0, of unit 1, 2 ....
 
-        Raises
-        ------
-        InputError : If there is no such unit
+        Raises InputError if there is no such unit.
         """
         if not 1 <= unit <= (units := len(self.parts.units)):
             raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
@@ -147,10 +142,8 @@ class Emulator:
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Return the packets due from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
-        Raises
-        ------
-        ScenarioError : If the sensor has no packets
-        TrajectoryError : If the span begins before the first pulse, or the walk ends before the span does
+        Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
+        the walk ends before the span does.
         """
         return self.engine.packets(start_s, stop_s)
 
@@ -163,10 +156,7 @@ class Emulator:
         ----------
         truth : whether they have the surfaces that they are from
 
-        Raises
-        ------
-        InputError : If there is no such unit
-        TrajectoryError : If the walk ends before the span does
+        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span does.
         """
         return self.engine.returns(start_s, stop_s, self.number(unit), truth=truth)
 
@@ -182,10 +172,7 @@ class Emulator:
         unit : which sensor of a rig, from 1
         truth : whether scans have labels
 
-        Raises
-        ------
-        InputError : If there is no such unit
-        TrajectoryError : If the walk ends before the span does
+        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span does.
         """
         span_s = self.scenario.span_s(start_s, duration_s)
         scans: Iterator[Scan] = door("scans")(self.engine, self.number(unit), span_s, truth=truth)
@@ -213,14 +200,9 @@ class Emulator:
         stop : ends the recording from another thread; the file is valid
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
-        Raises
-        ------
-        InputError : If an option is not right
-        OutputError
-            If file or folder cannot be written, or are an input of the scene, or the name is that of another format
-        ScenarioError : If the sensor has no packets
-        TrajectoryError : If the walk ends before the span does
-        RunError : If the disk is full; the packets before are kept
+        Raises InputError if an option is not right; OutputError if file or folder cannot be written, or are an input of
+        the scene, or the name is that of another format; ScenarioError if the sensor has no packets; TrajectoryError if
+        the walk ends before the span does; RunError if the disk is full; the packets before are kept.
         """
         return record(self, path, RecordOptions(**options), progress=progress, stop=stop)
 
@@ -231,13 +213,10 @@ class Emulator:
         ----------
         options : fields of `StreamOptions` and of `extras.bench.options.BenchOptions`, and functions that are called while it runs, as `stream_run` takes them
 
-        Raises
-        ------
-        OutputError : If the receiver is unknown or out of reach, or the sensor's address is not this machine's
-        InputError : If an option is not right, options exclude each other, or poses are for a scene that is not live
-        ScenarioError : If the sensor has no packets
-        TrajectoryError : If the walk ends before the span does
-        RunError : If the system cannot send any more
+        Raises OutputError if the receiver is unknown or out of reach, or the sensor's address is not this machine's;
+        InputError if an option is not right, options exclude each other, or poses are for a scene that is not live;
+        ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span does; RunError if
+        the system cannot send any more.
         """
         hooks = {name: options.pop(name) for name in options.keys() & signature(stream_run).parameters.keys()}
         return stream_run(self, stream_options()(**options), **hooks)
@@ -261,9 +240,7 @@ class Emulator:
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
         """Bring a pose into a live scene, from any thread; parameters, result and errors as `PoseInput.put`.
 
-        Raises
-        ------
-        TrajectoryError : If the scene is not live
+        Raises TrajectoryError if the scene is not live.
         """
         if (put := getattr(self.parts.carrier, "put_pose", None)) is None:
             raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')

@@ -153,9 +153,7 @@ class SendOptions(Options):
     def receiver(self) -> tuple[str, int | None]:
         """Host, and port of data packets if one is given.
 
-        Raises
-        ------
-        InputError : If the port is none, or is given twice
+        Raises InputError if the port is none, or is given twice.
         """
         to = self.to or ("127.0.0.1" if self.interface is None else "255.255.255.255")
         host, colon, port = to.partition(":")

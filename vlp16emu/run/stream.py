@@ -161,21 +161,17 @@ class PacketFeed:
     start_s, stop_s : span of the run, since the first pulse
     also : kinds that are sent beside the packets of the sensors
 
-    Raises
-    ------
-    InputError : If the engine has no such span, or the scene no device that `also` asks for
+    Raises InputError if the engine has no such span, or the scene no device that `also` asks for.
     """
 
     def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:
-        self.engine, self._stop_s = engine, stop_s
-        """Makes the packets from here on."""
+        self.engine, self._stop_s = engine, stop_s  # Makes the packets from here on
         self._beside = door("beside")(engine, also) if also else None
         self._packets = self._from(start_s)
         self._reached_ns = engine.scenario.start_ns
         self._at_reached = set[tuple[int, PacketKind]]()
         self._from_ns: int | None = None
-        self.skipped = Counter[PacketKind]()
-        """Packets that were skipped, by kind."""
+        self.skipped = Counter[PacketKind]()  # Packets that were skipped, by kind
 
     def __iter__(self) -> Iterator[Packet]:
         return self
