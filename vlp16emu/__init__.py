@@ -6,8 +6,6 @@
 
 from importlib import import_module
 
-from vlp16emu.kernels.hook import keep_compiled
-
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
@@ -65,8 +63,6 @@ _MODULES = {
     "types": "Labels Scan",
 }
 _PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}  # module of each public name
-
-keep_compiled()
 
 
 def __getattr__(name: str) -> object:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.packets import DATA_BYTES, data_fields, decode_data
 from vlp16emu.scenario import load
 from vlp16emu.scenario.find import scene_files

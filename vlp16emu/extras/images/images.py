@@ -166,7 +166,7 @@ def write_images(
     """
     asked = ImageOptions(**options)
     engine, stop, camera = emulator.engine, stop or Event(), Camera.of(asked.kind, asked.size, asked.fov_deg)
-    scenario, of = engine.scenario, engine.parts.units[emulator.run.number(asked.unit)]
+    scenario, of = engine.scenario, engine.parts.units[emulator.number(asked.unit)]
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
     windows, species = engine.windows, species_of(engine.parts.world)
     pictures = PictureFolder(Path(folder), _cameras(camera, species))

@@ -160,7 +160,7 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
     t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
     way_m, rings = parts.motion.poses_at(t_ns).world_p_body_m, len(parts.units[0].head.beams.elevation_deg)
     sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
-    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.run.files)
+    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.files)
 
 
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
