@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.flora import species_table, tapers
+from vlp16emu.forest.plants.species import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Forest, HardCore, Plantation, Scattered, SpeciesShare, Storey, Terrain

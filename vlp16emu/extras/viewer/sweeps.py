@@ -16,7 +16,7 @@ from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import LabelsOf, scans_in
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.verify import Rule, verify_units
-from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8, Labels, Scan
