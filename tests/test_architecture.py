@@ -18,6 +18,7 @@ FLOORS = (
     {"__main__"},
     {"cli", "pytest"},
     {"extras"},
+    {"emulator"},
     {"run"},
     {"engine"},
     {"scenario"},
