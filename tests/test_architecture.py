@@ -18,7 +18,6 @@ FLOORS = (
     {"__main__"},
     {"cli", "pytest"},
     {"extras"},
-    {"emulator"},
     {"run"},
     {"engine"},
     {"scenario"},

@@ -39,8 +39,8 @@ def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
     The scene is the marker's, `--vlp16-scene`, or `vlp16_scene` of the ini file; static_bench otherwise, a hall with
     posts, boxes and balls and a sensor without errors. It ends with the test, or where a walk does.
     """
-    from vlp16emu.emulator import Emulator
     from vlp16emu.extras.handle import Live
+    from vlp16emu.run.emulator import Emulator
 
     marker, config = request.node.get_closest_marker("vlp16"), request.config
     scene, settings, options = _asked(*marker.args, **marker.kwargs) if marker else _asked()

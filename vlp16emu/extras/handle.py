@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.doors import door
-from vlp16emu.emulator import Emulator, Scene
 from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.bench.options import BenchOptions, Http
@@ -19,6 +18,7 @@ from vlp16emu.extras.clouds.scan import Chunk, chunk_of, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.run.emulator import Emulator, Scene
 from vlp16emu.run.report import Streamed
 from vlp16emu.run.stream import stream_run
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink

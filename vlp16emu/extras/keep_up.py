@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from vlp16emu.emulator import Emulator
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import FellBehind
 

@@ -25,7 +25,7 @@ from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 if TYPE_CHECKING:
-    from vlp16emu.emulator import Emulator
+    from vlp16emu.run.emulator import Emulator
 
 _LONGEST_US = 4_500.0  # later than any host that keeps up: `verify` takes 5 ms for a delay of the network
 _LANES_PER_UNIT = 8

@@ -21,7 +21,7 @@ from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
 if TYPE_CHECKING:
-    from vlp16emu.emulator import Emulator
+    from vlp16emu.run.emulator import Emulator
 
 
 def stream_run(

@@ -13,7 +13,7 @@ from shutil import copytree
 import numpy as np
 import pytest
 
-import vlp16emu.emulator as emulator_module
+import vlp16emu.run.emulator as emulator_module
 from vlp16emu import Emulator
 from vlp16emu.errors import OutputError, ScenarioError
 from vlp16emu.extras.clouds.points import write_points

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import points_of
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns

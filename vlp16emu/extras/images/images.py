@@ -13,7 +13,6 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Unit, workers
 from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
@@ -25,6 +24,7 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.output import write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F4, SURFACE, U1, PlantPart, Poses, Semantic, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.furnished import Furnished

@@ -14,7 +14,6 @@ from typing import Self
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine.position import make_receiver
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
@@ -24,6 +23,7 @@ from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.output import OutputFile, spare
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns

@@ -14,7 +14,6 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
 from vlp16emu.engine.position import number_at, positions_due
 from vlp16emu.errors import RunError
@@ -28,6 +27,7 @@ from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler, Inertial
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario

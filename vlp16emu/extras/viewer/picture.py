@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.clouds.deskew import Trajectory
@@ -24,6 +23,7 @@ from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale,
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.packets.layout import LASERS
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
 from vlp16emu.types import F8, U1
 
