@@ -31,11 +31,6 @@ def _schemes() -> Mapping[str, Mapping[str, Any]]:
     return toml(files("vlp16emu.extras.clouds").joinpath("labels.toml").read_text("utf-8"))
 
 
-def scheme_names() -> tuple[str, ...]:
-    """Return the names of all schemes."""
-    return tuple(_schemes())
-
-
 class LabelScheme:
     """Numbers of classes by semantic class and plant part, from a table of labels.toml."""
 
@@ -57,7 +52,7 @@ class LabelScheme:
 def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
     """Return a scheme by its name; InputError, in the name of `where`, if there is none."""
     if name not in _schemes():
-        raise InputError(where, f"found {name}", ", ".join(scheme_names()))
+        raise InputError(where, f"found {name}", ", ".join(_schemes()))
     return LabelScheme(name, _schemes()[name])
 
 
