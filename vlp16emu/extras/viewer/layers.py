@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.plots import Rgb, colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.extras.plots import PART_RGB, Rgb, colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.types import F8, SURFACE, U1, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
@@ -19,15 +19,6 @@ _LABELLED = ("natural", "class", "part", "species", "instance")
 MEASURED = ("range", "reflectivity", "ring", "time")
 LAYERS = (*_LABELLED, *MEASURED, "range error")
 
-PART_RGB: dict[PlantPart, Rgb] = {
-    PlantPart.NONE: (150, 128, 94),
-    PlantPart.STEM: (122, 72, 40),
-    PlantPart.BRANCH_FIRST_ORDER: (206, 128, 46),
-    PlantPart.BRANCH_HIGHER_ORDER: (236, 190, 84),
-    PlantPart.LEAF: (70, 150, 70),
-    PlantPart.ROOT_FLARE: (160, 40, 60),
-    PlantPart.DEAD_BRANCH: (130, 110, 150),
-}  # colours of the layer "part"
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
@@ -79,7 +70,7 @@ def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]
         named = {kind.value: (name := kind.name.lower(), colour_of_kind(name)) for kind in Semantic}
         return named | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}
     if layer == "part":
-        return {part.value: (part.name.lower(), rgb) for part, rgb in PART_RGB.items()}
+        return {part.value: (part.name.lower(), PART_RGB[part.name.lower()]) for part in PlantPart}
     return {number: (name, colour_of_species(name)) for number, name in species.items()}
 
 
