@@ -159,13 +159,17 @@ def keep_up(run: Run, speed: float) -> tuple[Run, KeptUp]:
     on: dict[Rung | None, Run] = {}
 
     def measured(rung: Rung | None) -> float:
-        own = on[rung] = run.changed(rung.settings) if rung else run
-        engine, (_, stop_s) = replace(own.engine, taps=()), own.scenario.span_s(0.0, None)
-        deque(engine.packets(0.0, min(_WARM_S, stop_s)), 0)
-        stop_s, began_s = min(_MEASURED_S, stop_s), time.perf_counter()
-        deque(engine.packets(0.0, stop_s), 0)
-        return stop_s / (time.perf_counter() - began_s)
+        on[rung] = run.changed(rung.settings) if rung else run
+        return _speed(on[rung])
 
     rung, reached, own = choose(run.scenario, speed, measured)
     needed = speed / (1 - _FREE)
     return on[rung], KeptUp(rung, reached, reached >= needed, cores, math.ceil(cores * needed / own))
+
+
+def _speed(run: Run) -> float:
+    engine, (_, stop_s) = replace(run.engine, taps=()), run.scenario.span_s(0.0, None)
+    deque(engine.packets(0.0, min(_WARM_S, stop_s)), 0)
+    stop_s, began_s = min(_MEASURED_S, stop_s), time.perf_counter()
+    deque(engine.packets(0.0, stop_s), 0)
+    return stop_s / (time.perf_counter() - began_s)
