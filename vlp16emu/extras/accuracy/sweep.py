@@ -489,8 +489,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
 def is_two(distance_m: F4) -> NDArray[np.bool_]:
     """Return whether pulses have two returns in dual return, by their distances (..., 3)."""
     is_apart = distance_m[..., _STRONGEST] != distance_m[..., _LAST]
-    two: NDArray[np.bool_] = is_apart | (distance_m[..., _SECOND] > 0)
-    return two
+    return np.asarray(is_apart | (distance_m[..., _SECOND] > 0))
 
 
 def _means(returns: Returns, reach_m: float) -> dict[str, float]:
