@@ -17,6 +17,7 @@ from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import points_of
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
+from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -73,14 +74,7 @@ def write_points(
     blocks = _blocks(run.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
     columns = cloud.SCENE_COLUMNS + cloud.TRUTH_COLUMNS * truth + cloud.LABEL_COLUMNS * bool(scheme)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
-    comments, gps = cloud.scene_comments(), scenario.gps
-    about = cloud.CloudAbout(
-        comments=(*comments, f"label: {scheme.name}, {scheme.source}") if scheme else comments,
-        start_utc=scenario.start_utc,
-        origin=(gps.latitude_deg, gps.longitude_deg, gps.height_m),
-        unit=number + 1,
-    )
-    file = cloud.point_file(path, columns, about, where=str(path), inputs=run.files)
+    file = cloud.point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=run.files)
     with (
         run.engine.windows.stopped_by(stop),
         file as writer,
@@ -117,6 +111,13 @@ def write_points(
         real_time_factor=simulated_s / wall_s,
         interrupted=stop.is_set(),
     )
+
+
+def _about(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) -> cloud.CloudAbout:
+    comments, gps = cloud.scene_comments(), scenario.gps
+    labels = (f"label: {scheme.name}, {scheme.source}",) if scheme else ()
+    origin = gps.latitude_deg, gps.longitude_deg, gps.height_m
+    return cloud.CloudAbout((*comments, *labels), scenario.start_utc, origin, number + 1)
 
 
 def _blocks(
