@@ -10,7 +10,7 @@ import pytest
 
 from vlp16emu import emulator as emulators
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, label_scheme, point_file, scheme_names
+from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, label_scheme, point_file
 from vlp16emu.extras.clouds.las import adjusted_gps_s, echoes_of, local_wkt
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.types import PlantPart, Semantic
@@ -230,7 +230,6 @@ def test_schemes_have_the_published_numbers(scheme, ground, stem, leaf, branch, 
     ]
     semantic, part = np.array(surfaces, "u1").T
     assert label_scheme(scheme).codes(semantic, part).tolist() == [ground, stem, leaf, branch, shrub, nothing]
-    assert scheme in scheme_names()
 
 
 def test_labels_are_dense_and_heights_are_over_the_ground(cloud):
