@@ -70,8 +70,7 @@ def forest(
     path; of a hall, its things.
     """
     from vlp16emu.output import spare
-    from vlp16emu.scenario import find, load
-    from vlp16emu.scenario.find import named_files
+    from vlp16emu.scenario import find, load, named_files
 
     if seen and not inventory:
         raise InputError("--seen", "found no --inventory", "both")

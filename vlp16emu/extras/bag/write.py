@@ -170,8 +170,6 @@ class BagSink(PacketSink):
         path = self.bag.path
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         return PcapResult(
-            data_packets=self._sent[PacketKind.DATA],
-            position_packets=self._sent[PacketKind.POSITION],
             bytes=sum(file.stat().st_size for file in files),
             sha256=", ".join(map(_sha256, files)),
             messages=dict(sorted(self.bag.counts.items())),

@@ -10,8 +10,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.random import Purpose, generator
-from vlp16emu.scenario import Scenario, load
-from vlp16emu.scenario.find import find
+from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.settings import Fraction, Section, toml
 
