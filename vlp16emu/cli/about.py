@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, Audit, Ideal, SceneName, Settings, Threads
+from vlp16emu.cli.arguments import AsJson, RunOptions, SceneName
 from vlp16emu.cli.printer import count, print_json, print_rows, rows_of, size
 from vlp16emu.cli.terminal import compile_first, make_emulator
 from vlp16emu.errors import InputError
@@ -49,23 +49,14 @@ _TOO_SLOW = (
 )
 
 
-def plan(
-    scene: SceneName,
-    *,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    threads: Threads = 0,
-    audit: Audit = True,
-    as_json: AsJson = False,
-) -> None:
+def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> None:
     """Report what a scene needs and what it leaves out, and measure whether a stream keeps up.
 
     The first two seconds are recorded into no file, when the world is grown and the kernels are loaded: the speed holds
     for this machine, as busy as it is now. A walk needs a new window of the world every 7 s, which is not in it.
     """
     began_s = time.perf_counter()
-    workers = threads or os.cpu_count() or 1
-    emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=audit)
+    emulator = make_emulator(scene, making)
     from vlp16emu.extras.plan import libraries, needs, stream_outlook, surroundings
 
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
@@ -76,7 +67,7 @@ def plan(
     tree: dict[str, Any] = {
         "scene": scene,
         "seed": emulator.scenario.seed,
-        "threads": workers,
+        "threads": engine.threads,
         "libraries": libraries(),
         "features": needs(engine, audited=audited),
         "world": surroundings(engine),
@@ -95,7 +86,7 @@ def plan(
         print_rows(f"{scene} {title}", {need.name: need.costs for need in tree["features"] if need.on is on})
     print_rows("in reach", rows_of(tree["world"]))
     print_rows("libraries", {name: "loaded" if on else "left out" for name, on in tree["libraries"].items()})
-    print_rows(f"measured now, on {workers} threads", rows_of(tree["measured"]))
+    print_rows(f"measured now, on {engine.threads} threads", rows_of(tree["measured"]))
     print_rows("stream", rows_of(stream))
     if not stream["keeps_up"]:
         print(_TOO_SLOW)

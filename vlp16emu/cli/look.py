@@ -25,9 +25,8 @@ def picture(
     ],
     look: PictureLook,
     span: Span,
+    changes: args.SceneOptions,
     *,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
     trajectory: args.TrajectoryFile = None,
     as_json: args.AsJson = False,
 ) -> None:
@@ -54,7 +53,7 @@ def picture(
             is_film = out.suffix.lower() != ".png"
             source = source_of_capture(Path(scene), trajectory, span, whole=is_film or trajectory is not None)
         else:
-            emulator = make_emulator(scene, settings, ideal=ideal)
+            emulator = make_emulator(scene, changes)
             source = source_of_scene(emulator, span)
             stack.enter_context(emulator.engine.windows.stopped_by(stop))
         made = draw_picture(source, out, look, stop)
@@ -127,7 +126,7 @@ def _show_scene(
     from vlp16emu.extras.viewer.page import scene_page
     from vlp16emu.motion.settings import takes_poses
 
-    emulator = make_emulator(scene, settings)
+    emulator = make_emulator(scene, args.SceneOptions(settings))
     if takes_poses(emulator.scenario.motion):
         raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
     with Progress(100.0) as bar:

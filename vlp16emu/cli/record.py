@@ -31,11 +31,8 @@ def record(
         ),
     ],
     options: RecordOptions,
+    making: args.RunOptions,
     *,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
-    threads: args.Threads = 0,
-    audit: args.Audit = True,
     as_json: args.AsJson = False,
 ) -> None:
     """Record a scene into a pcap file, or a bag.
@@ -49,7 +46,7 @@ def record(
     if Path(out) == STDOUT and sys.stdout is None:
         raise OutputError("standard output", "closed", "a file or a pipe")
     began_s = time.perf_counter()
-    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=audit)
+    emulator = make_emulator(scene, making)
     with running(emulator, "recording", options) as hooks:
         recording = emulator.record(out, **vars(options), **hooks)
     recording = replace(recording, wall_s=time.perf_counter() - began_s)  # of the whole command

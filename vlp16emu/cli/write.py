@@ -20,19 +20,18 @@ def truth(
     scene: args.SceneName,
     folder: Annotated[Path, Option("Folder to write: new, empty, or of an earlier run.", name="DIR")],
     span: Span,
+    changes: args.SceneOptions,
     *,
     rate_hz: TruthRate = TruthTo.rate_hz,
     per_packet: TruthPackets = TruthTo.per_packet,
     per_return: TruthReturns = TruthTo.per_return,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
     as_json: args.AsJson = False,
 ) -> None:
     """Write the ground truth of a run without casting its pulses: trajectory, IMU, GNSS, rig, scenario.
 
     The files are those of `record --truth` over the same span, byte for byte. Ctrl-C ends them early.
     """
-    emulator = make_emulator(scene, settings, ideal=ideal)
+    emulator = make_emulator(scene, changes)
     from vlp16emu.extras.truth.truth import write_truth
 
     with running(emulator, "writing", span) as hooks:
@@ -52,11 +51,9 @@ def points(
     ],
     options: PointOptions,
     errors: TrajectoryErrors,
+    making: args.EmulatorOptions,
     *,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
     trajectory: args.TrajectoryFile = None,
-    threads: args.Threads = 0,
     clock: args.WhichClock = None,
     as_json: args.AsJson = False,
 ) -> None:
@@ -71,12 +68,13 @@ def points(
     of_capture = {one.name: getattr(errors, one.field) != one.default for one in options_of(TrajectoryErrors)}
     if trajectory is not None or is_capture_name(scene):
         spans = {"--duration": options.duration_s, "--start": options.start_s}
-        _refuse(spans | {"--set": settings, "--ideal": ideal, "--threads": threads}, f"the capture {scene}", "a scene")
+        made = {"--set": making.settings, "--ideal": making.ideal, "--threads": making.threads}
+        _refuse(spans | made, f"the capture {scene}", "a scene")
         _deskew(Path(scene), out, trajectory, errors, options, clock=clock, as_json=as_json)
         return
     _refuse(of_capture | {"--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
-    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
+    emulator = make_emulator(scene, making)
     from vlp16emu.extras.clouds.points import write_points
 
     with running(emulator, "scanning", options) as hooks:
@@ -166,7 +164,7 @@ def images(
     They lie on the points of `vlp16emu points` and `record` at the same instant: cameras.json and poses.tum
     say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
     """
-    emulator = make_emulator(scene, settings, threads=threads)
+    emulator = make_emulator(scene, args.EmulatorOptions(settings, threads=threads))
     from vlp16emu.extras.images.images import write_images
 
     with running(emulator, "casting", options) as hooks:
