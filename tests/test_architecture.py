@@ -48,7 +48,7 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {
@@ -60,13 +60,13 @@ EXTRAS_TAKE = {
     "handle": {"bench", "clouds", "truth"},
     "plan": {"keep_up"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "options", "outputs", "palette", "truth"},
+    "images": {"camera", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
-    "sheets": {"camera", "palette", "plots", "truth"},
+    "sheets": {"camera", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench", "outputs"},
-    "viewer": {"camera", "clouds", "images", "options", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "images", "options", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
@@ -158,7 +158,7 @@ def test_foliage_and_forest_know_no_run():
 
 
 def test_arrows_in_the_forest_run_down():
-    """Ground, tiles, plants, stand, given trees: a room of the forest imports from its own floor and from lower ones."""
+    """Ground, tiles, plants, stand: a room of the forest imports from its own floor and from lower ones."""
     for name in NAMES:
         if room_of(name) == "forest" and name != "forest/__init__.py":
             own = FOREST.index(name.split("/")[1].removesuffix(".py"))

@@ -48,6 +48,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "run.emulator": "Emulator",
     "extras.bench.options": "GpsIn Http Outlets PosesIn",
     "extras.clouds.points": "write_points",
     "extras.clouds.scan": "decode",
@@ -56,7 +57,6 @@ _MODULES = {
     "extras.replay": "Replayed replay",
     "extras.truth.truth": "write_truth",
     "extras.verify": "Finding Verification verify",
-    "run.emulator": "Emulator",
     "run.options": "TruthTo",
     "run.report": "Recording",
     "scenario": "Scenario load",

@@ -20,14 +20,12 @@ _WARM_S, _MEASURED_S = 0.1, 1.5
 class Rung:
     """A rung of the ladder; reach and rays are no more than the scene's own."""
 
-    rays: int
-    """Most sub-rays of a pulse."""
+    rays: int  # most sub-rays of a pulse
     reach_m: float
     gain: float
     """About how much faster a forest is than on the first rung: us per pulse in `tools/results/accuracy.md`, and for the
     reach `scenes/OUTPUTS.md`."""
-    error_mm: float
-    """Mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`."""
+    error_mm: float  # mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`
 
     @property
     def name(self) -> str:
@@ -56,8 +54,7 @@ LADDER = (
     Rung(4, math.inf, 1.25, 75.0),
     Rung(1, math.inf, 3.0, 120.0),
     Rung(1, 45.0, 6.0, 120.0),
-)
-"""No rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing."""
+)  # no rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing
 
 
 def below(scenario: Scenario) -> list[Rung]:
@@ -126,16 +123,11 @@ def keeps_up_with(times: Sequence[FellBehind], scenario: Scenario, speed: float)
 class KeptUp:
     """Rung of a stream, as measured on this machine."""
 
-    rung: Rung | None
-    """None for the scene as it is."""
-    speed: float
-    """Simulated seconds per second on it."""
-    enough: bool
-    """True if the rung leaves a fifth of the time free."""
-    cores: int
-    """Cores that this process may use."""
-    cores_as_it_is: int
-    """Cores like these with which the scene would keep up as it is."""
+    rung: Rung | None  # none for the scene as it is
+    speed: float  # simulated seconds per second on it
+    enough: bool  # true if the rung leaves a fifth of the time free
+    cores: int  # cores that this process may use
+    cores_as_it_is: int  # cores like these with which the scene would keep up as it is
 
     @property
     def line(self) -> str:
@@ -175,7 +167,6 @@ def keep_up(emulator: Emulator, speed: float) -> tuple[Emulator, KeptUp]:
 
 
 def _speed(emulator: Emulator) -> float:
-    """Compute a stretch of a run, and return the simulated seconds per second."""
     engine, (_, stop_s) = replace(emulator.engine, taps=()), emulator.scenario.span_s(0.0, None)
     for _ in engine.packets(0.0, min(_WARM_S, stop_s)):
         pass

@@ -6,6 +6,7 @@ Sleeps end on time, and each time that a stream fell behind is on record.
 import ctypes
 import math
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -26,6 +27,8 @@ _FINEST_NS = 1  # 0 would restore the default of 50 us
 _SWITCH_INTERVAL_S = 0.000_2
 """Longest time for which the thread that computes may keep the interpreter from the one that sends. Python's own
 5 ms would be four packets late."""
+_lock, _before_s = threading.Lock(), list[float]()
+"""Interval before each of the streams under way: the interpreter has one for all, and the last to end restores the first."""
 
 
 @contextmanager
@@ -35,17 +38,22 @@ def prompt() -> Iterator[None]:
     The timer slack of Linux joins wake-ups to save power, up to 50 us later. Elsewhere sleeps are as late as the system makes
     them, and the report of a stream says so.
     """
-    prctl, before_s, before_ns = None, sys.getswitchinterval(), 0
+    prctl, before_ns = None, 0
     if sys.platform == "linux":
         prctl = ctypes.CDLL(None).prctl
         # The arguments are unsigned longs, and prctl is variadic: a plain int would leave half a register undefined.
         before_ns = prctl(_PR_GET_TIMERSLACK, *[ctypes.c_ulong(0)] * 4)
         prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(_FINEST_NS), *[ctypes.c_ulong(0)] * 3)
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    with _lock:
+        _before_s.append(sys.getswitchinterval())
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
         yield
     finally:
-        sys.setswitchinterval(before_s)
+        with _lock:
+            before_s = _before_s.pop()
+            if not _before_s:
+                sys.setswitchinterval(before_s)
         if prctl is not None:
             prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(max(before_ns, 0)), *[ctypes.c_ulong(0)] * 3)
 

@@ -18,7 +18,7 @@ from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.outputs import OutputFolder
-from vlp16emu.extras.palette import surface_colours
+from vlp16emu.extras.plots import surface_colours
 from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.output import write_json
@@ -196,7 +196,6 @@ def species_of(world: World) -> dict[int, str]:
 
 
 def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
-    """Return the content of `cameras.json`: intrinsics, extrinsics, units and the meaning of labels."""
     sensor_T_camera = np.eye(4)
     sensor_T_camera[:3, :3] = _BODY_R_CAMERA
     size: dict[str, Any] = {"kind": camera.kind, "width": camera.width, "height": camera.height}

@@ -263,7 +263,6 @@ class Flight(PacketSink):
             self._news(f"poses are back after {gap_s:.1f} s")
 
     def _write(self, stop: int) -> None:
-        """Write knots until before number `stop`."""
         knots = self._motion.knots
         assert self._file is not None
         if knots is None or stop <= self._written:

@@ -68,11 +68,8 @@ def scene_page(
 ) -> "Page":
     """Grow and draw a scene to a radius from its path; a walk's path can be drawn anew, and saved to a file.
 
-    InputError if there is no such unit, or the stand cannot be grown.
-
-    Parameters
-    ----------
-    progress : called with the share of the stand that has grown
+    `progress` is called with the share of the stand that has grown. InputError if there is no such unit, or the stand
+    cannot be grown.
     """
     text, scenario, parts = server.gui.add_markdown("growing the world"), emulator.scenario, emulator.parts
     bare = getattr(parts.world, "bare", parts.world)

@@ -90,18 +90,6 @@ _FEWEST_COLUMNS = 800  # firing sequences of a revolution at 1200 rpm are some 9
 
 
 @dataclass(frozen=True, slots=True)
-class PictureRun:
-    """Content of a picture."""
-
-    file: str
-    revolutions: int
-    points: int
-    colour: str
-    bytes: int
-    interrupted: bool
-
-
-@dataclass(frozen=True, slots=True)
 class View:
     """Layout of a picture: the places of a sweep's points, and the words beside them."""
 
@@ -175,7 +163,7 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
     return Source(sweeps, way_m, rings, species_of(parts.world), emulator.files)
 
 
-def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> PictureRun:
+def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
     InputError if there is no revolution, or none with such a layer; OutputError, MissingExtraError as `check_suffix`.
@@ -207,9 +195,9 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
                 pass
             _still(file, drawing, entries_of(first.scan, colour, species))
         else:
-            (_gif if suffix == ".gif" else _mp4)(file, (drawing.marked(sweep) for sweep in images), look.size)
-    interrupted = stop.is_set()
-    return PictureRun(str(path), drawing.revolutions, drawing.points, colour, path.stat().st_size, interrupted)
+            _film(file, (drawing.marked(sweep) for sweep in images), look, suffix)
+    made = {"file": str(path), "revolutions": drawing.revolutions, "points": drawing.points, "colour": colour}
+    return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
 
 
 def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View:
@@ -223,14 +211,9 @@ def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View
     else:
         low = way_m.min(axis=0) - np.array([_AROUND_M, _AROUND_M, _BELOW_M])
         high = way_m.max(axis=0) + np.array([_AROUND_M, _AROUND_M, _ABOVE_M])
-    return _slanted(look, np.stack([low, high]))
-
-
-def _slanted(look: PictureLook, box_m: F8) -> View:
-    """Return a view of the world from above at a slant; points beside the box would hide what is near the path."""
-    camera = Orthographic.around(
-        box_m, _FROM_DEG if look.from_deg is None else look.from_deg, _ELEVATION_DEG, look.size
-    )
+    # From above at a slant; points beside the box would hide what is near the path.
+    box_m, from_deg = np.stack([low, high]), _FROM_DEG if look.from_deg is None else look.from_deg
+    camera = Orthographic.around(box_m, from_deg, _ELEVATION_DEG, look.size)
 
     def sensor(sweep: Sweep) -> F8 | None:
         pose = sweep.scan.world_T_sensor
@@ -240,7 +223,6 @@ def _slanted(look: PictureLook, box_m: F8) -> View:
 
 
 def _inside(box_m: F8, places: F8) -> F8:
-    """Return places (n, 3), NaN for those beside a box."""
     inside = ((places >= box_m[0]) & (places <= box_m[1]))[:, :2].all(axis=1)
     return np.where(inside[:, None], places, np.nan)
 
@@ -325,18 +307,17 @@ class _Drawing(Canvas):
         return image
 
 
-def _gif(file: Any, frames: Iterator[U1], _size: tuple[int, int]) -> None:
-    from PIL import Image
+def _film(file: Any, frames: Iterator[U1], look: PictureLook, suffix: str) -> None:
+    if suffix == ".gif":
+        from PIL import Image
 
-    made = (Image.fromarray(frame) for frame in frames)
-    next(made).save(file, "GIF", save_all=True, append_images=made, duration=1000 // _FRAMES_PER_S, loop=0)
-
-
-def _mp4(file: Any, frames: Iterator[U1], size: tuple[int, int]) -> None:
-    """Write a film as MP4, frame by frame; ffmpeg writes by name."""
+        made = (Image.fromarray(frame) for frame in frames)
+        next(made).save(file, "GIF", save_all=True, append_images=made, duration=1000 // _FRAMES_PER_S, loop=0)
+        return
     from imageio_ffmpeg import write_frames
 
-    writer = write_frames(file.name, size, fps=_FRAMES_PER_S, macro_block_size=2, output_params=["-f", "mp4"])
+    # ffmpeg writes by name.
+    writer = write_frames(file.name, look.size, fps=_FRAMES_PER_S, macro_block_size=2, output_params=["-f", "mp4"])
     writer.send(None)
     for frame in frames:
         writer.send(np.ascontiguousarray(frame))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.flora import Flora, tapers
+from vlp16emu.forest.plants.species import Flora, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season
 from vlp16emu.forest.stand.forest import ForestWorld
