@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.errors import CaptureError, InputError, PacketError
+from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram
 from vlp16emu.packets.decode import (
     SENSOR_R_MANUAL,
@@ -28,19 +29,6 @@ from vlp16emu.packets.decode import (
     faults_in,
     scan_starts,
 )
-from vlp16emu.packets.layout import (
-    AZIMUTH_CODES,
-    BLOCK_PERIOD_NS,
-    BLOCKS_PER_PACKET,
-    DATA_BYTES,
-    DATA_PAYLOAD,
-    DISTANCE_LSB_M,
-    FACTORY_BYTE,
-    POSITION_BYTES,
-    RECORDS_PER_PACKET,
-    RETURN_MODE_BYTE,
-    SEQUENCES_PER_PACKET,
-)
 from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import I8, U1, U2, PpsState, ReturnMode, SensorModel
@@ -49,7 +37,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 _STEADY_NS = S_NS  # steps of the sensor's clock up to this leave its hour alone, whatever the host's clock does
 _CLOSE_NS = S_NS  # a clock so close to the host's is taken for one that follows UTC, if no position packet says it
 _LOOKED_AT = 10_000  # packets of a unit among which its first position packet is looked for: 7 s in dual return
-_PERIOD_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
+_PERIOD_NS = {layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()}
 _CHUNK = 2_000  # packets decoded at once: 0.8 million records, some 50 MB of points
 _BLOCK_RECORDS = 32
 
@@ -162,9 +150,9 @@ class _Seen:
 
     def take(self, datagram: Datagram) -> None:
         self.count += 1
-        if len(datagram.payload) == DATA_BYTES:
+        if len(datagram.payload) == layout.DATA_BYTES:
             self.data = self.data or datagram
-        elif len(datagram.payload) == POSITION_BYTES and (self.pps is None or self.behind_ns is None):
+        elif len(datagram.payload) == layout.POSITION_BYTES and (self.pps is None or self.behind_ns is None):
             try:
                 fields = decode_position(datagram.payload)
                 self.pps = fields.pps if self.pps is None else self.pps
@@ -187,7 +175,7 @@ class _Seen:
             raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
         if self.data is None:
             return UnitClock(Clock(name or Clock.SENSOR), locked, behind_ns, 0)
-        fields = np.frombuffer(self.data.payload, DATA_PAYLOAD)[0]
+        fields = np.frombuffer(self.data.payload, layout.DATA_PAYLOAD)[0]
         stamps = self.data.stamp_ns, int(fields["timestamp_us"]), int(fields["return_mode"])
         sensor_ns, host_ns = PacketClock(Clock.HOST, behind_ns).packet_ns(*stamps)
         follows_utc = locked if locked is not None else abs(host_ns - sensor_ns) <= _CLOSE_NS
@@ -290,7 +278,7 @@ class CaptureReader:
         """
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
-            payloads = payloads.reshape(len(held), DATA_BYTES)
+            payloads = payloads.reshape(len(held), layout.DATA_BYTES)
             faults = faults_in(data_fields(payloads), self._factory, self._model)
             sound = np.ones(len(held), np.bool_)
             sound[[fault.packet for fault in faults]] = False
@@ -311,15 +299,15 @@ class CaptureReader:
         """Summary of what has been read, once all points have been taken."""
         azimuth_cdeg, modes = np.concatenate(self._azimuth_cdeg), np.concatenate(self._modes)
         packet_ns = np.concatenate(self._packet_ns)
-        block_ns = np.arange(BLOCKS_PER_PACKET) * BLOCK_PERIOD_NS
+        block_ns = np.arange(layout.BLOCKS_PER_PACKET) * layout.BLOCK_PERIOD_NS
         starts = scan_starts(azimuth_cdeg.ravel() / 100, (packet_ns[:, None] + block_ns).ravel())
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS
-        names = {code: mode for mode, code in RETURN_MODE_BYTE.items()}
+        names = {code: mode for mode, code in layout.RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
         start, gps = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=self.first_stamp_ns // US_NS), self._gps
         return Summary(
             model=next(
-                (model for model in SensorModel if FACTORY_BYTE[model] == self._factory),
+                (model for model in SensorModel if layout.FACTORY_BYTE[model] == self._factory),
                 self._model or SensorModel.VLP_16,
             ),
             return_mode=", ".join(names[code] for code in dict.fromkeys(modes.tolist())),
@@ -328,7 +316,7 @@ class CaptureReader:
             position_packets=self._positions,
             other_datagrams=self._others,
             points=points,
-            no_returns=len(azimuth_cdeg) * RECORDS_PER_PACKET - points,
+            no_returns=len(azimuth_cdeg) * layout.RECORDS_PER_PACKET - points,
             scans=len(starts),
             records_per_scan=int(np.median(whole)) if len(whole) else None,
             range_m=self._ranges_m() if points else None,
@@ -336,7 +324,9 @@ class CaptureReader:
             duration_s=int(packet_ns[-1] - packet_ns[0]) / S_NS,
             clock=self.clock.clock,
             host_ahead_s=round((self.clock.host_ahead_ns or 0) / S_NS, 6),
-            gps=gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
+            gps={"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()}
+            if gps
+            else None,
             cut=self._capture.cut,
             repeats=self._capture.repeated,
         )
@@ -348,7 +338,7 @@ class CaptureReader:
             for datagram in self._capture:
                 if self._unit is not None and not self._unit.owns(datagram):
                     continue
-                if len(datagram.payload) != DATA_BYTES:
+                if len(datagram.payload) != layout.DATA_BYTES:
                     self._note_other(datagram)
                     continue
                 self.first_stamp_ns = self.first_stamp_ns or datagram.stamp_ns
@@ -383,7 +373,7 @@ class CaptureReader:
         return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, utc_ns, fields, number)
 
     def _note_other(self, datagram: Datagram) -> None:
-        if len(datagram.payload) != POSITION_BYTES:
+        if len(datagram.payload) != layout.POSITION_BYTES:
             self._others += 1
             return
         self._positions += 1
@@ -399,7 +389,8 @@ class CaptureReader:
         below = np.cumsum(self._codes[1:])
         codes = np.searchsorted(below, (1, -(-below[-1] // 2), below[-1])).tolist()
         return {
-            name: round((n + 1) * DISTANCE_LSB_M, 3) for name, n in zip(("min", "median", "max"), codes, strict=True)
+            name: round((n + 1) * layout.DISTANCE_LSB_M, 3)
+            for name, n in zip(("min", "median", "max"), codes, strict=True)
         }
 
 
@@ -407,11 +398,13 @@ def _rpm(azimuth_cdeg: U2, modes: U1) -> float:
     """Return the mean speed of the rotor over packets, from azimuths (n, 12) of their blocks and return modes (n,)."""
     turned_cdeg = turning_ns = 0
     for mode in np.unique(modes):
-        stride = 1 + (mode == RETURN_MODE_BYTE[ReturnMode.DUAL])  # blocks 0 and 1 of dual return share their azimuth
+        stride = 1 + (
+            mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL]
+        )  # blocks 0 and 1 of dual return share their azimuth
         own_cdeg: I8 = azimuth_cdeg[modes == mode, ::stride].astype(np.int64)
-        step_cdeg: I8 = np.diff(own_cdeg) % AZIMUTH_CODES
+        step_cdeg: I8 = np.diff(own_cdeg) % layout.AZIMUTH_CODES
         # A far wider step than its neighbours is the edge of a field of view.
         even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
         turned_cdeg += int(step_cdeg[even].sum())
-        turning_ns += int(even.sum()) * BLOCK_PERIOD_NS
-    return turned_cdeg / AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60
+        turning_ns += int(even.sum()) * layout.BLOCK_PERIOD_NS
+    return turned_cdeg / layout.AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60
