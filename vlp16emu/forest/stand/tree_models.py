@@ -274,7 +274,7 @@ class ModelKey:
 
 
 class TreeModels:
-    """The models of a scene, each of which stands for trees of its species.
+    """The models of a scene, each standing for trees of its species.
 
     Raises GeometryError for a species that is not known, or a file that cannot be scanned.
     """
