@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.forest.plants.prototypes import CrownKey

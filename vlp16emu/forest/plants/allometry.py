@@ -6,11 +6,11 @@ Inside the equations diameters are in cm and heights in m, or inches and feet, a
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import numba
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, expm1, log, log1p, power
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.settings import Section
 from vlp16emu.types import Array
 

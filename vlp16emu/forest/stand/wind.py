@@ -15,7 +15,6 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +25,7 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import generator
 from vlp16emu.types import Array, IntArray, Sway, Window
 from vlp16emu.world.settings import Wind
