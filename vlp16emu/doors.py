@@ -53,14 +53,14 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "points": "vlp16emu.cli.write:points",
         "bag": "vlp16emu.cli.write:bag",
         "images": "vlp16emu.cli.write:images",
-        "picture": "vlp16emu.cli.look:picture",
-        "view": "vlp16emu.cli.look:view",
+        "picture": "vlp16emu.cli.write:picture",
+        "view": "vlp16emu.cli.write:view",
         "dataset": "vlp16emu.cli.write:dataset",
         "score": "vlp16emu.cli.check:score",
         "compare": "vlp16emu.cli.check:compare",
         "fit": "vlp16emu.cli.check:fit",
-        "forest": "vlp16emu.cli.sheets:forest",
-        "accuracy": "vlp16emu.cli.sheets:accuracy",
+        "forest": "vlp16emu.cli.about:forest",
+        "accuracy": "vlp16emu.cli.about:accuracy",
     },
     "parts": {
         "audit": "vlp16emu.extras.accuracy.audit:Audit",
@@ -83,7 +83,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "live_motion": "vlp16emu.extras.live.motion:live_motion",
         "outlets": "vlp16emu.extras.bench.outlets:Ways",
         "people": "vlp16emu.extras.people:People",
-        "prepared": "vlp16emu.extras.prepare:prepared",
+        "prepared": "vlp16emu.extras.replay:prepared",
         "present": "vlp16emu.extras.bench.retime:NowSink",
         "scans": "vlp16emu.extras.clouds.scan:scans_of",
         "stream_options": "vlp16emu.extras.bench.options:BenchOptions",
@@ -98,10 +98,8 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
 def door(name: str, group: str = "parts") -> Any:
     """Return the object behind a name of a group.
 
-    Raises
-    ------
-    InputError : If its part of this package is not installed, or the package that adds it cannot be loaded
-    KeyError : If the group has no such name
+    Raises InputError if its part of this package is not installed, or the package that adds it cannot be loaded;
+    KeyError if the group has no such name.
     """
     if name not in DOORS[group]:
         return _load(_added(group)[name])

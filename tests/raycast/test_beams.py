@@ -9,8 +9,7 @@ from raycast.reference import ReferenceCaster
 
 from vlp16emu.raycast.near import EmbreeCaster
 
-WIDE = ["fixed", "adaptive", "angle", "offset"]
-"""All but the line, of which `test_embree` says the same of more pulses."""
+WIDE = ["fixed", "adaptive", "angle", "offset"]  # all but the line, of which `test_embree` says the same of more pulses
 
 
 def cast(caster, firings, beam, count=30):

@@ -20,10 +20,10 @@ from vlp16emu.options import Option
 from vlp16emu.run.options import ReplayOptions, stream_options
 
 if TYPE_CHECKING:
-    from vlp16emu.emulator import Emulator
     from vlp16emu.engine import Unit
     from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
     from vlp16emu.extras.replay import Replay, Replayed
+    from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
@@ -51,11 +51,8 @@ KeepUp = Annotated[
 def stream(
     scene: args.SceneName,
     options: StreamOptions,
+    making: args.RunOptions,
     *,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
-    threads: args.Threads = 0,
-    audit: args.Audit = True,
     prepare: Annotated[
         bool,
         Option(
@@ -81,7 +78,7 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     host, _ = options.receiver
-    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=audit)
+    emulator = make_emulator(scene, making)
     scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
     options = _of_live(options, scenario)
     _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)

@@ -8,13 +8,13 @@ mirrored, and how a share between two whole numbers is rounded follow from hashi
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from llvmlite import ir
 
 from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest
 from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast.kernel import LANES
 from vlp16emu.types import F4, U1, U8
 
@@ -78,13 +78,10 @@ def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
 class Weights(NamedTuple):
     """Weights of a voxel's codes for light of an elevation between two knots."""
 
-    bits: np.uint32
-    """First bit of the code of the lower knot."""
+    bits: np.uint32  # first bit of the code of the lower knot
     low: np.float32
-    high: np.float32
-    """Times the length of a slab."""
-    knot: int
-    """The nearest."""
+    high: np.float32  # times the length of a slab
+    knot: int  # the nearest
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)

@@ -11,8 +11,8 @@ from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest import settings
-from vlp16emu.forest.plants.flora import shrub_table, species_table
-from vlp16emu.forest.plants.undergrowth import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
+from vlp16emu.forest.plants.prototypes import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
+from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.forest.stand.placed import Site
 from vlp16emu.forest.stand.scatter import layer_of
@@ -113,7 +113,7 @@ def test_shrub_heights_are_those_of_their_kind():
         heights += (scale * [tile.keys[i].height_m for i in tile.shape]).tolist()
         kinds += [tile.keys[i].species for i in tile.shape]
     for name in BUSHES:
-        low, high = shrub_table()[name].height_m
+        low, high = flora().shrubs[name].height_m
         own = np.array(heights)[np.array(kinds) == name]
         assert len(own) > 200
         # Large bushes keep farther from the path, so a few of them are missing.
@@ -153,7 +153,7 @@ def test_labels_name_class_parts_and_species(kind, semantic, parts):
         assert (tile.surfaces["semantic"] == semantic).all()
         assert (tile.surfaces["part"] == parts).all()
         for i, rows in zip(tile.shape, tile.surfaces, strict=True):
-            plant = {**species_table(), **shrub_table()}[tile.keys[i].species]
+            plant = {**species_table(), **flora().shrubs}[tile.keys[i].species]
             assert (rows["species"] == plant.number).all()
             middle = np.where(rows["part"] == PlantPart.LEAF, plant.leaf_reflectance, plant.bark_reflectance)
             assert np.abs(rows["reflectance"] - middle).max() < 0.08 + 1e-6

@@ -13,18 +13,18 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Unit, workers
 from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.outputs import OutputFolder
-from vlp16emu.extras.palette import surface_colours
+from vlp16emu.extras.plots import surface_colours
 from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.output import write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F4, SURFACE, U1, PlantPart, Poses, Semantic, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.furnished import Furnished
@@ -101,18 +101,16 @@ class PictureFolder:
             with self._new(f"{layer}/{name}.png") as file:
                 self._image.fromarray(np.ascontiguousarray(pixels, kind)).save(file, "PNG")
                 self.bytes += file.tell()
+        channels = {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()}
+        header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
         with self._new(f"exr/{name}.exr") as file:
-            self._write_exr(file, {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()})
+            try:
+                with self._exr.File(header, {key: np.ascontiguousarray(of) for key, of in channels.items()}) as image:
+                    image.write(file.name)
+            except RuntimeError as error:
+                raise RunError(f"{file.name}: {error}") from None
         self.bytes += (self._path / "exr" / f"{name}.exr").stat().st_size
         self._poses.append(tum_rows(pose))
-
-    def _write_exr(self, file: BinaryIO, channels: Mapping[str, NDArray[Any]]) -> None:
-        header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
-        try:
-            with self._exr.File(header, {key: np.ascontiguousarray(channels[key]) for key in channels}) as image:
-                image.write(file.name)
-        except RuntimeError as error:
-            raise RunError(f"{file.name}: {error}") from None
 
 
 _BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -166,7 +164,7 @@ def write_images(
     """
     asked = ImageOptions(**options)
     engine, stop, camera = emulator.engine, stop or Event(), Camera.of(asked.kind, asked.size, asked.fov_deg)
-    scenario, of = engine.scenario, engine.parts.units[emulator.run.number(asked.unit)]
+    scenario, of = engine.scenario, engine.parts.units[emulator.number(asked.unit)]
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
     windows, species = engine.windows, species_of(engine.parts.world)
     pictures = PictureFolder(Path(folder), _cameras(camera, species))
@@ -196,7 +194,6 @@ def species_of(world: World) -> dict[int, str]:
 
 
 def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
-    """Return the content of `cameras.json`: intrinsics, extrinsics, units and the meaning of labels."""
     sensor_T_camera = np.eye(4)
     sensor_T_camera[:3, :3] = _BODY_R_CAMERA
     size: dict[str, Any] = {"kind": camera.kind, "width": camera.width, "height": camera.height}

@@ -14,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from vlp16emu.engine.position import make_receiver
+from vlp16emu.engine.engine import make_receiver
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.options import PosesIn
@@ -23,7 +23,7 @@ from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.output import OutputFile, spare
-from vlp16emu.run.run import Run
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -82,24 +82,21 @@ class PoseReceiver:
     def _run(self) -> None:
         """Body of the thread: of poses that are there at once the last one counts, so a flood costs no more than a few."""
         while not self._over.is_set():
-            if select.select([self._socket], [], [], _LISTEN_S)[0]:
-                self._take()
-                self._over.wait(_MERGED_S)
-
-    def _take(self) -> None:
-        """Hand on the last pose among the datagrams that have come."""
-        last = None
-        with suppress(BlockingIOError):
-            for _ in range(_MOST):
-                payload = self._socket.recv(POSE_BYTES + 1)
-                if is_pose(payload):
-                    last = payload
-                else:
-                    self.malformed += 1
-        if last is not None:
-            pose = unpack_pose(last)
-            with suppress(InputError):  # `put` counts what is no pose
-                self._put(pose.position_m, pose.quaternion, pose.t_ns)
+            if not select.select([self._socket], [], [], _LISTEN_S)[0]:
+                continue
+            last = None
+            with suppress(BlockingIOError):
+                for _ in range(_MOST):
+                    payload = self._socket.recv(POSE_BYTES + 1)
+                    if is_pose(payload):
+                        last = payload
+                    else:
+                        self.malformed += 1
+            if last is not None:
+                pose = unpack_pose(last)
+                with suppress(InputError):  # `put` counts what is no pose
+                    self._put(pose.position_m, pose.quaternion, pose.t_ns)
+            self._over.wait(_MERGED_S)
 
 
 _POLL_S = 0.05  # how often a run that waits for the first pose looks whether it shall end
@@ -131,7 +128,7 @@ class Flight(PacketSink):
 
     Parameters
     ----------
-    run : of a live scene
+    emulator : of a live scene
     poses : where they come in; `where` as `PoseReceiver` takes it
     clock_ns : monotonic
 
@@ -141,8 +138,10 @@ class Flight(PacketSink):
 
     look_ahead = 8  # packets of a unit that are computed before the first leaves: two steps, or one of dual return
 
-    def __init__(self, run: Run, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        engine, poses = run.engine, poses or PosesIn()
+    def __init__(
+        self, emulator: Emulator, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        engine, poses = emulator.engine, poses or PosesIn()
         motion, windows = engine.parts.carrier, engine.windows
         if not isinstance(motion, LiveMotion):
             option = "--flown" if poses.where is None else "--pose-in"
@@ -150,7 +149,7 @@ class Flight(PacketSink):
             raise InputError(option, found, 'motion.kind = "live", without motion.flown')
         assert isinstance(windows, LiveWindows)
         if poses.flown is not None:
-            spare(run.files, poses.flown)
+            spare(emulator.files, poses.flown)
         self._engine, self._motion, self._windows, self._news = engine, motion, windows, poses.news
         self._clock_ns, self._latency = clock_ns, LatenessHistogram()
         self._sink: PacketSink
@@ -218,9 +217,13 @@ class Flight(PacketSink):
         if packet.fired_ns is not None:
             while uses and uses[0][0] <= packet.fired_ns:
                 self._latency.add(now_ns - uses.popleft()[1])
-        last = self._motion.poses.last
-        if last is not None:
-            self._watch(last.arrived_ns, now_ns)
+        if (last := self._motion.poses.last) is not None:
+            if self._lost_ns is None and now_ns - last.arrived_ns > LOST_NS:
+                self._lost_ns, since_s = last.arrived_ns, self._motion.since_s(last.arrived_ns)
+                self._news(f"poses lost: none since {since_s:.1f} s; the body comes to rest")
+            elif self._lost_ns is not None and last.arrived_ns > self._lost_ns:
+                gap_s, self._lost_ns = (last.arrived_ns - self._lost_ns) / S_NS, None
+                self._news(f"poses are back after {gap_s:.1f} s")
         if self._file and now_ns >= self._write_at_ns:
             self._write_at_ns = now_ns + _ROWS_NS
             # Which window a block has is settled before the next one begins.
@@ -250,18 +253,7 @@ class Flight(PacketSink):
             flown=str(self._flown) if self._flown else None,
         )
 
-    def _watch(self, arrived_ns: int, now_ns: int) -> None:
-        """Report at once where poses are lost, and where they are back."""
-        if self._lost_ns is None and now_ns - arrived_ns > LOST_NS:
-            self._lost_ns = arrived_ns
-            self._news(f"poses lost: none since {self._motion.since_s(arrived_ns):.1f} s; the body comes to rest")
-        elif self._lost_ns is not None and arrived_ns > self._lost_ns:
-            gap_s = (arrived_ns - self._lost_ns) / S_NS
-            self._lost_ns = None
-            self._news(f"poses are back after {gap_s:.1f} s")
-
     def _write(self, stop: int) -> None:
-        """Write knots until before number `stop`."""
         knots = self._motion.knots
         assert self._file is not None
         if knots is None or stop <= self._written:

@@ -15,29 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
+from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.options import ScoreInputs, TrajectoryErrors
 from vlp16emu.extras.plots import INK, SOFT, plotted
 from vlp16emu.extras.score import measures
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.paths import RPE_DELTA_M, PathScore, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
-from vlp16emu.types import F8, PlantPart, Semantic
+from vlp16emu.types import PlantPart, Semantic
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Cloud = Mapping[str, NDArray[Any]]
 
-WITHIN_M = (0.05, 0.1, 0.2)
-"""Distances for precision and completeness of a map."""
+WITHIN_M = (0.05, 0.1, 0.2)  # distances for precision and completeness of a map
 SAME_POINT_M = 0.02
 """A labelled point stands for the nearest true one within this distance: half a beam's width near the sensor."""
-LEAST_POINTS = 10
-"""Least number of points of a tree that counts as seen: fewer make neither a stem nor a box."""
-REGION_M = 20.0
-"""Radius around the first true position in which density and uniformity of a map are measured."""
-_BREAST_M = 0.1
-"""Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
+LEAST_POINTS = 10  # least number of points of a tree that counts as seen: fewer make neither a stem nor a box
+REGION_M = 20.0  # radius around the first true position in which density and uniformity of a map are measured
+_BREAST_M = 0.1  # half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
 _STYLE = (
@@ -48,28 +45,22 @@ _STYLE = (
 _HEAD = ["tree", "list line", "own number", "x m", "y m", "position error m", "DBH m", "DBH error m", "hits"]
 _SIZE_PX = 1100, 460
 
-Limit = tuple[str, str, float]
-"""A threshold: the name of a score, the sign, and the bound, which NaN never keeps."""
+Limit = tuple[str, str, float]  # a threshold: the name of a score, the sign, and the bound, which NaN never keeps
 
 
 @dataclass(frozen=True, slots=True)
 class TreeRow:
     """A true tree, a found one, or a pair of them."""
 
-    true_id: str
-    """Number in the inventory; empty if a found tree is false."""
-    list_line: str
-    """Line of the user's stem list that named the true tree."""
-    found_number: str
-    """Number of the found tree in its own list; empty if the tree is missed."""
+    true_id: str  # number in the inventory; empty if a found tree is false
+    list_line: str  # line of the user's stem list that named the true tree
+    found_number: str  # number of the found tree in its own list; empty if the tree is missed
     x_m: float
     y_m: float
     position_error_m: float
     true_dbh_m: float
-    dbh_error_m: float
-    """Found minus true."""
-    hits: int | None
-    """True points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points."""
+    dbh_error_m: float  # found minus true
+    hits: int | None  # true points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points
 
     @property
     def kind(self) -> str:
@@ -85,8 +76,7 @@ class ScoreCard:
     scores: dict[str, float] = field(default_factory=dict)
     trees: list[TreeRow] = field(default_factory=list)
     path: PathScore | None = None
-    notes: dict[str, str] = field(default_factory=dict)
-    """How groups of scores are measured."""
+    notes: dict[str, str] = field(default_factory=dict)  # how groups of scores are measured
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
         """Return the thresholds that are not kept, with the values, as text; InputError if there is no score of that name."""
@@ -116,7 +106,12 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
 
     InputError if a file is wrong, or is given without its ground truth; MissingExtraError if the library of a file is not installed.
     """
-    _check(inputs)
+    if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
+        raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
+    if inputs.points and not inputs.truth_points:
+        raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
+    if inputs.stems and not inputs.inventory:
+        raise InputError("--stems", "found no true trees", "--inventory, of `vlp16emu forest --inventory`")
     card = ScoreCard(inputs)
     true = read_cloud(inputs.truth_points) if inputs.truth_points else None
     if inputs.trajectory:
@@ -127,7 +122,13 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
             f"poses, {card.path.left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
         )
     if inputs.map:
-        _score_map(card, read_cloud(inputs.map)["xyz"], true)
+        found = read_cloud(inputs.map)["xyz"]
+        centre_m = Trajectory(inputs.truth, inputs.unit, TrajectoryErrors()).first_m[:2]
+        card.scores["infra_d_per_m2"] = measures.density_per_m2(found[:, :2], centre_m, REGION_M)
+        card.scores["infra_nuc"] = measures.uniformity(found[:, :2], centre_m, REGION_M)
+        card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
+        if true is not None:
+            card.scores |= measures.cloud_distances(found, true["xyz"], WITHIN_M)
     if inputs.points and true is not None:
         _score_labels(card, read_cloud(inputs.points), true)
     if inputs.stems and inputs.inventory:
@@ -135,31 +136,10 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
     return card
 
 
-def _check(inputs: ScoreInputs) -> None:
-    if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
-        raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
-    if inputs.points and not inputs.truth_points:
-        raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
-    if inputs.stems and not inputs.inventory:
-        raise InputError("--stems", "found no true trees", "--inventory, of `vlp16emu forest --inventory`")
-
-
 def _need(true: Cloud, *names: str) -> None:
     for name in names:
         if name not in true:
             raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
-
-
-def _score_map(card: ScoreCard, found: F8, true: Cloud | None) -> None:
-    """Score a map by itself, and against true points if they are given."""
-    from vlp16emu.extras.clouds.deskew import Trajectory
-
-    centre_m = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors()).first_m[:2]
-    card.scores["infra_d_per_m2"] = measures.density_per_m2(found[:, :2], centre_m, REGION_M)
-    card.scores["infra_nuc"] = measures.uniformity(found[:, :2], centre_m, REGION_M)
-    card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
-    if true is not None:
-        card.scores |= measures.cloud_distances(found, true["xyz"], WITHIN_M)
 
 
 def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
@@ -248,7 +228,6 @@ def page(card: ScoreCard, missed: Sequence[str]) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table, all but the first column as numbers."""
     lines = [f"<tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>"]
     for first, *others in rows:
         cells = "".join(f'<td class="n">{escape(_text(value))}</td>' for value in others)

@@ -87,8 +87,7 @@ class DataChunk:
         self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)  # (n, 12)
         self.distance_lsb, self.reflectivity = (
             np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
-        )
-        """(n, 12, 2, 16)."""
+        )  # (n, 12, 2, 16)
         self._read_factory(payload, before)
         self._read_codes()
         self._read_steps()
@@ -199,8 +198,7 @@ class DataChunk:
         gap_us = np.where(is_odd, self.forward_cdeg[:-1] - usual_cdeg, 0.0).sum(axis=1) / rate_cdeg_us
         tolerance_us = _GAP_TOLERANCE_CDEG / rate_cdeg_us + _GAP_TOLERANCE * gap_us
         self.gap_ms = gap_us / 1e3
-        is_explained: NDArray[np.bool_] = is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us)
-        return is_explained
+        return np.asarray(is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us))
 
     def _find_late(self, takes_longer: NDArray[np.bool_]) -> None:
         """Hold time stamps against capture stamps; packets (n,) that take longer have a gap of the revolution inside."""
@@ -445,8 +443,7 @@ class PositionChunk:
         is_old = is_known & (self.late_s >= _LATEST_S)
         self.is_old, self.is_off = (
             of & ~np.append(False, of[:-1]) for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
-        )
-        """First of packets in a row whose sentence and clock disagree, with lock and without."""
+        )  # first of packets in a row whose sentence and clock disagree, with lock and without
         is_next = is_locked & is_known & ~is_old & (earlier >= 0) & (self.second == (earlier + 1) % 3600)
         is_next[1:] &= np.diff(self.stamp_ns) < _NEXT_NS
         came_s = self.late_s[self.own][is_next[self.own]]

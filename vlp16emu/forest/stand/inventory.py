@@ -1,19 +1,18 @@
-"""Ground truth of standing trees: one row for each, computed from the meshes that are scanned; circles along stems and branches; and trees of the user's own."""
+"""Ground truth of standing trees: one row for each, computed from the meshes that are scanned; circles along stems and branches."""
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
 from io import TextIOWrapper
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import log, matvec, norm
+from vlp16emu.elementary import matvec, norm
 from vlp16emu.foliage.tiles import STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.branches import Branches
-from vlp16emu.forest.plants.crown import (
+from vlp16emu.forest.plants.prototypes import (
     CROWN_PARTS,
     CrownKey,
     crown_branches,
@@ -22,21 +21,22 @@ from vlp16emu.forest.plants.crown import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.forest.plants.flora import Flora, Table, Trees, flora, species_table
-from vlp16emu.forest.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
-from vlp16emu.forest.plants.stem_rings import (
+from vlp16emu.forest.plants.species import Table, Trees, species_table
+from vlp16emu.forest.plants.stem import (
     FLARE_TOP_M,
     STEM_CIRCLE,
+    STEM_PARTS,
     axis_m,
     polygon_m2,
     second_leaders,
     stem_rings,
+    stems_above_ground,
     tape_m,
     tip_radius_m,
+    vertex_angles,
 )
-from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import determinant, places_m, unit
 
 INVENTORY = np.dtype(  # one tree of the inventory. Tops, volumes and areas are those of its meshes.
@@ -105,21 +105,19 @@ def write_csv(
 
     Species are written by name, and nothing where a number is unknown.
     """
+
+    def text(value: float) -> str:
+        return str(value) if isinstance(value, int) else "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
+
     names = {species.number: name for name, species in (table or species_table()).items()}
-    text = TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text, lineterminator="\n")
+    opened = TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(opened, lineterminator="\n")
     more = np.zeros(len(rows), []) if more is None else more
     writer.writerow([*(INVENTORY.names or ()), *(more.dtype.names or ())])
     for row, others in zip(rows.tolist(), more.tolist(), strict=True):
         number, species, *values, line = row
-        writer.writerow([number, names[species], *map(_text, values), line or "", *map(_text, others)])
-    text.detach()
-
-
-def _text(value: float) -> str:
-    if isinstance(value, int):
-        return str(value)
-    return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
+        writer.writerow([number, names[species], *map(text, values), line or "", *map(text, others)])
+    opened.detach()
 
 
 def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Table) -> None:
@@ -157,31 +155,20 @@ def _measure_crowns(
     for key, which in own.items():
         rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * np.square(wide[which]) * long[which]
         meshes = crown_meshes(seed, key, table=table)
-        low_m, high_m = _spans_m(meshes, foot_T_crown[which])
-        span_m[which, 0] = np.minimum(span_m[which, 0], low_m)
-        span_m[which, 1] = np.maximum(span_m[which, 1], high_m)
+        corners_m = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
+        for i in which:
+            at_m = matvec(foot_T_crown[i, :, :3], corners_m) + foot_T_crown[i, :, 3]
+            span_m[i, 0] = at_m.min(axis=0, initial=np.inf).clip(max=span_m[i, 0])
+            span_m[i, 1] = at_m.max(axis=0, initial=-np.inf).clip(min=span_m[i, 1])
         leaves, foliage = meshes[CROWN_PARTS.index(PlantPart.LEAF)], table[key.species].foliage
         if foliage is not None and len(leaves.faces):
-            rows["leaf_m2"][which] = foliage.clumping * _stretched_m2(leaves, wide[which], long[which])
-
-
-def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
-    """Area (n,) of planar quads after each of n stretches, across and along the axis."""
-    a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
-    x, y, z = (np.cross(c - a, d - b) / 2).T
-    level, steep = np.square(z), np.square(x) + np.square(y)
-    return np.array([w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in zip(wide, long, strict=True)])
-
-
-def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:
-    """Least and greatest coordinates (n, 3) of any vertex by n transforms (n, 3, 4); infinite where there is none."""
-    places = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
-    low_m, high_m = np.full((2, len(foot_T_crown), 3), [[[np.inf]], [[-np.inf]]])
-    for i, transform in enumerate(foot_T_crown):
-        at_m = matvec(transform[:, :3], places) + transform[:, 3]
-        low_m[i] = at_m.min(axis=0, initial=np.inf)
-        high_m[i] = at_m.max(axis=0, initial=-np.inf)
-    return low_m, high_m
+            # Area of planar quads after each stretch, across and along the axis.
+            a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
+            x, y, z = (np.cross(c - a, d - b) / 2).T
+            level, steep = np.square(z), np.square(x) + np.square(y)
+            stretches = zip(wide[which], long[which], strict=True)
+            areas_m2 = [w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in stretches]
+            rows["leaf_m2"][which] = foliage.clumping * np.array(areas_m2)
 
 
 def hull_m(points_m: Array) -> Array:
@@ -259,80 +246,3 @@ def profiles(foot_m: Array, middle_m: Array, radius_m: Array, begin: int) -> NDA
     aside_m = middle_m - from_m[:, None] - along_m[..., None] * axis[:, None]
     stems["aside_m"] = np.moveaxis(aside_m[..., :2], 2, 1)
     return stems
-
-
-_ALIKE = 1.25  # models that stretch a tree by no more than this over the one that stretches it least are as good
-
-
-@dataclass(frozen=True, slots=True)
-class ModelKey:
-    """Name of a model's shape."""
-
-    number: int  # among the models of the scene
-    content: str  # digest of all that decides it
-
-
-class Models:
-    """The models of a scene, each a `TreeModel` that stands for trees of its species; none by default."""
-
-    def __init__(self, models: Sequence[Any] = (), plants: Flora | None = None) -> None:
-        self._models, self._plants = models, plants or flora()
-        self._species = np.array(sorted({model.species.number for model in models}), np.uint16)
-
-    def has(self, trees: Trees) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the trees that look like one of the models."""
-        return np.isin(trees["species"], self._species)
-
-    def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
-        """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
-        placed = []
-        for i, own in self._by_model(trees):
-            model, rows = self._models[i], plant_surfaces(own, self._models[i].parts, self._plants)
-            shape = (ModelKey(i, model.content),), np.zeros(len(own), np.int64)
-            placed.append(PlacedThings(*shape, model.world_T_model(own), rows, own, is_exact=is_exact))
-        return placed
-
-    def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
-        """Meshes of a model."""
-        return self._models[key.number].meshes
-
-    def far_parts(self, key: ShapeKey) -> tuple[int, ...] | None:
-        """Return the parts of a model's meshes in the far medium; None for any other shape."""
-        return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
-
-    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: IntArray) -> NDArray[np.void]:
-        """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
-        of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
-        stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
-        return np.concatenate([np.zeros(0, STEM), *stems])
-
-    def inventory(self, trees: Trees) -> NDArray[np.void]:
-        """Return the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
-
-        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
-        directions. One side of each leaf face counts.
-        """
-        rows = np.zeros(len(trees), INVENTORY)
-        for name in COPIED:
-            rows[name] = trees[name]
-        for i, row in enumerate(rows):
-            self._models[self._chosen(trees[i : i + 1])].measure(row, trees[i : i + 1])
-        return rows
-
-    def circles(self, trees: Trees) -> NDArray[np.void]:
-        """Circles `STEM_CIRCLE` along the stems of trees that all have models."""
-        own = (self._models[i].circles(own) for i, own in self._by_model(trees))
-        return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
-
-    def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
-        chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
-        return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
-
-    def _chosen(self, tree: Trees) -> int:
-        """Choose the model of one tree (1,) by its size, and among those that are as good by its azimuth's last digits."""
-        fits = [i for i, model in enumerate(self._models) if model.species.number == tree["species"][0]]
-        if len(fits) == 1:
-            return fits[0]
-        stretch = [abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)]
-        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
-        return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
-from vlp16emu.forest.plants.flora import Flora, Trees, bark_material
+from vlp16emu.forest.plants.species import Flora, Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey, tile_distance_m
@@ -57,7 +57,7 @@ class Site:
 
 
 def between(limits: tuple[float, float], draw: Array) -> Array:
-    """Evenly from limits[0] to limits[1]."""
+    """Return values evenly from limits[0] to limits[1], by draws in [0, 1)."""
     return limits[0] + (limits[1] - limits[0]) * draw
 
 
@@ -91,8 +91,7 @@ def turned(azimuth_deg: Array) -> Array:
 
 def laid(towards: Array, slope: Array) -> Array:
     """Rotations (n, 3, 3) that lay the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
-    flat = 1 / hypot(1, slope)
-    c, s, zero = cos(towards), sin(towards), np.zeros(len(towards))
+    flat, c, s, zero = 1 / hypot(1, slope), cos(towards), sin(towards), np.zeros(len(towards))
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
     across = np.stack([-s, c, zero], axis=-1)
     return np.stack([along, across, np.cross(along, across)], axis=-1)
@@ -152,5 +151,5 @@ def plant_surfaces(
     bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
     rows["semantic"], rows["part"], rows["reflectance"] = semantic, parts, bright
     rows["instance"], rows["species"] = plants["id"][:, None], plants["species"][:, None]
-    rows["material"] = bark_material(plants["species"], table)[:, None] + leaf
+    rows["material"] = table.bark[plants["species"]][:, None] + leaf
     return rows

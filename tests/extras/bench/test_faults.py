@@ -8,14 +8,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from listening import MemorySink
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.faults import arriving
 from vlp16emu.packets import FACTORY_LINK, position_due_ns
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
-from vlp16emu.sinks import MemorySink, Pacer, UdpSink, stream
+from vlp16emu.sinks import Pacer, UdpSink, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
