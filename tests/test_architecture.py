@@ -54,20 +54,21 @@ FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "
 
 EXTRAS_TAKE = {
     "accuracy": {"plots"},
-    "bag": {"slam", "truth"},
+    "bag": {"imu", "slam", "truth"},
+    "bench": {"imu"},
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},
-    "plan": {"keep_up"},
+    "plan": {"keep_up", "meshes"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "options", "outputs", "palette", "truth"},
+    "images": {"camera", "meshes", "options", "outputs", "palette", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
-    "sheets": {"camera", "palette", "plots", "truth"},
+    "sheets": {"camera", "meshes", "palette", "plots", "truth"},
     "slam": {"truth"},
-    "truth": {"bench", "outputs"},
-    "viewer": {"camera", "clouds", "images", "options", "palette", "plots", "sheets", "verify"},
+    "truth": {"bench", "imu", "outputs"},
+    "viewer": {"camera", "clouds", "images", "live", "options", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 

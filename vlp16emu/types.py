@@ -102,6 +102,8 @@ SURFACE = np.dtype(
 
 NO_SURFACE = np.uint32(0xFFFFFFFF)
 """Surface of a pulse that hit nothing."""
+FIRST_FREE_INSTANCE = 0xFFFF0000
+"""First instance of the user's own things and of people; worlds number theirs below."""
 ShapeKey = Hashable
 """Name of a shape: the same key always means the same bytes of geometry."""
 

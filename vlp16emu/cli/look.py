@@ -125,10 +125,9 @@ def _show_scene(
     server: "viser.ViserServer", scene: str, settings: list[str] | None, unit: int, radius_m: float, save: Path | None
 ) -> None:
     from vlp16emu.extras.viewer.page import scene_page
-    from vlp16emu.motion.settings import takes_poses
 
     emulator = make_emulator(scene, settings)
-    if takes_poses(emulator.scenario.motion):
+    if emulator.scenario.motion.takes_poses:
         raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
     with Progress(100.0) as bar:
         page = scene_page(

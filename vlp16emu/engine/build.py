@@ -13,10 +13,8 @@ from vlp16emu.elementary import norm
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
-from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
-from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
@@ -135,7 +133,8 @@ class Parts:
     """At least one."""
     carrier: Motion
     """Motion of the body that carries the devices."""
-    imu: ImuSampler | None
+    imu: Any
+    """Its samples, an `extras.imu.sampler.ImuSampler`; None without an inertial unit."""
     imu_mount: Mount
     """True mount of the inertial unit, if there is one."""
     ground_m: HeightField
@@ -173,7 +172,7 @@ def in_one_world(one: Scenario, other: Scenario) -> bool:
         reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
         return *world, *motion, scenario.gps, scenario.start_ns, reach
 
-    return not takes_poses(one.motion) and way(one) == way(other)
+    return not one.motion.takes_poses and way(one) == way(other)
 
 
 def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
@@ -196,7 +195,7 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     top, sampler, imu_mount, people = scenario.motion.under_sensors(carrier), None, Mount(), None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)
-        sampler = ImuSampler(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
+        sampler = door("imu")(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
     if scenario.people:
         people = door("people")(scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed)
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]

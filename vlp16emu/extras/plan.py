@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.keep_up import choose, settings_that_keep_up
+from vlp16emu.extras.meshes.furnished import MeshKey
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.stem import StemKey
@@ -19,7 +20,6 @@ from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Window
-from vlp16emu.world.furnished import MeshKey
 
 _KINDS = {
     CrownKey: "trees",
@@ -62,7 +62,7 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
     harness = isinstance(motion, Walk) and motion.harness is not None
     canopy = scenario.gps.connected and scenario.gps.canopy_loss
     moves, many, blows = any(unit.motion.moves for unit in parts.units), len(parts.units), parts.wind is not None
-    own = bool(scenario.world.meshes or getattr(scenario.world, "tree_models", ()))
+    own = bool(scenario.world.meshes or getattr(scenario.world, "tree_models", []))
     rows = {
         "motion": (moves, "a pose for every pulse, a window every 7 s", "one pose and one window for all"),
         "gait": (gait, "sums of lines for every pose", "nothing is swung"),

@@ -15,7 +15,6 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.types import Array, World
-from vlp16emu.world.furnished import furnished
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Wind
 
@@ -70,7 +69,7 @@ class ForestSite:
         near_m = section.near_m if section.near_m < farthest_m else math.inf
         bare = self._forest(path, reach_m, near_m=near_m, loose_stems=blows is not None)
         sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
-        return furnished(bare, section.meshes, path_xy_m, reach_m), sway
+        return section.furnished(bare, path_xy_m, reach_m), sway
 
     def _forest(self, path: Corridor, reach_m: float, *, near_m: float, loose_stems: bool) -> ForestWorld:
         section, seed, height_m = self._section, self._seed, self.height_m

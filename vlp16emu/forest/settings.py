@@ -22,7 +22,7 @@ from vlp16emu.settings import (
     Table,
     merged,
 )
-from vlp16emu.world.settings import Texture, TreeModelFile, WorldSection
+from vlp16emu.world.settings import MeshSource, Texture, WorldSection
 
 Season = Literal["leaf_on", "leaf_off"]  # with leaves, or as in winter: broadleaves bare, needles on
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
@@ -333,6 +333,25 @@ Near = Annotated[  # a distance, in m, that may be infinite; JSON, which has no 
     BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
     PlainSerializer(lambda m: "inf" if math.isinf(m) else m, when_used="json"),
 ]
+
+
+class ModelPart(Section):
+    """Label of one part of the file of a tree."""
+
+    name: str
+    """Name of the object or group (OBJ) or node (GLB)."""
+    part: Literal["stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
+    """Part of a tree that it is."""
+
+
+class TreeModelFile(MeshSource):
+    """A tree of the user's own, which takes the place of the grown trees of a species, scaled to the size of each."""
+
+    species: str
+    """Trees that look like it: name in the species table, or scientific name. Of several models of a species each tree has one
+    at random among those that it stretches least."""
+    parts: list[ModelPart] = Field(default_factory=list)
+    """Parts of the file that are no stem."""
 
 
 class Woods(WorldSection):

@@ -17,6 +17,8 @@ from vlp16emu.store import PACKAGE, Store, digest_of, read_checked
 
 SOURCES = (  # files and folders of kernels, and of what kernels take
     "elementary.py",
+    "extras/clouds/place.py",
+    "extras/imu",
     "extras/live",
     "extras/recorded",
     "foliage",

@@ -9,7 +9,6 @@ from typing import Any, Self
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError
-from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import spare
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.scenario import Scenario, find, load
@@ -45,7 +44,7 @@ class Run:
         """Read a scene and set it up; parameters and errors as of `Emulator`."""
         scenario = load(scene, settings, ideal=ideal)
         # Poses of a live run are not known again when its pulses are cast a second time.
-        wanted = audit and has_door("audit") and not takes_poses(scenario.motion)
+        wanted = audit and has_door("audit") and not scenario.motion.takes_poses
         observer = door("audit").of(scenario) if wanted else None
         engine = Engine.of(scenario, threads=threads, taps=[observer] if observer else [], like=like)
         is_named = isinstance(scene, str | Path)

@@ -17,11 +17,11 @@ from pydantic_core import CoreSchema, core_schema
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
-from vlp16emu.motion import Gps, Imu, MotionSection, Mount
+from vlp16emu.motion import Gps, MotionSection, Mount
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
-from vlp16emu.settings import OneOf, Preset, Section, Seed, merged
+from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import People, Wind, WorldSection
 
@@ -152,7 +152,7 @@ class Scenario(Section):
     capture: CaptureClock = CaptureClock()
     motion: Annotated[MotionSection, OneOf(MotionSection, "motions")]
     """How the sensor moves."""
-    imu: Imu | None = None
+    imu: Annotated[Any, LazySection("imu_section")] | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
     rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""

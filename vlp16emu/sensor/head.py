@@ -117,6 +117,19 @@ def _aim(
                 origin_m[i, j, a] = p[a] + R[a, 2] * offset_m[j]
 
 
+@numba.njit(cache=True, nogil=True)
+def in_sensor(azimuth_deg: Array, elevation_deg: Array, offset_m: Array, distance_m: Array) -> Array:
+    """Return the points (n, 3) of ranges in the sensor's frame, by the manual's formulas; all arguments (n,)."""
+    out = np.empty((len(distance_m), 3))
+    for i in range(len(distance_m)):
+        cosine, sine = cos_sin(math.radians(azimuth_deg[i]))
+        level, up = cos_sin(math.radians(elevation_deg[i]))
+        out[i, 0] = distance_m[i] * level * cosine
+        out[i, 1] = -distance_m[i] * level * sine
+        out[i, 2] = distance_m[i] * up + offset_m[i]
+    return out
+
+
 @dataclass(frozen=True, slots=True)
 class Turn:
     """Rotation of a sensor over a run."""

@@ -9,7 +9,6 @@ import numpy as np
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, Array, Mesh, Semantic, ShapeKey, Window, World
-from vlp16emu.world.furnished import furnished
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere, Wind
 from vlp16emu.world.vectors import closed
 
@@ -186,4 +185,4 @@ class HallSite:
     ) -> tuple[World, None]:
         """Return the hall; parameters and errors as of `Site`."""
         self._hall.check(path_xy_m)
-        return furnished(self._hall, self._section.meshes, path_xy_m, reach_m), None
+        return self._section.furnished(self._hall, path_xy_m, reach_m), None

@@ -10,14 +10,13 @@ from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.forest.given.tree_model import Cutter, TreeModels
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.flora import flora, species_table
-from vlp16emu.forest.settings import Woods
+from vlp16emu.forest.settings import ModelPart, TreeModelFile, Woods
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import ModelPart, TreeModelFile
 
 BIRCH = species_table()["silver_birch"]
 PARTS = [ModelPart(name="crown", part="leaf"), ModelPart(name="bough", part="branch_first_order")]

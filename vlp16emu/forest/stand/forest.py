@@ -23,8 +23,7 @@ from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recalled
-from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
-from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
+from vlp16emu.types import FIRST_FREE_INSTANCE, Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.polyline import Corridor
 
 _NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile

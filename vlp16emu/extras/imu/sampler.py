@@ -7,8 +7,8 @@ import numba
 import numpy as np
 
 from vlp16emu.elementary import exp, matmul, matvec, norm
+from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.motion.pose import Motion, rotations
-from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair, uniform
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS

@@ -10,12 +10,12 @@ import pytest
 import trimesh
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.stand.forest import FIRST_FREE_INSTANCE
-from vlp16emu.types import Mesh, PlantPart, Semantic
-from vlp16emu.world.furnished import Furnished, Furniture, MeshKey
+from vlp16emu.extras.meshes.files import PartMesh, UserMesh, load_mesh
+from vlp16emu.extras.meshes.furnished import Furnished, Furniture, MeshKey
+from vlp16emu.extras.meshes.settings import MeshFile, MeshPart, MeshPlace
+from vlp16emu.types import FIRST_FREE_INSTANCE, Mesh, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.settings import Hall, MeshFile, MeshPart, MeshPlace
-from vlp16emu.world.user_mesh import PartMesh, UserMesh, load_mesh
+from vlp16emu.world.settings import Hall
 
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 TETRAHEDRON = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
