@@ -77,7 +77,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "gps_in": "vlp16emu.extras.bench.gps_in:GpsReader",
         "forest_site": "vlp16emu.forest.make:ForestSite",
         "furnished": "vlp16emu.extras.meshes.furnished:furnished",
-        "hall_site": "vlp16emu.world.hall:HallSite",
+        "hall_site": "vlp16emu.world.hall:HallWorld",
         "imu": "vlp16emu.extras.imu.sampler:ImuSampler",
         "imu_section": "vlp16emu.extras.imu.settings:Imu",
         "keep_up": "vlp16emu.extras.keep_up:keep_up",
@@ -94,7 +94,10 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "truth": "vlp16emu.extras.truth.truth:Truth",
         "truth_of_records": "vlp16emu.extras.truth.slots:slots_of",
         "unwrapper": "vlp16emu.extras.captures.links:Unwrapper",
+        "way_around": "vlp16emu.forest.stand.way_around:around",
+        "way_points": "vlp16emu.extras.recorded.way_points:read_way_points",
         "web": "vlp16emu.extras.bench.control:web_interfaces",
+        "wind_section": "vlp16emu.forest.settings:Wind",
     },
 }
 

@@ -12,13 +12,7 @@ from vlp16emu.units import S_NS
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-FOREST = [
-    "world.stems_per_ha=150",
-    "sensor.max_range_m=20.0",
-    "seed=5",
-    "gps.canopy_half_cover=0.25",
-    "gps.canopy_cover_width=0.1",
-]
+FOREST = ["world.stems_per_ha=150", "sensor.max_range_m=20.0", "seed=5", "gps.canopy_half_cover=0.25"]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.interpolate import BSpline
 from scipy.linalg import expm
 
 from vlp16emu.errors import TrajectoryError
@@ -38,16 +37,6 @@ def test_trunk_is_the_spline_through_its_samples():
     for d in range(3):
         np.testing.assert_allclose(nodes[:, 0, d], quintic.deriv(d)(NODES_S) if d else quintic(NODES_S), atol=1e-9)
     np.testing.assert_allclose(nodes[:, 1, 0], 0.02 * np.sin(2 * np.pi * 1.8 * NODES_S), atol=1e-9)
-
-
-def test_spline_agrees_with_scipys():
-    """Value and derivatives are those of the B-spline whose control points are the filtered samples."""
-    samples = sines(200 - 4, 209)
-    control = np.apply_along_axis(np.convolve, 0, samples, np.array([13, -112, 438, -112, 13]) / 240, "valid")
-    spline = BSpline((np.arange(len(control) + 6) - 5) / KNOTS_PER_S, control, 5)
-    nodes = Pack(sines, None).nodes(1)
-    for d, tolerance in ((0, 1e-15), (1, 1e-12), (2, 1e-10)):
-        np.testing.assert_allclose(nodes[..., d], spline(NODES_S, d), atol=tolerance)
 
 
 def test_step_is_the_matrix_exponential():

@@ -10,13 +10,12 @@ from vlp16emu.forest.given.tree_model import TreeModels
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.flora import flora
-from vlp16emu.forest.settings import Forest, Plot, Woods
+from vlp16emu.forest.settings import Forest, Plot, Wind, Woods
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.types import Array, World
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import Wind
 
 _log = logging.getLogger(__name__)
 

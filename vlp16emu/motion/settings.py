@@ -229,21 +229,28 @@ class Harness(Section):
     damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.25
     """Share of critical damping, on all axes."""
 
+    @property
+    def frequency_hz(self) -> tuple[float, ...]:
+        """Frequencies (6,) in the order of `motion.gait.AXES`."""
+        return self.fore_aft_hz, self.sideways_hz, self.vertical_hz, self.roll_hz, self.pitch_hz, self.yaw_hz
 
-class Mast(Harness):
+
+class Mast(Section):
     """Mast that carries the sensors over the pack and the inertial unit, and bends with each step.
 
     A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at some 8 Hz and hardly along itself; at
     walking pace it then leans by a tenth of a degree (assumption).
     """
 
-    fore_aft_hz: _Frequency = 8.0
-    sideways_hz: _Frequency = 8.0
-    vertical_hz: _Frequency = 50.0
-    roll_hz: _Frequency = 8.0
-    pitch_hz: _Frequency = 8.0
-    yaw_hz: _Frequency = 15.0
+    bending_hz: _Frequency = 8.0
+    """Undamped natural frequency of its bending, forwards and to the sides."""
     damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.05
+    """Share of critical damping, on all axes."""
+
+    @property
+    def frequency_hz(self) -> tuple[float, ...]:
+        """Frequencies (6,) in the order of `motion.gait.AXES`: up and down at 50 Hz, about itself at 15 Hz (assumptions)."""
+        return self.bending_hz, self.bending_hz, 50.0, self.bending_hz, self.bending_hz, 15.0
 
 
 class Walk(MotionSection):
@@ -346,9 +353,7 @@ class Gps(Section):
     canopy_error_factor: Annotated[float, Field(ge=1, le=100)] = 2.5
     """How many times greater errors are where the whole sky is hidden; in between in proportion to the cover."""
     canopy_half_cover: Annotated[float, Field(gt=0, le=1)] = 0.88
-    """Cover, as a share of the sky, at which every second fix fails."""
-    canopy_cover_width: Annotated[float, Field(gt=0, le=1)] = 0.05
-    """Width of the logistic curve: with so much more or less cover 73 % or 27 % of the fixes fail."""
+    """Cover, as a share of the sky, at which every second fix fails; with 0.05 more or less 73 % or 27 % of them fail."""
 
     @model_validator(mode="after")
     def _is_known_beforehand(self) -> Self:

@@ -23,7 +23,7 @@ from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
 from vlp16emu.units import S_NS, US_NS
-from vlp16emu.world import People, Wind, WorldSection
+from vlp16emu.world import People, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
@@ -160,7 +160,7 @@ class Scenario(Section):
     """What is set on the sensors while they run, and what goes wrong."""
     world: Annotated[WorldSection, OneOf(WorldSection, "worlds")]
     """What the sensor sees."""
-    wind: Wind | None = None
+    wind: Annotated[Any, LazySection("wind_section")] | None = None
     """What makes the trees sway; none in a hall."""
     people: People | None = None
     """People beside a carrier who walks; none without it."""
@@ -209,7 +209,7 @@ class Scenario(Section):
 
     @field_validator("wind")
     @classmethod
-    def _has_trees(cls, wind: Wind | None, info: ValidationInfo) -> Wind | None:
+    def _has_trees(cls, wind: Any, info: ValidationInfo) -> Any:
         world = info.data.get("world")
         if wind is not None and world is not None and not world.has_trees:
             raise ValueError("none in a hall, which has no trees")

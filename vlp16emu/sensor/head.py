@@ -134,14 +134,11 @@ def in_sensor(azimuth_deg: Array, elevation_deg: Array, offset_m: Array, distanc
 class Turn:
     """Rotation of a sensor over a run."""
 
-    rpm: float
-    """Speed at the start, to which the next two belong."""
-    azimuth_step_deg: float
-    """Angle from one firing sequence to the next."""
+    rpm: float  # speed at the start, to which the next two belong
+    azimuth_step_deg: float  # angle from one firing sequence to the next
     sequences_per_revolution: float
     revolutions: float
-    azimuth_steps: int
-    """Whole firing sequences."""
+    azimuth_steps: int  # whole firing sequences
 
 
 def turn_of(head: Head, simulated_s: float) -> Turn:

@@ -3,6 +3,6 @@
 Here are the tables of a scene alone, so that one is read without numpy and numba; models are in their own modules.
 """
 
-from vlp16emu.world.settings import Hall, People, Wind, WorldSection
+from vlp16emu.world.settings import Hall, People, WorldSection
 
-__all__ = ["Hall", "People", "Wind", "WorldSection"]
+__all__ = ["Hall", "People", "WorldSection"]

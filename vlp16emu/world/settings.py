@@ -1,4 +1,4 @@
-"""The tables `[world]` of a hall, `[wind]` and `[people]`, and of meshes that the user brings; and the contract of all worlds with the engine."""
+"""The tables `[world]` of a hall and `[people]`; and the contract of all worlds with the engine."""
 
 import math
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
@@ -94,7 +94,7 @@ class Site(Protocol):
         """Height of the ground over places."""
 
     def world(
-        self, path_xy_m: "Array", *, reach_m: float, farthest_m: float, wind: "Wind | None", start_ns: int
+        self, path_xy_m: "Array", *, reach_m: float, farthest_m: float, wind: Any, start_ns: int
     ) -> "tuple[World, Sway | None]":
         """Return the world around a path, and what moves in it; None in still air.
 
@@ -105,6 +105,7 @@ class Site(Protocol):
         path_xy_m : (n, 2) path of the sensors
         reach_m : from there, how far they see
         farthest_m : range of the one that sees farthest
+        wind : the table `[wind]`; None without it
         start_ns : UTC of the first pulse
         """
 
@@ -133,24 +134,6 @@ class WorldSection(Section):
         Raises GeometryError if a mesh cannot be read.
         """
         return door("furnished")(bare, self.meshes, path_xy_m, reach_m) if self.meshes else bare
-
-
-class Wind(Section):
-    """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
-
-    speed_m_s: Annotated[float, Field(ge=0, le=12)]
-    """Mean, at the top of the canopy: there half of what it is in the open, by and large. Trees answer in proportion, also
-    where real ones would break or lean on their neighbours: from some 8 m/s on thin trees of dense stands lean too far."""
-    towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    """Direction in which it blows, counter-clockwise from east."""
-    turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
-    """Standard deviation of the speed along the wind over the mean; across it is 0.8 of that. At the top of canopies
-    1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
-    gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
-    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (the same)."""
-    damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
-    """Damping of the trees' swing as a share of critical damping: whole trees have 0.08 and more, stripped ones 0.01 to
-    0.08 (Moore and Maguire, Trees 19, 2005)."""
 
 
 class People(Section):

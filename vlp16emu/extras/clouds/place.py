@@ -19,12 +19,9 @@ class PlacedReturns(NamedTuple):
 
     azimuth_deg: Array
     """(n,) what the encoder read for the firing sequence, and what the rotor turned until the pulse; [0, 360)."""
-    elevation_deg: Array
-    """(n,) elevation of the beam table."""
-    sensor_m: Array
-    """(n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up."""
-    world_m: Array
-    """(n, 3)."""
+    elevation_deg: Array  # (n,) elevation of the beam table
+    sensor_m: Array  # (n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up
+    world_m: Array  # (n, 3)
 
 
 def place(
