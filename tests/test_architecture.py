@@ -7,7 +7,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from vlp16emu.kernels.cache import SOURCES
+from vlp16emu.kernels.cache import sources_of
 from vlp16emu.store import MAKERS
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
@@ -18,7 +18,6 @@ FLOORS = (
     {"__main__"},
     {"cli", "pytest"},
     {"extras"},
-    {"emulator"},
     {"run"},
     {"engine"},
     {"scenario"},
@@ -49,7 +48,7 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {
@@ -62,13 +61,13 @@ EXTRAS_TAKE = {
     "handle": {"bench", "clouds", "truth"},
     "plan": {"keep_up", "meshes"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "meshes", "options", "outputs", "palette", "truth"},
+    "images": {"camera", "meshes", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
-    "sheets": {"camera", "meshes", "palette", "plots", "truth"},
+    "sheets": {"camera", "meshes", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench", "imu", "outputs"},
-    "viewer": {"camera", "clouds", "images", "live", "options", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "images", "live", "options", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
@@ -132,8 +131,8 @@ def taken_at_once(name: str, tree: ast.Module) -> set[str]:
     taken = set[str]()
     for node in tree.body:
         for full in imports(node) if isinstance(node, ast.Import | ast.ImportFrom) else ():
-            parts = full.split(".")
-            paths = ["/".join(stem[1:]) for stem in (parts, parts[:-1])]
+            first, *parts = full.split(".")
+            paths = ["/".join(stem) for stem in (parts, parts[:-1]) if first == "vlp16emu"]
             files = [file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES]
             taken |= set(files[:1])
     return taken - {name}
@@ -153,14 +152,14 @@ def test_the_core_knows_no_forest_and_no_extra():
 
 def test_foliage_and_forest_know_no_run():
     """What is far takes from casting, a forest from worlds and from what is far; neither knows engine, runs or extras."""
-    above = {"forest", "scenario", "engine", "run", "emulator", "extras", "cli"}
+    above = {"forest", "scenario", "engine", "run", "extras", "cli"}
     for name in NAMES:
         if (room := room_of(name)) in ("foliage", "forest"):
             assert not {full.split(".")[0] for full in targets(name)} & (above - {room}), name
 
 
 def test_arrows_in_the_forest_run_down():
-    """Ground, tiles, plants, stand, given trees: a room of the forest imports from its own floor and from lower ones."""
+    """Ground, tiles, plants, stand: a room of the forest imports from its own floor and from lower ones."""
     for name in NAMES:
         if room_of(name) == "forest" and name != "forest/__init__.py":
             own = FOREST.index(name.split("/")[1].removesuffix(".py"))
@@ -225,19 +224,30 @@ def test_no_module_needs_itself():
     list(TopologicalSorter(arrows).static_order())
 
 
-def test_kernels_are_where_changes_are_looked_for():
-    """What has a kernel, and what that takes of ours as it is loaded, is among the sources that name a compiled kernel."""
+def test_changes_of_all_that_a_kernel_takes_are_seen():
+    """What decides the name of a compiled kernel is all that its module takes of ours as it is loaded, and what this takes in turn."""
     found = {name for name in NAMES if "njit(" in (PACKAGE / name).read_text(encoding="utf-8")}
     assert "raycast/kernel.py" in found
-    found |= set().union(*(taken_at_once(name, trees()[name]) for name in found))
-    folders = tuple(source if source.endswith(".py") else f"{source}/" for source in SOURCES)
-    others = {name for name in found if not name.startswith(folders)}
-    assert others == {"errors.py", "store.py"}  # no number is theirs
+    for name in found:
+        left, needed = {name}, set()
+        while left:
+            needed.add(file := left.pop())
+            left |= taken_at_once(file, trees()[file]) - needed
+        module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        assert needed <= set(sources_of(frozenset({f"vlp16emu.{module}"}))), name
+
+
+def test_kernels_take_numba_as_it_is_prepared():
+    """What makes kernels takes numba from `kernels/compiler.py`, which sets the processor and the folder before any is made."""
+    for name, tree in trees().items():
+        text = (PACKAGE / name).read_text(encoding="utf-8")
+        if "njit(" in text and not name.startswith("kernels/"):
+            assert "vlp16emu.kernels.compiler.numba" in imports(tree), name
 
 
 def test_sources_of_what_is_kept_are_there():
-    """Each file and folder whose changes make compiled kernels and grown worlds anew exists under that name."""
-    assert [source for source in (*SOURCES, *MAKERS) if not (PACKAGE / source).exists()] == []
+    """Each file and folder whose changes make grown worlds anew exists under that name."""
+    assert [source for source in MAKERS if not (PACKAGE / source).exists()] == []
 
 
 def test_a_library_is_imported_where_it_belongs():

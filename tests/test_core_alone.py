@@ -12,7 +12,6 @@ from listening import opened, port_of
 
 import vlp16emu
 from vlp16emu import Emulator
-from vlp16emu.kernels.cache import _state
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
 
 ROOT = Path(vlp16emu.__file__).parents[1]
@@ -27,9 +26,6 @@ def core(tmp_path_factory):
     shutil.copytree(ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND))
     for name in ("scenes", "pyproject.toml"):
         (folder / name).symlink_to(ROOT / name)
-    # Its kernels are of the same sources: what is kept of the whole package's serves, and nothing is compiled again.
-    with (folder / "vlp16emu" / "kernels" / "cache.py").open("a") as file:
-        file.write(f"\n\ndef _state() -> str:\n    return {_state()!r}\n")
     env = os.environ | {"PYTHONPATH": str(folder)}
 
     def run(*lines):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from woods import THIN
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds.deskew import Trajectory, write_deskewed
 from vlp16emu.extras.clouds.points import write_points
@@ -52,8 +52,8 @@ def test_the_true_trajectory_gives_the_points_of_the_scene(walk, true):
     """Every echo is there once, at its own time, where `points` of the scene has it but for the steps of the wire."""
     _, _, own = walk
     points, report = true
-    assert report.without_pose == 0
-    assert report.points == len(points["t_ns"]) > 25_000
+    assert report["without_pose"] == 0
+    assert report["points"] == len(points["t_ns"]) > 25_000
     # The first packet has begun before the span, and at its end the last one is not full.
     inside = points["t_ns"] > own["t_ns"][0] - 1_100
     held = own["t_ns"] < points["t_ns"][-1] + 1_100
@@ -114,7 +114,7 @@ def test_a_time_offset_takes_later_poses(walk):
     late, report = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", time_offset_s=0.05)
     truth = emulator.world_T_sensor(late["t_ns"] + 50_000_000)
     assert np.abs(late["viewpoint_m"] - truth[:, :3, 3]).max() < 1e-5
-    assert 0.1 < report.without_pose / (report.without_pose + report.points) < 0.2
+    assert 0.1 < report["without_pose"] / (report["without_pose"] + report["points"]) < 0.2
 
 
 def test_laz_of_a_capture_has_returns_time_and_place(walk, true):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import velodyne_decoder
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.extras.bench.options import Http
-from vlp16emu.extras.prepare import packets_of
+from vlp16emu.extras.replay import packets_of
 from vlp16emu.packets import Capture, decode_data
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink

@@ -87,7 +87,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "mesh_section": "vlp16emu.extras.meshes.settings:MeshFile",
         "outlets": "vlp16emu.extras.bench.outlets:Ways",
         "people": "vlp16emu.extras.people:People",
-        "prepared": "vlp16emu.extras.prepare:prepared",
+        "prepared": "vlp16emu.extras.replay:prepared",
         "present": "vlp16emu.extras.bench.retime:NowSink",
         "scans": "vlp16emu.extras.clouds.scan:scans_of",
         "stream_options": "vlp16emu.extras.bench.options:BenchOptions",
@@ -105,10 +105,8 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
 def door(name: str, group: str = "parts") -> Any:
     """Return the object behind a name of a group.
 
-    Raises
-    ------
-    InputError : If its part of this package is not installed, or the package that adds it cannot be loaded
-    KeyError : If the group has no such name
+    Raises InputError if its part of this package is not installed, or the package that adds it cannot be loaded;
+    KeyError if the group has no such name.
     """
     if name not in DOORS[group]:
         return _load(_added(group)[name])

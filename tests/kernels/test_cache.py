@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from types import FunctionType
+from typing import NamedTuple
 
 import numba
 import pytest
@@ -14,7 +15,7 @@ from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
 
 from vlp16emu import store
-from vlp16emu.kernels import cache, hook
+from vlp16emu.kernels import cache, compiler
 from vlp16emu.kernels.cache import KernelCache, user_kernels
 from vlp16emu.kernels.compiler import KernelDispatcher
 
@@ -23,7 +24,8 @@ from vlp16emu.kernels.compiler import KernelDispatcher
 def folder(tmp_path, monkeypatch):
     """An empty folder of kernels."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
-    monkeypatch.setattr(cache, "_state", cache._state.__wrapped__)  # files change in a test
+    for name in ("_state", "_content", "_read"):
+        monkeypatch.setattr(cache, name, getattr(cache, name).__wrapped__)  # what they read changes in a test
     user_kernels.cache_clear()
     yield user_kernels().own
     user_kernels.cache_clear()
@@ -31,14 +33,27 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package of a kernel in one file that calls one in another."""
+    """A package of a caster that takes a kernel, two ways, and settings with a table, of a medium that it knows nothing of, and of a verb."""
     folder = tmp_path / "package"
-    for name in ("__init__.py", "room/caller.py", "room/callee.py", "cli/verb.py"):
+    texts = {
+        "near/__init__.py": "",
+        "near/kernel.py": "from vlp16emu.near import (\n    trig as t,\n)\n\ndef late():\n    from vlp16emu.settings import x\n",
+        "near/trig.py": "x = 1\n",
+        "settings.py": "x = 1\n",
+        "units.toml": "x = 1\n",
+        "far/medium.py": "from vlp16emu.near.kernel import x\n",
+        "cli/verb.py": "from vlp16emu.far.medium import x\n",
+    }
+    for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text("x = 1\n")
-    monkeypatch.setattr(store, "PACKAGE", folder)
-    monkeypatch.setattr(cache, "SOURCES", ("room",))
+        (folder / name).write_text(text)
+    monkeypatch.setattr(cache, "PACKAGE", folder)
     return folder
+
+
+def named(*modules):
+    """The content of some modules of the package."""
+    return cache._content(frozenset(f"vlp16emu.{module}" for module in modules))
 
 
 TWO_KERNELS = """
@@ -72,22 +87,45 @@ def is_compiled_anew():
     return bool(sum(function.stats.cache_misses.values()))
 
 
-def test_time_and_place_change_nothing(package, tmp_path):
+def test_time_and_place_change_nothing(package, tmp_path, monkeypatch):
     """Neither a `touch` nor another folder of the same files has kernels of its own: the second installation compiles nothing."""
-    before = cache._state()
+    before = named("near.kernel")
     for path in package.rglob("*.py"):
         os.utime(path, (1.0, 1.0))
-    assert cache._state() == before
-    store.PACKAGE = shutil.copytree(package, tmp_path / "second")
-    assert cache._state() == before
+    assert named("near.kernel") == before
+    monkeypatch.setattr(cache, "PACKAGE", shutil.copytree(package, tmp_path / "second"))
+    assert named("near.kernel") == before
 
 
-@pytest.mark.parametrize(("name", "has_others"), [("room/callee.py", True), ("cli/verb.py", False)])
-def test_content_changes_all(package, name, has_others):
-    """A change in any file of kernels has names of its own; one in a file without kernels has not."""
-    before = cache._state()
+@pytest.mark.parametrize(
+    ("name", "near", "far"),
+    [
+        ("near/kernel.py", True, True),
+        ("near/trig.py", True, True),
+        ("near/__init__.py", True, True),
+        ("settings.py", True, True),
+        ("units.toml", True, True),
+        ("far/medium.py", False, True),
+        ("cli/verb.py", False, False),
+    ],
+)
+def test_content_changes_what_is_made_of_it(package, name, near, far):
+    """A change of a file renames the kernels of its module and of all that import it, also inside functions, and no others."""
+    before = named("near.kernel"), named("near.kernel", "far.medium")
     (package / name).write_text("x = 2\n")
-    assert (cache._state() != before) is has_others
+    assert (named("near.kernel") != before[0], named("near.kernel", "far.medium") != before[1]) == (near, far)
+
+
+class Passage(NamedTuple):
+    """A type whose module may overload what a kernel calls."""
+
+    x: int
+
+
+def test_types_bring_their_modules():
+    """The module of a named tuple among the arguments, however deep, decides what a kernel is."""
+    kind = numba.typeof((1, (Passage(2), 3.0)))
+    assert list(cache._modules((kind, numba.int64))) == [__name__]
 
 
 @pytest.mark.parametrize("library", ["numba", "llvmlite", "numpy"])
@@ -208,13 +246,13 @@ def test_a_kernel_in_a_file_serves_another_one(folder):
 
 def test_the_target_is_fixed(monkeypatch):
     """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is named."""
-    assert cpu_target.target_context.codegen().magic_tuple()[1:] == hook._target()
-    has = dict.fromkeys([feature for needs in hook._TARGETS.values() for feature in needs], True)
+    assert cpu_target.target_context.codegen().magic_tuple()[1:] == compiler._target()
+    has = dict.fromkeys([feature for needs in compiler._TARGETS.values() for feature in needs], True)
     monkeypatch.setattr(binding, "get_host_cpu_features", lambda: has)
-    assert hook._target() == ("x86-64-v3", "")
+    assert compiler._target() == ("x86-64-v3", "")
     has["fma"] = False
-    assert hook._target() == ("x86-64-v2", "")
+    assert compiler._target() == ("x86-64-v2", "")
     has.clear()
-    assert hook._target() == ("generic", "")
+    assert compiler._target() == ("generic", "")
     monkeypatch.setenv("VLP16EMU_TARGET", "x86-64")
-    assert hook._target() == ("x86-64", "")
+    assert compiler._target() == ("x86-64", "")

@@ -5,12 +5,11 @@ from contextlib import nullcontext
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings
 from vlp16emu.cli.printer import (
     count,
-    members,
     print_files,
     print_json,
     print_rows,
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vlp16emu.extras.accuracy.sweep import Accuracy, LevelOfDetail, Row
-    from vlp16emu.extras.sheets.survey import WorldSummary
 
 _SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
 
@@ -99,16 +97,16 @@ def forest(
     print_files(wanted.values())
 
 
-def _print_forest(summary: "WorldSummary") -> None:
-    figures = dict(members(summary))
+def _print_forest(summary: dict[str, Any]) -> None:
+    figures = dict(summary)
     tables = {name: figures.pop(name, ()) for name in ("scene", "title", "trees", "things", "named")}
-    print_rows(f"{summary.scene}: {summary.title}", rows_of(figures))
+    print_rows(f"{summary['scene']}: {summary['title']}", rows_of(figures))
     if tables["trees"]:
         print_table(table_of(tables["trees"]))
     if tables["things"]:
         print_rows("on the ground", {kind: text_of(things) for kind, things in tables["things"].items()})
     if tables["named"]:
-        print_rows("things", {one.name: text_of(one) for one in summary.named})
+        print_rows("things", {one["name"]: text_of(one) for one in tables["named"]})
 
 
 _TIMES = 8  # so many times as many pulses for means of worlds, by which single pulses are not compared

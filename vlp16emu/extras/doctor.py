@@ -59,8 +59,7 @@ _EXTRAS = {
     "ros": (("rosbags",), "bag, record into bags"),
     "score": (("evo", "matplotlib"), "score"),
     "viewer": (("viser", "tomlkit", "websockets"), "view"),
-}
-"""Libraries of each extra in pyproject.toml, and what needs them."""
+}  # libraries of each extra in pyproject.toml, and what needs them
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
 """Instruction sets that Embree has kernels for, by their names in /proc/cpuinfo, the widest first (Embree 4 manual, rtcNewDevice)."""
 _FEWEST_CORES = 2
@@ -96,7 +95,6 @@ def all_checks() -> Iterator[Check]:
 
 
 def _check(name: str, found: str, mend: str = "", *, bad: Condition = Condition.WARNING) -> Check:
-    """Return a check, which is ok if there is nothing to mend."""
     return Check(name, bad if mend else Condition.OK, found, mend)
 
 

@@ -22,9 +22,7 @@ def free_ports(number: int) -> Iterator[list[int]]:
 
     A TCP socket of the same number is the reservation: a receiver can bind the UDP port, and no other search finds it.
 
-    Raises
-    ------
-    OutputError : If there are not so many.
+    Raises OutputError if there are not so many.
     """
     with ExitStack() as held:
         ports = list[int]()

@@ -18,8 +18,8 @@ from vlp16emu.extras.clouds.scan import Chunk, chunk_of, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.run.emulator import Emulator, Scene
 from vlp16emu.run.report import Streamed
-from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
 from vlp16emu.types import Packet, PacketKind, Scan
@@ -59,7 +59,7 @@ def stream(
     >>> scan.labels.semantic.shape == scan.t_ns.shape
     True
     """
-    return Live(Run.of(scene, settings, ideal=ideal, threads=threads), truth=truth, **options)
+    return Live(Emulator(scene, settings, ideal=ideal, threads=threads), truth=truth, **options)
 
 
 class _Lane:
@@ -67,11 +67,9 @@ class _Lane:
 
     def __init__(self) -> None:
         self.held = deque[Packet](maxlen=_HELD)
-        self.leaving: Packet | None = None
-        """Packet that a receiver may have before it counts as left."""
+        self.leaving: Packet | None = None  # packet that a receiver may have before it counts as left
         self.count = self.taken = 0
-        self.wake_at: float = np.inf
-        """Count at which a thread is to be woken that waits for packets."""
+        self.wake_at: float = np.inf  # count at which a thread is to be woken that waits for packets
 
     def since(self, number: int) -> list[Packet]:
         """Return the packets from a number on, as far as they are held."""
@@ -86,19 +84,19 @@ class Live(PacketSink):
 
     Parameters
     ----------
-    run : the scene
+    emulator : of the scene
     truth : whether packets carry their ground truth
     look_ahead : packets of a sensor that are computed before the first one leaves
     options : fields of `StreamOptions`, with the defaults of `stream`
     """
 
-    def __init__(self, run: Run, *, truth: bool = True, look_ahead: int = LOOK_AHEAD_PACKETS, **options: Any) -> None:
-        engine = replace(run.engine, truth_of=door("truth_of_records")) if truth else run.engine
-        self.run = replace(run, engine=engine)
-        self.ports = list[tuple[int, int]]()
-        """Ports of data and position packets of each sensor."""
-        self.http: str | None = None
-        """URL of the web interface of the first sensor; None without one."""
+    def __init__(
+        self, emulator: Emulator, *, truth: bool = True, look_ahead: int = LOOK_AHEAD_PACKETS, **options: Any
+    ) -> None:
+        engine = replace(emulator.engine, truth_of=door("truth_of_records")) if truth else emulator.engine
+        self._emulator = emulator.with_engine(engine)
+        self.ports = list[tuple[int, int]]()  # ports of data and position packets of each sensor
+        self.http: str | None = None  # URL of the web interface of the first sensor; None without one
         self._stop, self._changed, self._over = Event(), Condition(), False
         self._result: Streamed | None = None
         self._error: BaseException | None = None
@@ -151,10 +149,9 @@ class Live(PacketSink):
 
         Of packets that left more than 2048 packets ago nothing is known. After `set` and `fault` it is those that follow it.
 
-        Raises
-        ------
-        InputError : If there is no such unit or kind (data or position), or more than 2048 packets are asked for
-        RunError : If they have not left when the stream ends, or when `timeout_s` has passed; errors of the stream
+        Raises InputError if there is no such unit or kind (data or position), or more than 2048 packets are
+        asked for; RunError if they have not left when the stream ends, or when `timeout_s` has passed; errors
+        of the stream.
         """
         lane = self._lane(unit, kind)
         if not 1 <= count <= _HELD:
@@ -177,9 +174,8 @@ class Live(PacketSink):
         `instance` and `species` are those of the surface that the return is from; `echo` is 0 for the strongest, 1 for
         the last, 2 for the second strongest and 255 for none; `t_ns` and `world_T_sensor` (4, 4) are those of the pulse.
 
-        Raises
-        ------
-        InputError : If none of the sensor's last 2048 packets has the stamp, or the stream was begun without truth
+        Raises InputError if none of the sensor's last 2048 packets has the stamp, or the stream was begun
+        without truth.
         """
         lane, stamp = self._lane(unit, "data"), _stamp(payload)
         with self._changed:
@@ -191,7 +187,7 @@ class Live(PacketSink):
         rows = np.zeros(len(slots), RECORD_TRUTH)
         for name in SLOT.names or ():
             rows[name] = slots[name]
-        rows["world_T_sensor"] = self.run.engine.parts.units[unit - 1].world_T_sensor(rows["t_ns"])
+        rows["world_T_sensor"] = self._emulator.parts.units[unit - 1].world_T_sensor(rows["t_ns"])
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
@@ -200,12 +196,9 @@ class Live(PacketSink):
         They have labels if the stream has truth. Their times are those of the scene. A program that is behind by more than
         2048 packets goes on with the newest. What is no whole data packet is passed over.
 
-        Raises
-        ------
-        InputError : If there is no such unit
-        Vlp16emuError : Errors of the stream
+        Raises InputError if there is no such unit; others as of the stream.
         """
-        lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
+        lane, of = self._lane(unit, "data"), self._emulator.parts.units[unit - 1]
         return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
@@ -220,9 +213,7 @@ class Live(PacketSink):
         kind : as in `[[events]]`, for instance drop, reorder, corrupt, pps_loss or power_cycle
         keys : of that event, for instance `count=1` or `duration_s=0.5`
 
-        Raises
-        ------
-        InputError : If it is none, or cannot happen in this scene, or the stream has no web interface
+        Raises InputError if it is none, or cannot happen in this scene, or the stream has no web interface.
         """
         if (control := self._control) is None:
             raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")
@@ -260,10 +251,9 @@ class Live(PacketSink):
         self.http = "http://{}:{}/".format(*places[0])
 
     def _work(self, look_ahead: int) -> None:
-        """Body of the thread."""
         try:
             hooks: dict[str, Any] = {"watched": self._watches, "opened": self._opens, "stop": self._stop}
-            self._result = stream_run(self.run, self._asked, look_ahead=look_ahead, **hooks)
+            self._result = stream_run(self._emulator, self._asked, look_ahead=look_ahead, **hooks)
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that waits, which raises it
             self._error = error
         with self._changed:
@@ -282,7 +272,7 @@ class Live(PacketSink):
     def _lane(self, unit: int, kind: str) -> _Lane:
         if kind not in ("data", "position"):
             raise InputError("kind", f"found {kind}", "data or position")
-        return self._lanes[self.run.number(unit), PacketKind(kind)]
+        return self._lanes[self._emulator.number(unit), PacketKind(kind)]
 
     def _next_of(self, lane: _Lane) -> int:
         """Return the number of the packet that is to be taken next: held still, and not due before the last change."""

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from vlp16emu.run.run import Run
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import FellBehind
 
@@ -20,14 +20,12 @@ _WARM_S, _MEASURED_S = 0.1, 1.5
 class Rung:
     """A rung of the ladder; reach and rays are no more than the scene's own."""
 
-    rays: int
-    """Most sub-rays of a pulse."""
+    rays: int  # most sub-rays of a pulse
     reach_m: float
     gain: float
     """About how much faster a forest is than on the first rung: us per pulse in `tools/results/accuracy.md`, and for the
     reach `scenes/OUTPUTS.md`."""
-    error_mm: float
-    """Mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`."""
+    error_mm: float  # mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`
 
     @property
     def name(self) -> str:
@@ -56,8 +54,7 @@ LADDER = (
     Rung(4, math.inf, 1.25, 75.0),
     Rung(1, math.inf, 3.0, 120.0),
     Rung(1, 45.0, 6.0, 120.0),
-)
-"""No rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing."""
+)  # no rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing
 
 
 def below(scenario: Scenario) -> list[Rung]:
@@ -126,16 +123,11 @@ def keeps_up_with(times: Sequence[FellBehind], scenario: Scenario, speed: float)
 class KeptUp:
     """Rung of a stream, as measured on this machine."""
 
-    rung: Rung | None
-    """None for the scene as it is."""
-    speed: float
-    """Simulated seconds per second on it."""
-    enough: bool
-    """True if the rung leaves a fifth of the time free."""
-    cores: int
-    """Cores that this process may use."""
-    cores_as_it_is: int
-    """Cores like these with which the scene would keep up as it is."""
+    rung: Rung | None  # none for the scene as it is
+    speed: float  # simulated seconds per second on it
+    enough: bool  # true if the rung leaves a fifth of the time free
+    cores: int  # cores that this process may use
+    cores_as_it_is: int  # cores like these with which the scene would keep up as it is
 
     @property
     def line(self) -> str:
@@ -152,31 +144,30 @@ class KeptUp:
         return line if self.rung is None and self.enough else f"{line}; as it is with {self.cores_as_it_is} cores"
 
 
-def keep_up(run: Run, speed: float) -> tuple[Run, KeptUp]:
-    """Measure this machine for some seconds, and return the run on the rung that `choose` takes.
+def keep_up(emulator: Emulator, speed: float) -> tuple[Emulator, KeptUp]:
+    """Measure this machine for some seconds, and return the emulator on the rung that `choose` takes.
 
-    A run on a rung has the bytes of a recording with its settings.
+    On a rung it has the bytes of a recording with its settings.
 
     Parameters
     ----------
-    run : with the settings of the user
+    emulator : with the settings of the user
     speed : simulated seconds per second asked for
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    on: dict[Rung | None, Run] = {}
+    on: dict[Rung | None, Emulator] = {}
 
     def measured(rung: Rung | None) -> float:
-        on[rung] = run.changed(rung.settings) if rung else run
+        on[rung] = emulator.changed(rung.settings) if rung else emulator
         return _speed(on[rung])
 
-    rung, reached, own = choose(run.scenario, speed, measured)
+    rung, reached, own = choose(emulator.scenario, speed, measured)
     needed = speed / (1 - _FREE)
     return on[rung], KeptUp(rung, reached, reached >= needed, cores, math.ceil(cores * needed / own))
 
 
-def _speed(run: Run) -> float:
-    """Compute a stretch of a run, and return the simulated seconds per second."""
-    engine, (_, stop_s) = replace(run.engine, taps=()), run.scenario.span_s(0.0, None)
+def _speed(emulator: Emulator) -> float:
+    engine, (_, stop_s) = replace(emulator.engine, taps=()), emulator.scenario.span_s(0.0, None)
     for _ in engine.packets(0.0, min(_WARM_S, stop_s)):
         pass
     stop_s, began_s = min(_MEASURED_S, stop_s), time.perf_counter()

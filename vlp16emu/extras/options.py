@@ -100,8 +100,7 @@ class TrajectoryErrors(Options):
             expected=f"the numbers {_MOUNT}",
             shown=False,
         ),
-    ] = (0.0,) * 6
-    """Place in m and turn in degrees, as `[motion.mount]`."""
+    ] = (0.0,) * 6  # place in m and turn in degrees, as `[motion.mount]`
     drift: Annotated[
         Any,
         Option(
@@ -111,8 +110,7 @@ class TrajectoryErrors(Options):
             expected=f"the numbers {_DRIFT}",
             shown=False,
         ),
-    ] = (0.0,) * 4
-    """To the east, north and up, and counter-clockwise about the first pose."""
+    ] = (0.0,) * 4  # to the east, north and up, and counter-clockwise about the first pose
 
 
 @dataclass(frozen=True)

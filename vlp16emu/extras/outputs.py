@@ -6,6 +6,7 @@ import shutil
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, Self
 
@@ -16,9 +17,7 @@ _MARK, _MARK_WITHIN = b"vlp16emu", 4096
 """What the files of a report name as their writer, and in how many of their first bytes."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
-
-def _first_name(folder: Path) -> str | None:
-    return min((path.name for path in folder.iterdir()), default=None)
+_NAME_OF = attrgetter("name")
 
 
 class OutputFolder:
@@ -35,17 +34,14 @@ class OutputFolder:
     expected : what error lines call a folder that may be written
     inputs : files that the run reads, and that may not be in the folder
 
-    Raises
-    ------
-    OutputError
-        If it cannot be made, holds something else or one of the inputs, or another run writes it.
+    Raises OutputError if it cannot be made, holds something else or one of the inputs, or another run writes it.
     """
 
     def __init__(
         self,
         path: Path,
         *,
-        stranger: Callable[[Path], str | None] = _first_name,
+        stranger: Callable[[Path], str | None] = lambda folder: min(map(_NAME_OF, folder.iterdir()), default=None),
         expected: str = "a new or empty folder",
         inputs: Iterable[Path] = (),
     ) -> None:
@@ -84,7 +80,12 @@ class OutputFolder:
             self._check()
             if self._final.exists():
                 _exchange(self.path, self._final)
-                _remove(self.path)
+                with suppress(
+                    OSError
+                ):  # what cannot be removed of the earlier run, a flat folder, stays beside the new one
+                    for file in self.path.iterdir():
+                        file.unlink()
+                    self.path.rmdir()
             else:
                 self.path.rename(self._final)
         except (OSError, OutputError) as error:
@@ -114,12 +115,8 @@ def report(folder: Path, names: Iterable[str]) -> Iterator[list[BinaryIO]]:
 
     Each file says within its first 4096 bytes that vlp16emu has written it, and replaces none that does not say so.
 
-    Raises
-    ------
-    OutputError
-        If the folder or a file cannot be made, or a file that no report has is in its place
-    RunError
-        If a file cannot be written to its end
+    Raises OutputError if the folder or a file cannot be made, or a file that no report has is in its place;
+    RunError if a file cannot be written to its end.
     """
     where = f"--out {folder}"
     with ExitStack() as stack:
@@ -155,11 +152,3 @@ def _exchange(one: Path, other: Path) -> None:
         aside.rename(other)
         raise
     aside.rename(one)
-
-
-def _remove(folder: Path) -> None:
-    """Remove the flat folder of an earlier run; a file that cannot be removed stays, beside the new folder."""
-    with suppress(OSError):
-        for file in folder.iterdir():
-            file.unlink()
-        folder.rmdir()

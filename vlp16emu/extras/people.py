@@ -55,12 +55,7 @@ class People:
         return Peopled(geometry, self)
 
     def in_front(self, firings: Firings, hits: Hits, first_surface: int) -> Hits:
-        """Return hits, in which a pulse that meets a person before anything else ends there, with all its sub-rays.
-
-        Parameters
-        ----------
-        first_surface : row of the companion in the table of surfaces
-        """
+        """Return hits, in which a pulse that meets a person first ends there, with all its sub-rays; of the surface from that row on."""
         owner, t_ns = np.repeat(np.arange(hits.count.size), hits.count.ravel()), firings.t_ns[:, 0]
         present = self._section.behind_m, self._section.passes_every_s
         for number, foot in enumerate((self._companion, self._passer)):

@@ -3,23 +3,21 @@
 import math
 import sys
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from vlp16emu.engine import Engine, Unit
+from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.keep_up import choose, settings_that_keep_up
 from vlp16emu.extras.meshes.furnished import MeshKey
-from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.foliage import IvyKey
+from vlp16emu.forest.plants.prototypes import CrownKey, SaplingKey, ShrubKey
 from vlp16emu.forest.plants.stem import StemKey
-from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
-from vlp16emu.forest.stand.inventory import ModelKey
+from vlp16emu.forest.stand.tree_models import ModelKey
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import Window
 
 _KINDS = {
     CrownKey: "trees",
@@ -42,16 +40,6 @@ class Need:
     name: str
     on: bool
     costs: str  # cost if it is on, else what is saved
-
-
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """Things in reach of the sensor at the start."""
-
-    kind: str  # kind of the world
-    species: tuple[str, ...]
-    placed: Mapping[str, int]  # placements by kind
-    surfaces: int  # rows of the window's table
 
 
 def needs(engine: Engine, *, audited: bool) -> list[Need]:
@@ -80,42 +68,31 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
         "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),
         "truth": (False, "", "no files beside it: see `vlp16emu record --truth`"),
     }
-    rows = _of_sensor(parts.units[0]) | rows
-    return [Need(name, on, costs if on else spares) for name, (on, costs, spares) in rows.items()]
-
-
-def _of_sensor(unit: Unit) -> dict[str, tuple[bool, str, str]]:
+    unit = parts.units[0]
     of, beam, one_ray = unit.detector.constants, unit.beam, "one ray for each pulse, no axes of its footprint"
     is_noisy = max(of.range_noise_m, of.reflectivity_noise, of.reflectivity_noise_share) > 0.0
     ranked, strongest = "all echoes of each pulse are ranked", "nothing is looked for behind the strongest echo"
-    return {
+    of_sensor = {
         "beam width": (beam.has_width, f"up to {beam.rays} rays for each pulse", one_ray),
         "range and reflectivity noise": (is_noisy, "a pair of random numbers for each return", "no random number"),
         "detection threshold": (of.amplitude_noise > 0.0, "a random number for each faint echo", "every echo is seen"),
         "weather": (of.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
         "last and second return": (not of.strongest_only, ranked, strongest),
     }
+    return [Need(name, on, costs if on else spares) for name, (on, costs, spares) in (of_sensor | rows).items()]
 
 
-def surroundings(engine: Engine) -> Surroundings:
-    """Count the things in the first window."""
+def surroundings(engine: Engine) -> dict[str, Any]:
+    """Return what is in reach of the sensor at the start: the kind of the world, species, and how often each kind is placed."""
     window = window_of(engine.parts, engine.scenario.start_ns, engine.batching, 0)
-    named = (getattr(key, "species", None) for key in window.shapes)
-    return Surroundings(
-        kind=engine.scenario.world.kind,
-        species=tuple(sorted({name for name in named if name is not None})),
-        placed=dict(_counts(window)),
-        surfaces=len(window.surfaces),
-    )
-
-
-def _counts(window: Window) -> Counter[str]:
-    counts = Counter[str](tiles=0, trees=0)
+    named, placed = (getattr(key, "species", None) for key in window.shapes), Counter[str](tiles=0, trees=0)
     for which, often in Counter(window.shape.tolist()).items():
         key = window.shapes[which]
         kind = f"{key.kind.name.lower()}s" if isinstance(key, FloorKey) else _KINDS.get(type(key), "things")
-        counts[kind] += often
-    return counts
+        placed[kind] += often
+    species = tuple(sorted({name for name in named if name is not None}))
+    kind = engine.scenario.world.kind
+    return {"kind": kind, "species": species, "placed": dict(placed), "surfaces": len(window.surfaces)}
 
 
 def libraries() -> dict[str, bool]:

@@ -1,21 +1,25 @@
-"""A capture sent again: its packets at their own pace, from any VLP-16."""
+"""Captures that are sent: any VLP-16's at its own pace, and a run that is recorded first, so that its engine cannot be too slow."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from ipaddress import ip_address
+from ipaddress import IPv4Address, ip_address
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.extras.bench.retime import moved
 from vlp16emu.extras.free_ports import free_ports
-from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, units_in
+from vlp16emu.output import STDOUT
+from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, Link, units_in
 from vlp16emu.packets.frames import POSITION_PORT
-from vlp16emu.run.options import ReplayOptions
+from vlp16emu.run.emulator import Emulator
+from vlp16emu.run.options import RecordOptions, ReplayOptions, StreamOptions
+from vlp16emu.run.record import record
 from vlp16emu.run.report import OfUnits, UnitSent
-from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, stream
+from vlp16emu.scenario.model import CaptureClock
+from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, check_ending, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -35,17 +39,14 @@ class Replay:
     keep_gaps : wait through gaps of more than a minute; else they are shortened to one or two seconds, and what packets
         say of their time stays
 
-    Raises
-    ------
-    CaptureError : If the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged
+    Raises CaptureError if the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged.
     """
 
     def __init__(self, path: Path, *, loop: bool = False, keep_gaps: bool = False) -> None:
         if path.is_fifo():
             raise CaptureError(str(path), "a pipe", "a file, which can be read twice")
         self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
-        self.units = units_in(path, required=True)
-        """In order of address, then of port."""
+        self.units = units_in(path, required=True)  # in order of address, then of port
         self.links = [
             replace(
                 FACTORY_LINK,
@@ -54,14 +55,10 @@ class Replay:
                 position_port=next(iter(unit.position_ports), POSITION_PORT),
             )
             for unit in self.units
-        ]
-        """Where the packets of each are sent."""
-        self.passes = 0
-        """Begun so far."""
-        self.left_out = 0
-        """Datagrams of the first pass that are no whole packets of a unit."""
-        self.gaps_s = list[float]()
-        """Gaps of the first pass that were shortened."""
+        ]  # where the packets of each are sent
+        self.passes = 0  # begun so far
+        self.left_out = 0  # datagrams of the first pass that are no whole packets of a unit
+        self.gaps_s = list[float]()  # gaps of the first pass that were shortened
 
     def __iter__(self) -> Iterator[Packet]:
         later_ns = cut_ns = 0
@@ -102,13 +99,10 @@ class Replayed(OfUnits):
 
     file: str
     to: str
-    units: tuple[UnitSent, ...]
-    """Address of each sensor in the capture, and the ports that its packets were sent to."""
-    left_out: int
-    """Datagrams of the file that are no packets of a VLP-16."""
+    units: tuple[UnitSent, ...]  # address of each sensor in the capture, and the ports that its packets were sent to
+    left_out: int  # datagrams of the file that are no packets of a VLP-16
     passes: int
-    gaps_s: tuple[float, ...]
-    """Gaps of more than a minute that were shortened."""
+    gaps_s: tuple[float, ...]  # gaps of more than a minute that were shortened
     sent: StreamReport
 
     @property
@@ -137,12 +131,8 @@ def replay(
     stop : ends it from another thread
     options : fields of `ReplayOptions`
 
-    Raises
-    ------
-    InputError
-        If an option is not right, ports are given for several sensors, or the present is wanted at another speed than its own
-    CaptureError : As `Replay`
-    OutputError, RunError : As `Emulator.stream`
+    Raises InputError if an option is not right, ports are given for several sensors, or the present is wanted at
+    another speed than its own; CaptureError as `Replay`; OutputError, RunError as `Emulator.stream`.
     """
     asked = ReplayOptions(**options)
     to, data_port = asked.receiver
@@ -175,3 +165,35 @@ def replay(
         for number, (unit, link, of) in enumerate(zip(packets.units, links, counts, strict=True), start=1)
     )
     return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), report)
+
+
+def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
+    """Record a whole run into the file `prepare` of the options, and yield its packets as `packets_of` does.
+
+    Raises OutputError if the place cannot be read again, or has the ending of another format; and others as
+    `record`.
+    """
+    path = Path(options.prepare or "")
+    if path == STDOUT or (path.exists() and not path.is_file()):
+        raise OutputError(str(path), "no file that can be read again", "the name of a file")
+    check_ending(path)
+    # Packets leave when they are due: the clock of a host that records has no part in it.
+    scenario = emulator.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
+    asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
+    record(emulator.with_engine(replace(emulator.engine, scenario=scenario)), path, asked, **hooks)
+    return packets_of([unit.link for unit in emulator.engine.parts.units], path)
+
+
+def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
+    """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
+
+    `links` are those of the units that the packets are from. Raises CaptureError if the file is damaged.
+    """
+    ways = {
+        (IPv4Address(link.source).packed, port): (kind, number)
+        for number, link in enumerate(links)
+        for kind, port in ((PacketKind.DATA, link.data_port), (PacketKind.POSITION, link.position_port))
+    }
+    for datagram in Capture(path, repeats=True):
+        kind, number = ways[datagram.source, datagram.destination_port]
+        yield Packet(kind, datagram.stamp_ns, datagram.payload, number)

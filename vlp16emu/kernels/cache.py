@@ -1,41 +1,25 @@
 """Compiled kernels, kept on disk by content.
 
-The name of a file says the state of all files that kernels are made of, of the libraries that compile them and of the
-processor that they are compiled for, whatever the place and the time stamps of the files; and kernel and types.
+The name of a file says the content of the files that a kernel is made of, whatever their place and time stamps: the file of
+its module, those of the types of its arguments, whose overloads it may call, and all that these import; then the libraries
+that compile it, the processor that it is compiled for, the kernel and its types.
 """
 
 import hashlib
 import os
 import pickle
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vlp16emu.store import PACKAGE, Store, digest_of, read_checked
+from vlp16emu.store import PACKAGE, Store, read_checked, user_folder
 
-SOURCES = (  # files and folders of kernels, and of what kernels take
-    "elementary.py",
-    "extras/clouds/place.py",
-    "extras/imu",
-    "extras/live",
-    "extras/recorded",
-    "foliage",
-    "forest",
-    "motion",
-    "random.py",
-    "raycast",
-    "returns",
-    "sensor",
-    "settings.py",
-    "trig.py",
-    "types.py",
-    "units.py",
-    "world",
-)
+_IMPORT = re.compile(r"^ *from vlp16emu([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _SUFFIX = ".kernel"
-_MOST_BYTES = 100_000_000
+_MOST_BYTES = 200_000_000
 _PACKAGED = PACKAGE / "_kernels"  # kernels that a wheel carries
 
 
@@ -44,7 +28,8 @@ class KernelCache:
 
     def __init__(self, function: Callable[..., object]) -> None:
         code = function.__code__
-        self._name = f"{function.__module__.partition('.')[2]}.{code.co_qualname}-{code.co_firstlineno}"
+        self._module = function.__module__
+        self._name = f"{self._module.partition('.')[2]}.{code.co_qualname}-{code.co_firstlineno}"
         self._is_kept = function.__closure__ is None  # what it encloses is no part of the name
 
     @property
@@ -80,31 +65,67 @@ class KernelCache:
         user_kernels().write(self._file(signature), b"")
 
     def _file(self, signature: object) -> str:
-        types = str(getattr(signature, "args", signature))
-        return f"{_state()}-{self._name}-{hashlib.sha256(types.encode()).hexdigest()[:20]}{_SUFFIX}"
+        args = getattr(signature, "args", signature)
+        of = hashlib.sha256(str(args).encode()).hexdigest()[:20]
+        return f"{_state()}-{self._name}-{of}-{_content(frozenset({self._module, *_modules(args)}))}{_SUFFIX}"
 
 
 @cache
 def user_kernels() -> Store:
-    """Folder of the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
-    from platformdirs import user_cache_path
-
+    """Return the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    ours = user_cache_path("vlp16emu", appauthor=False)
-    folder = Path(chosen).absolute() / "vlp16emu-kernels" if chosen else ours / "kernels"
+    folder = Path(chosen).absolute() / "vlp16emu-kernels" if chosen else user_folder("kernels")
     return Store(folder, _SUFFIX, _MOST_BYTES)
 
 
 def kernel_names() -> list[str]:
-    """List the compiled kernels of this state, as `room.module.kernel`, each once for each of its types."""
+    """List the compiled kernels of this processor and these libraries, as `room.module.kernel`, each once for each of its types."""
     folders = [folder for folder in (_PACKAGED, user_kernels().own) if folder]
     paths = [path for folder in folders for path in folder.glob(f"{_state()}-*{_SUFFIX}")]
-    return [path.name.split("-")[1] for path in paths]
+    return [name.split("-")[1] for name in {path.name.rpartition("-")[0] for path in paths}]
+
+
+def sources_of(modules: frozenset[str]) -> list[str]:
+    """Return the files of the package that modules are made of: their own, and those of all that they import."""
+    left, found = set(modules), set[str]()
+    while left:
+        place = left.pop().partition(".")[2].replace(".", "/")
+        for file in {f"{place}.py", f"{place}/__init__.py"} - found:
+            if place and (PACKAGE / file).is_file():
+                found.add(file)
+                left.update(_read(file)[1])
+    return sorted(found)
+
+
+def _modules(kind: Any) -> Iterator[str]:
+    """Yield the modules of the named tuples among types."""
+    if owner := getattr(kind, "instance_class", None):
+        yield owner.__module__
+    for inner in kind if isinstance(kind, tuple) else getattr(kind, "types", ()):
+        yield from _modules(inner)
+
+
+@cache
+def _read(file: str) -> tuple[str, list[str]]:
+    """Return the digest of a file of the package, with the tables beside it, and what it may import of the package."""
+    path = PACKAGE / file
+    text, imports = path.read_text(encoding="utf-8"), list[str]()
+    for place, names in _IMPORT.findall(text):
+        imports += [f"vlp16emu{place}", *(f"vlp16emu{place}.{name}" for name in re.findall(r"\w+", names))]
+    tables = [(table.name, table.read_text(encoding="utf-8")) for table in sorted(path.parent.glob("*.toml"))]
+    return hashlib.sha256(repr((text, tables)).encode()).hexdigest(), imports
+
+
+@cache
+def _content(modules: frozenset[str]) -> str:
+    """Name the content of the files that modules are made of."""
+    read = [(file, _read(file)[0]) for file in sources_of(modules)]
+    return hashlib.sha256(repr(read).encode()).hexdigest()[:16]
 
 
 @cache
 def _state() -> str:
-    """Name the state of all that decides what is compiled, as it is when this is first asked."""
+    """Name the processor, libraries and options that decide what is compiled, as they are when this is first asked."""
     import llvmlite
     import numba
     import numpy as np
@@ -113,4 +134,4 @@ def _state() -> str:
     versions = numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag
     target = cpu_target.target_context.codegen().magic_tuple()
     options = [getattr(numba.config, name) for name in ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE")]
-    return digest_of(SOURCES, versions, target, options)[:16]
+    return hashlib.sha256(repr((versions, target, options)).encode()).hexdigest()[:16]

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, matvec, sin, tanh
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps
 from vlp16emu.random import Purpose, normal_pair, uniform_pair

@@ -16,7 +16,7 @@ from referencing import Registry, Resource
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.device import DeviceInfo, DeviceSettings, document
 from vlp16emu.extras.bench.options import Http
-from vlp16emu.extras.bench.web import HttpFault, WebServer
+from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 FOLDER = Path(__file__).parents[3] / "protocol" / "web"
@@ -249,12 +249,12 @@ def test_a_sensor_that_starts_answers_nothing(web, speak):
 
 def test_a_fault_of_the_web_interface(web, speak, monkeypatch):
     """A fault gives every request one status, and sets nothing; or no answer until the line is closed."""
-    web.fault = HttpFault(503)
+    web.fault = 503
     status, answer = web.client.post("/cgi/setting", "rpm=300")
     assert (status, json.loads(answer)) == (503, {"error": "Service Unavailable"})
     assert web.device.settings.rpm == 600
     monkeypatch.setattr("vlp16emu.extras.bench.web.LONGEST_S", 0.2)
-    web.fault = HttpFault(None)
+    web.fault = 0
     assert speak(get("/cgi/info.json")) == []
     web.fault = None
     assert speak(get("/cgi/info.json", "Connection: close"))[0].startswith(b"HTTP/1.1 200 OK")

@@ -4,8 +4,6 @@ import shutil
 
 import pytest
 
-from vlp16emu.extras.bench.web import HttpFault
-
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 CHROMIUM = shutil.which("chromium")
@@ -147,7 +145,7 @@ def test_what_is_being_typed_stays(web, page):
 
 def test_the_page_says_when_nothing_answers(web, page):
     """A sensor that starts, and one whose web interface is faulty, are shown as such, and found again."""
-    for name, broken, well in (("fault", HttpFault(503), None), ("is_up", False, True)):
+    for name, broken, well in (("fault", 503, None), ("is_up", False, True)):
         setattr(web if name == "fault" else web.engine, name, broken)
         page.wait("at('link').textContent == 'no answer'")
         setattr(web if name == "fault" else web.engine, name, well)

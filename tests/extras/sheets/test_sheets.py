@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vlp16emu.errors import InputError
-from vlp16emu.extras.palette import colour_of_species
+from vlp16emu.extras.plots import colour_of_species
 from vlp16emu.extras.sheets.sheet import StandSection, draw_section, draw_sheet, draw_side, legend_entries, strip_along
 from vlp16emu.extras.sheets.survey import (
     CELL_M,
@@ -21,7 +21,7 @@ from vlp16emu.extras.sheets.survey import (
     tables_of_returns,
 )
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
@@ -34,16 +34,16 @@ TREES = np.array(
 def test_rows_add_up_to_sums_by_hand():
     """Density, quadratic mean diameter, basal area, volume and leaf area follow from the trees and the area."""
     birch, oak, together = stand_rows(TREES, {1: "silver_birch", 7: "english_oak"}, 500.0)
-    assert (birch.species, oak.species, together.species) == ("silver_birch", "english_oak", "all")
-    assert (birch.stems, birch.stems_per_ha) == (2, 40.0)
-    assert birch.dbh_mean_cm == pytest.approx(100 * np.sqrt((0.01 + 0.09) / 2))
-    assert (birch.dbh_min_cm, birch.dbh_max_cm) == (10.0, 30.0)
-    assert birch.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * 0.10 * 20)
-    assert together.stem_m3_per_ha == pytest.approx(2.75 * 20)
-    assert together.leaf_area_index == pytest.approx(200 / 500)
-    assert together.height_max_m == 25.0
+    assert (birch["species"], oak["species"], together["species"]) == ("silver_birch", "english_oak", "all")
+    assert (birch["stems"], birch["stems_per_ha"]) == (2, 40.0)
+    assert birch["dbh_mean_cm"] == pytest.approx(100 * np.sqrt((0.01 + 0.09) / 2))
+    assert (birch["dbh_min_cm"], birch["dbh_max_cm"]) == (10.0, 30.0)
+    assert birch["basal_area_m2_per_ha"] == pytest.approx(np.pi / 4 * 0.10 * 20)
+    assert together["stem_m3_per_ha"] == pytest.approx(2.75 * 20)
+    assert together["leaf_area_index"] == pytest.approx(200 / 500)
+    assert together["height_max_m"] == 25.0
     # A pure stand has one row, and a bare plain has none.
-    assert [row.species for row in stand_rows(TREES[:2], {1: "silver_birch"}, 500.0)] == ["silver_birch"]
+    assert [row["species"] for row in stand_rows(TREES[:2], {1: "silver_birch"}, 500.0)] == ["silver_birch"]
     assert stand_rows(TREES[:0], {}, 500.0) == []
 
 

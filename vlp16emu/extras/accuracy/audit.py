@@ -217,18 +217,14 @@ _SAMPLED = ("fixed", "adaptive")
 class AuditFinding:
     """Error of a run, estimated from pulses that are cast again; shares are of returns, None if not known."""
 
-    exact: bool
-    """A pulse is one ray, by the scene's own choice."""
-    pulses: int
-    """Pulses cast again."""
+    exact: bool  # a pulse is one ray, by the scene's own choice
+    pulses: int  # pulses cast again
     range_rmse_m: float | None
-    range_rmse_low_m: float | None
-    """Lower end of the 95 % confidence interval of the error."""
+    range_rmse_low_m: float | None  # lower end of the 95 % confidence interval of the error
     range_rmse_high_m: float | None
     lost: float | None
     invented: float | None
-    other_echo: float | None
-    """Share whose strongest return is another echo."""
+    other_echo: float | None  # share whose strongest return is another echo
 
 
 class Audit:
@@ -290,7 +286,6 @@ def _some_firings(firings: Firings, rows: slice, lasers: I8) -> Firings:
 
 
 def _some_hits(hits: Hits, rows: slice, lasers: I8) -> Hits:
-    """Return the hits of some lasers of some consecutive sequences."""
     own, before = hits.count[rows], int(hits.count[: rows.start].sum())
     stop = before + np.cumsum(own, dtype=np.int64).reshape(own.shape)
     count = np.ascontiguousarray(own[:, lasers])

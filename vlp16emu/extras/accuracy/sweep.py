@@ -134,8 +134,7 @@ _STYLES = {
     Kind.BEAM_ERROR: (CYCLE[4], "x", (4, 5)),
     Kind.FIXED: (CYCLE[0], "o", (4, 5)),
     Kind.ADAPTIVE: (CYCLE[2], "D", (-8, -13)),
-}
-"""Colour, mark, and offset of the label in points; to the left it is right-aligned."""
+}  # colour, mark, and offset of the label in points; to the left it is right-aligned
 
 
 def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:

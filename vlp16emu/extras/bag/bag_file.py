@@ -25,27 +25,19 @@ _OWN_TYPES = {
 }
 """Definitions in github.com/ros-drivers/velodyne (velodyne_msgs/msg) and nmea_msgs (msg), and in
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
-_HELD_NS = S_NS
-"""Time for which messages wait for earlier ones."""
-_FAILURES = (OSError, sqlite3.Error)
-"""Errors of a full disk, the second one in a folder of ROS 2."""
-_NAME = 60
-"""Characters of the name that are part of the temporary folder's."""
+_HELD_NS = S_NS  # time for which messages wait for earlier ones
+_FAILURES = (OSError, sqlite3.Error)  # errors of a full disk, the second one in a folder of ROS 2
+_NAME = 60  # characters of the name that are part of the temporary folder's
 LATEST_NS = (2**31 - 1) * S_NS
 """Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
-_METADATA_VERSION = 8
-"""Last version of rosbag2 whose quality of service is a text."""
+_METADATA_VERSION = 8  # last version of rosbag2 whose quality of service is a text
 
 
 def check_bag(path: Path) -> None:
     """Refuse what no bag can be written to.
 
-    Raises
-    ------
-    OutputError
-        If the ending is another, or the folder is there already
-    MissingExtraError
-        If rosbags is not installed
+    Raises OutputError if the ending is another, or the folder is there already; MissingExtraError if rosbags is not
+    installed.
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES or not path.name:
@@ -59,18 +51,11 @@ def check_bag(path: Path) -> None:
 class BagFile:
     """A bag, which takes its name when it is closed without error; a context manager.
 
+    It is .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not.
     Messages may come in any order within a second, and are written in the order of their times.
 
-    Parameters
-    ----------
-    path : .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not
-
-    Raises
-    ------
-    OutputError
-        If the suffix is another, the folder is there already, or nothing can be written there
-    MissingExtraError
-        If rosbags is not installed
+    Raises OutputError if the suffix is another, the folder is there already, or nothing can be written there;
+    MissingExtraError if rosbags is not installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -102,10 +87,8 @@ class BagFile:
         self._connections: dict[str, Any] = {}
         self._held: list[tuple[int, int, str, Any]] = []
         self._number = count()
-        self.counts: dict[str, int] = {}
-        """Messages by topic."""
-        self.span_ns: tuple[int, int] | None = None
-        """UTC of the first and the last message."""
+        self.counts: dict[str, int] = {}  # messages by topic
+        self.span_ns: tuple[int, int] | None = None  # UTC of the first and the last message
 
     def __enter__(self) -> Self:
         return self
@@ -140,10 +123,7 @@ class BagFile:
 
         Fields are in the order of the type's definition, and those of messages within it again so.
 
-        Raises
-        ------
-        RunError
-            If the disk is full, or no bag can hold the stamp
+        Raises RunError if the disk is full, or no bag can hold the stamp.
         """
         if not 0 <= t_ns <= LATEST_NS:
             raise RunError(f"{self.path}: a message at {t_ns / S_NS:.3f} s since 1970 fits no bag; no bag is written")
@@ -169,7 +149,6 @@ class BagFile:
         return self._store.types[name](*made)
 
     def _append(self) -> None:
-        """Append the earliest message that waits."""
         t_ns, _, topic, message = heapq.heappop(self._held)
         name = message.__msgtype__
         if topic not in self._connections:

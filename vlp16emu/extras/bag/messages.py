@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
-from vlp16emu.extras.truth.truth import given_mount
+from vlp16emu.extras.truth.truth import given_mount, transform
 from vlp16emu.packets import (
     DATA_PAYLOAD,
     JUMP_NS,
@@ -25,8 +25,7 @@ from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 """PointXYZIRT of velodyne_pointcloud (pointcloudXYZIRT.cpp, ros-drivers/velodyne): packed, 22 bytes."""
-_FLOAT32, _UINT16 = 7, 4
-"""Types of sensor_msgs/PointField."""
+_FLOAT32, _UINT16 = 7, 4  # types of sensor_msgs/PointField
 _FIELDS = [
     (name, offset, _FLOAT32 if kind.kind == "f" else _UINT16, 1)
     for name, (kind, offset, *_) in (_POINT.fields or {}).items()
@@ -34,10 +33,8 @@ _FIELDS = [
 _NO_ATTITUDE, _NO_ESTIMATE = (0.0,) * 4, np.array([-1.0, *[0.0] * 8])
 """Orientation of an inertial unit that has none, and the covariance that says so (sensor_msgs/Imu)."""
 _EXACT = np.zeros(36)
-_UNKNOWN_M2 = 1e6
-"""Variance of the height, which an RMC sentence does not have."""
-_UNKNOWN_RAD2 = math.pi**2 / 3.0
-"""Variance of a heading that may be any, as drift makes it in the end."""
+_UNKNOWN_M2 = 1e6  # variance of the height, which an RMC sentence does not have
+_UNKNOWN_RAD2 = math.pi**2 / 3.0  # variance of a heading that may be any, as drift makes it in the end
 
 
 class UnitMessages:
@@ -98,7 +95,6 @@ class UnitMessages:
         return payloads
 
     def _write_scan(self) -> None:
-        """Write the packets of a scan, and their points."""
         bag, payloads, t_ns = self._bag, self.check(), np.array([t_ns for t_ns, _, _ in self._held])
         if not self._held:
             return
@@ -166,7 +162,11 @@ class TrueMessages:
         if "imu" in self._rig:
             mounts.append(("imu", given_mount(self._rig["imu"], "body_T_imu")))
         header = self._bag.header(t_ns, "base_link", "/tf_static")
-        if moved := [(header, child, _placed(T)) for child, T in mounts if T is not None]:
+        if moved := [
+            (header, child, (place["translation_m"], place["quaternion_xyzw"]))
+            for child, T in mounts
+            if T is not None and (place := transform(T[:3, :3], T[:3, 3]))
+        ]:
             self._bag.write("/tf_static", t_ns, "tf2_msgs/msg/TFMessage", moved)
 
     def odometry(self, t_ns: int, numbers: Sequence[float]) -> None:
@@ -197,14 +197,6 @@ class TrueMessages:
         what = (int(valid) - 1, 1), latitude_deg, longitude_deg, math.nan, self._place, 1
         header = self._bag.header(t_ns, "gps", "/fix")
         self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", header, *what)
-
-
-def _placed(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """Return translation and quaternion of a rigid transform."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True) + 0.0  # no -0.0
-    return T[:3, 3].tolist(), turn.tolist()
 
 
 def _moved(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:

@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -27,7 +26,6 @@ from vlp16emu.packets import (
     DATA_BYTES,
     POSITION_BYTES,
     Capture,
-    CapturedUnit,
     CaptureReader,
     Clock,
     PacketClock,
@@ -46,46 +44,20 @@ _POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
 _AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 _SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
-_OFTEN_NS = S_NS // 10
-"""Time whose truth is written together."""
-_SET_RPM = 60.0
-"""Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)."""
+_OFTEN_NS = S_NS // 10  # time whose truth is written together
+_SET_RPM = 60.0  # speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)
 
-Row = tuple[int, list[float]]
-"""UTC of a sample, and its numbers."""
-Feed = Callable[[int], None]
-"""Writes all samples until and with an instant that are not written yet."""
-
-
-@dataclass(frozen=True, slots=True)
-class BagResult:
-    """Contents of a bag."""
-
-    file: str
-    messages: dict[str, int]
-    """Messages of each topic."""
-    duration_s: float
-    """Time from the first message to the last."""
-    clocks: tuple[str, ...]
-    """Clock of each unit, in the order of their topics: sensor, gps or host."""
-    host_ahead_s: tuple[float, ...]
-    """Capture stamps less the sensor's clock at the first data packet of each unit."""
-    repeats: int
-    """Packets left out as they came before."""
-    interrupted: bool
+Row = tuple[int, list[float]]  # UTC of a sample, and its numbers
+Feed = Callable[[int], None]  # writes all samples until and with an instant that are not written yet
 
 
 class Truth(NamedTuple):
     """Ground truth of a run, from its engine or from its files."""
 
-    rig: Mapping[str, Any]
-    """`rig.json`, with the units that are written."""
-    scenario: Mapping[str, Any]
-    """`scenario.json`."""
-    feeds: Callable[[TrueMessages, int], Sequence[Feed]]
-    """Opens the samples from the first pulse on."""
-    after_ns: int
-    """Time after the last packet that is written too."""
+    rig: Mapping[str, Any]  # `rig.json`, with the units that are written
+    scenario: Mapping[str, Any]  # `scenario.json`
+    feeds: Callable[[TrueMessages, int], Sequence[Feed]]  # opens the samples from the first pulse on
+    after_ns: int  # time after the last packet that is written too
 
 
 class BagSink(PacketSink):
@@ -101,12 +73,7 @@ class BagSink(PacketSink):
     options : transforms
     truth : what else is to be in the bag
 
-    Raises
-    ------
-    OutputError, MissingExtraError
-        as `BagFile`
-    RunError
-        If the disk is full: here, or later
+    Raises OutputError, MissingExtraError as `BagFile`; RunError if the disk is full: here, or later.
     """
 
     def __init__(
@@ -135,10 +102,7 @@ class BagSink(PacketSink):
     def send(self, packet: Packet) -> None:
         """Take one packet, which is due at the stamp of its capture, and numbered as its frame if it has a number.
 
-        Raises
-        ------
-        PacketError
-            If it is not a VLP-16's
+        Raises PacketError if it is not a VLP-16's.
         """
         if (unit := self._units.get(packet.unit)) is None:
             clock = self._clock_of(packet.unit, packet.due_ns)
@@ -169,18 +133,18 @@ class BagSink(PacketSink):
         """Contents of the closed bag; sha256 of several files in the order of their names."""
         path = self.bag.path
         files = sorted(path.iterdir()) if path.is_dir() else [path]
+
+        def sha256(file: Path) -> str:
+            with file.open("rb") as opened:
+                return hashlib.file_digest(opened, "sha256").hexdigest()
+
         return PcapResult(
             data_packets=self._sent[PacketKind.DATA],
             position_packets=self._sent[PacketKind.POSITION],
             bytes=sum(file.stat().st_size for file in files),
-            sha256=", ".join(map(_sha256, files)),
+            sha256=", ".join(map(sha256, files)),
             messages=dict(sorted(self.bag.counts.items())),
         )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager
@@ -208,38 +172,36 @@ def _frames(units: int) -> list[str]:
 
 
 def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int) -> Sequence[Feed]:
-    parts, start_ns = engine.parts, engine.scenario.start_ns
-    poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
-    feeds = [Samples(partial(_odometry, to), poses, start_ns, rate_hz, begin_ns).up_to]
-    if (imu := engine.scenario.imu) is not None and parts.imu is not None:
-        feeds.append(Samples(partial(_inertial, to), parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
-    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
-        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
-        feeds.append(Samples(partial(_fixes, to, engine), seconds, 0, 1, max(named_ns, begin_ns)).up_to)
-    return feeds
-
-
-def _odometry(to: TrueMessages, true: Kinematics) -> None:
     from scipy.spatial.transform import Rotation
 
-    quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
-    own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
-    numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
-    for sample in zip(true.t_ns.tolist(), numbers, strict=True):
-        to.odometry(*sample)
+    parts, start_ns = engine.parts, engine.scenario.start_ns
 
+    def odometry(true: Kinematics) -> None:
+        quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
+        own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
+        numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
+        for sample in zip(true.t_ns.tolist(), numbers, strict=True):
+            to.odometry(*sample)
 
-def _inertial(to: TrueMessages, read: Inertial) -> None:
-    rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
-    stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
-    for sample in zip(stamps_ns.tolist(), rates, strict=True):
-        to.inertial(*sample)
+    def inertial(read: Inertial) -> None:
+        rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2, *attitude_of(read)]).tolist()
+        stamps_ns = read.t_ns if read.stamp_ns is None else read.stamp_ns
+        for sample in zip(stamps_ns.tolist(), rates, strict=True):
+            to.inertial(*sample)
 
+    def fixes(seconds: range) -> None:
+        for second in seconds:
+            said = engine.receiver.fix(second * S_NS)
+            to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
 
-def _fixes(to: TrueMessages, engine: Engine, seconds: range) -> None:
-    for second in seconds:
-        said = engine.receiver.fix(second * S_NS)
-        to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))
+    poses = partial(true_motion, parts.units[0].motion, start_ns, rate_hz)
+    feeds = [Samples(odometry, poses, start_ns, rate_hz, begin_ns).up_to]
+    if (imu := engine.scenario.imu) is not None and parts.imu is not None:
+        feeds.append(Samples(inertial, parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
+    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
+        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
+        feeds.append(Samples(fixes, seconds, 0, 1, max(named_ns, begin_ns)).up_to)
+    return feeds
 
 
 def write_bag(
@@ -251,8 +213,8 @@ def write_bag(
     clock: str | None = None,
     options: BagOptions | None = None,
     stop: Event | None = None,
-) -> BagResult:
-    """Write the bag of a capture; memory does not grow with its length.
+) -> dict[str, Any]:
+    """Write the bag of a capture, and return what is in it; memory does not grow with its length.
 
     Parameters
     ----------
@@ -264,14 +226,9 @@ def write_bag(
     options : transforms, and a configuration beside the bag, which without truth has the capture's speed alone
     stop : ends the bag between two packets; it is valid
 
-    Raises
-    ------
-    CaptureError, PacketError
-        If the capture is none, is damaged, or has stamps that no bag can hold
-    InputError
-        If the truth cannot be read or is not of as many units, or there is no such unit or clock
-    OutputError, MissingExtraError, RunError
-        as `BagFile` and `written_beside`
+    Raises CaptureError, PacketError if the capture is none, is damaged, or has stamps that no bag can hold;
+    InputError if the truth cannot be read or is not of as many units, or there is no such unit or clock;
+    OutputError, MissingExtraError, RunError as `BagFile` and `written_beside`.
     """
     options, stop = options or BagOptions(), stop or Event()
     spare([capture], out)
@@ -284,7 +241,11 @@ def write_bag(
     true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every))
 
     def rig() -> Rig:
-        return Rig.of(true.rig, true.scenario, frames[0]) if true else _measured(capture, units[0], frames[0])
+        if true:
+            return Rig.of(true.rig, true.scenario, frames[0])
+        with CaptureReader(capture, units[0]) as reader:  # the speed of its first packets
+            next(reader.points(), None)
+            return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frames[0])
 
     with (
         written_beside(out, options.slam, rig),
@@ -302,22 +263,15 @@ def write_bag(
                 except PacketError as error:
                     raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
-    return BagResult(
-        file=str(out),
-        messages=dict(sorted(sink.bag.counts.items())),
-        duration_s=(last_ns - first_ns) / S_NS,
-        clocks=tuple(one.clock for one in clocks),
-        host_ahead_s=tuple((one.host_ahead_ns or 0) / S_NS for one in made),
-        repeats=datagrams.repeated,
-        interrupted=stop.is_set(),
-    )
-
-
-def _measured(capture: Path, unit: CapturedUnit, frame: str) -> Rig:
-    """Return the rig of a capture without truth, with the speed of its first packets."""
-    with CaptureReader(capture, unit) as reader:
-        next(reader.points(), None)
-        return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frame)
+    return {
+        "file": str(out),
+        "messages": dict(sorted(sink.bag.counts.items())),  # of each topic
+        "duration_s": (last_ns - first_ns) / S_NS,
+        "clocks": tuple(one.clock for one in clocks),  # of each unit, in the order of their topics
+        "host_ahead_s": tuple((one.host_ahead_ns or 0) / S_NS for one in made),
+        "repeats": datagrams.repeated,  # packets left out as they came before
+        "interrupted": stop.is_set(),
+    }
 
 
 def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:

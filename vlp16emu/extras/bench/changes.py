@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin
 from vlp16emu.engine import GpsInput, Stretch, Timeline, Unit, clock_at, in_phase_deg
-from vlp16emu.extras.bench.events import FOREVER_NS, Event
+from vlp16emu.extras.bench.events import ALL_AROUND, FOREVER_NS, Event, InForce
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.random import Purpose, generator
@@ -167,7 +167,6 @@ class DisturbedGps(GpsInput):
 
     @property
     def _off(self) -> _Spans:
-        """Spans without power."""
         return _merged(self._span_ns(event) for event in self.events if event.effect == "power")
 
     @property
@@ -237,7 +236,6 @@ def _before(spans: _Spans, t_ns: int) -> tuple[int, int] | None:
 RUN_UP_RPM_S = 300.0  # change of the rotor's speed per second (assumption: the manual has no figure)
 _PULL = 0.05  # share of the speed by which a rotor is faster or slower while it is pulled into its phase (assumption)
 _GRID = 24  # firing sequences: settings take effect between packets, in every return mode
-ALL_AROUND = (0, 359)
 
 
 def with_events(unit: Unit, scenario: Scenario) -> Unit:
@@ -304,41 +302,32 @@ def clock_spans(
     return tuple(spans)
 
 
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    """Settings of a rotor in force from an instant on."""
-
-    rpm: int
-    phase_deg: float | None
-    runs: bool = True
-
-    def in_phase_deg(self, utc_ns: int) -> float:
-        assert self.phase_deg is not None
-        return in_phase_deg(self.phase_deg, self.rpm, utc_ns)
-
-
 def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...]:
     """Find how the rotor turns: held at its speed, run up and down to another, and pulled into phase."""
-    section, done = unit.section, list(unit.head.rotor.spins)
-    wanted = power_up = _Wanted(section.rpm, section.phase_lock_deg if isinstance(section, Sensor) else None)
+    done, power_up, runs = list(unit.head.rotor.spins), InForce.of(unit.section), True
+    wanted = power_up
     for t_ns, event in _in_order(events):
-        before = wanted
-        if event.kind == "power_cycle":
-            wanted = power_up
-        elif event.kind == "motor_stop":
-            wanted = replace(wanted, runs=t_ns != event.begin_ns)
-        else:
-            set_deg, held_deg = event.phase_lock_deg, wanted.phase_deg
-            phase_deg = held_deg if set_deg is None else None if set_deg == "off" else set_deg
-            wanted = replace(wanted, rpm=event.rpm or wanted.rpm, phase_deg=phase_deg)
+        before = wanted.rpm, wanted.phase_lock_deg, runs
         is_on = event.kind == "power_cycle"
-        if is_on or wanted != before:
+        if is_on:
+            wanted, runs = power_up, True
+        elif event.kind == "motor_stop":
+            runs = t_ns != event.begin_ns
+        else:
+            wanted = wanted.after(event)
+        if is_on or (wanted.rpm, wanted.phase_lock_deg, runs) != before:
             while len(done) > 1 and done[-1].from_ns > t_ns:  # what it was doing, it does no more
                 done.pop()
-            free = wanted.phase_deg is None
-            angle_deg = done[0].angle_deg if free else wanted.in_phase_deg(start_ns + t_ns)
-            done += [Spin(t_ns, angle_deg, float(wanted.rpm))] if is_on else _led(done[-1], t_ns, wanted, start_ns)
+            angle_deg = _phase_deg(wanted, start_ns + t_ns)
+            on = Spin(t_ns, done[0].angle_deg if angle_deg is None else angle_deg, float(wanted.rpm))
+            done += [on] if is_on else _led(done[-1], t_ns, wanted, start_ns, runs=runs)
     return tuple(done)
+
+
+def _phase_deg(wanted: InForce, utc_ns: int) -> float | None:
+    """Return the angle of a rotor that is in phase; None if it runs on."""
+    phase_deg = wanted.phase_lock_deg
+    return None if phase_deg == "off" else in_phase_deg(phase_deg, wanted.rpm, utc_ns)
 
 
 def _in_order(events: Sequence[Event]) -> list[tuple[int, Event]]:
@@ -353,22 +342,22 @@ def _in_order(events: Sequence[Event]) -> list[tuple[int, Event]]:
     return sorted(instants, key=itemgetter(0))
 
 
-def _led(spin: Spin, t_ns: int, wanted: _Wanted, start_ns: int) -> Iterator[Spin]:
+def _led(spin: Spin, t_ns: int, wanted: InForce, start_ns: int, *, runs: bool) -> Iterator[Spin]:
     """Lead the rotor from what it does to what is wanted, from an instant on."""
-    rpm, target = spin.rpm_at(t_ns), float(wanted.rpm if wanted.runs else 0)
+    rpm, target = spin.rpm_at(t_ns), float(wanted.rpm if runs else 0)
     angle_deg = _angle_deg(spin, t_ns)
     if rpm != target:
         ramp = Spin(t_ns, angle_deg, rpm, math.copysign(RUN_UP_RPM_S, target - rpm))
         yield ramp
         t_ns += round(abs(target - rpm) / RUN_UP_RPM_S * S_NS)
         angle_deg = _angle_deg(ramp, t_ns)
-    if target and wanted.phase_deg is not None:
-        off_deg = (wanted.in_phase_deg(start_ns + t_ns) - angle_deg + 180.0) % 360.0 - 180.0
+    if target and (phase_deg := _phase_deg(wanted, start_ns + t_ns)) is not None:
+        off_deg = (phase_deg - angle_deg + 180.0) % 360.0 - 180.0
         rate_rpm = math.copysign(max(round(_PULL * target), 1), off_deg)
         if round(abs(off_deg) / 6.0 / abs(rate_rpm) * S_NS):
             yield Spin(t_ns, angle_deg, target + rate_rpm)
             t_ns += round(abs(off_deg) / 6.0 / abs(rate_rpm) * S_NS)
-        angle_deg = wanted.in_phase_deg(start_ns + t_ns)
+        angle_deg = _phase_deg(wanted, start_ns + t_ns) or 0.0
     yield Spin(t_ns, angle_deg, target)
 
 
@@ -376,21 +365,12 @@ def _angle_deg(spin: Spin, t_ns: int) -> float:
     return float(spin.at(np.array([t_ns]))[0])
 
 
-@dataclass(frozen=True, slots=True)
-class _Sent:
-    """Settings of the packets in force from an instant on."""
-
-    mode: ReturnMode
-    fov_deg: tuple[int, int] = ALL_AROUND
-    laser: bool = True
-
-
 def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stretch, ...]:
     """Cut a run where return mode, field of view or laser change; without spans in which nothing is sent.
 
     A change takes effect with the next packet of single return, and begins a packet.
     """
-    power_up = sent = _Sent(ReturnMode(sensor.return_mode))
+    power_up = sent = InForce.of(sensor)
     changes = [(0, sent)]
     for event in sorted(events, key=lambda event: event.at_s):
         if event.kind == "power_cycle":
@@ -398,12 +378,7 @@ def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stre
             off, on = _sequence(event.begin_ns), _sequence(event.end_ns)
             changes += [(off, replace(sent, laser=False)), (on, sent)]
         elif event.kind == "setting":
-            sent = replace(
-                sent,
-                mode=ReturnMode(event.return_mode or sent.mode),
-                fov_deg=event.fov_deg or sent.fov_deg,
-                laser=sent.laser if event.laser is None else event.laser,
-            )
+            sent = sent.after(event)
             # One that is set while the sensor starts takes effect when it sends.
             changes.append((max(_sequence(event.begin_ns), changes[-1][0]), sent))
     spans = list[Stretch]()
@@ -411,12 +386,12 @@ def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stre
     for (first, state), stop in zip(changes, stops, strict=True):
         if not state.laser or first == stop:
             continue
-        fov_deg = None if state.fov_deg == ALL_AROUND else state.fov_deg
+        mode, fov_deg = ReturnMode(state.return_mode), None if state.fov_deg == ALL_AROUND else state.fov_deg
         last = spans[-1] if spans else None
-        if last and last.stop == first and (last.mode, last.fov_deg) == (state.mode, fov_deg):
+        if last and last.stop == first and (last.mode, last.fov_deg) == (mode, fov_deg):
             spans[-1] = replace(last, stop=stop)
         else:
-            spans.append(Stretch(first, stop, state.mode, fov_deg))
+            spans.append(Stretch(first, stop, mode, fov_deg))
     return tuple(spans)
 
 

@@ -6,11 +6,11 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -19,10 +19,10 @@ from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, OutputError, PacketError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
-from vlp16emu.extras.bench.events import FOREVER_NS, Event, checked, event, tables
+from vlp16emu.extras.bench.events import FOREVER_NS, Event, InForce, checked, event, tables
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.options import Http
-from vlp16emu.extras.bench.web import HttpFault, WebServer
+from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
@@ -62,16 +62,8 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
     sensor = on_the_wire(unit.section)
-    return DeviceSettings(
-        rpm=sensor.rpm,
-        return_mode=ReturnMode(sensor.return_mode),
-        phase_lock_on=sensor.phase_lock_deg is not None,
-        phase_lock_cdeg=round(100 * (sensor.phase_lock_deg or 0.0)) % 36_000,
-        host=host,
-        data_port=sensor.data_port,
-        position_port=sensor.position_port,
-        address=sensor.address,
-    )
+    places = {key: getattr(sensor, key) for key in ("data_port", "position_port", "address")}
+    return _showing(DeviceSettings(host=host, **places), InForce.of(sensor))
 
 
 class Control:
@@ -122,8 +114,10 @@ class Control:
         """Make the stream follow what is set; saved settings hold from the first packets on."""
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
-        if self._take_up() is None:
-            self._warm_up()
+        if self._take_up() is None:  # what changes need is loaded, so that the first one is followed as soon as others
+            engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
+            if not self._scenario.motion.takes_poses:
+                deque(engine.packets(0.0, _WARM_S), 0)
         thread = threading.Thread(target=self._run, name="settings", daemon=True)
         thread.start()
         try:
@@ -156,13 +150,10 @@ class Control:
         """Time until a packet due at a UTC leaves, in ns of the scene; negative if that is past."""
         return at_ns - self._under_way.due_in_ns(0)
 
-    def fault(self, unit: int) -> HttpFault | None:
-        """Find what is wrong with the web interface of a unit now."""
-        since_ns = self._since_ns()
-        for error in self._errors:
-            if error.unit == unit + 1 and error.begin_ns <= since_ns < error.end_ns:
-                return HttpFault(error.status)
-        return None
+    def fault(self, unit: int) -> int | None:
+        """Return the status of all answers of a unit now, 0 for no answer at all; None if nothing is wrong."""
+        since_ns, own = self._since_ns(), (error for error in self._errors if error.unit == unit + 1)
+        return next((error.status or 0 for error in own if error.begin_ns <= since_ns < error.end_ns), None)
 
     def status(self, unit: int) -> DeviceStatus:
         """Report the state of a unit."""
@@ -220,7 +211,7 @@ class Control:
     def _after(self, one: Event, settings: DeviceSettings) -> DeviceSettings:
         if one.effect == "power":
             return self._factory[one.unit - 1]
-        return _with(settings, one) if one.effect == "settings" else settings
+        return _showing(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
 
     def _redirect(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
         """Send to the receiver that is set; to another machine only where the run was begun to send to one."""
@@ -231,12 +222,6 @@ class Control:
             expected = "an address of this machine, 127.0.0.0/8, unless the stream begins with another --to"
             raise OutputError("host.addr", new.host, expected)
         self._sink.redirect(unit, *where[1])
-
-    def _warm_up(self) -> None:
-        """Load what changes need, so that the first one is followed as soon as others."""
-        engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
-        if not self._scenario.motion.takes_poses:
-            deque(engine.packets(0.0, _WARM_S), 0)
 
     def _run(self) -> None:
         while self._asked.wait() and not self._over.is_set():
@@ -250,39 +235,36 @@ class Control:
     def _take_up(self) -> int | None:
         """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
         with self._taking_up:
-            return self._take_up_alone()
-
-    def _take_up_alone(self) -> int | None:
-        until_ns = self._under_way.made_until_ns
-        self._prompt = _PROMPT if time.monotonic() >= self._calm_s else self._prompt
-        self._ahead_ns = max(self._ahead_ns, until_ns - self._under_way.due_in_ns(0))
-        from_ns = self._since_ns(self._lead_ns)
-        if not self._prompt and until_ns < FOREVER_NS:  # some packets are still to be made
-            from_ns = max(from_ns, until_ns - self._scenario.start_ns)
-        at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
-        with self._lock:
-            made = list[Event]()
-            for unit, device in enumerate(self.devices):
-                new, restarts = device.settings, unit in self._restarts
-                keys = self._keys(self._factory[unit] if restarts else self._made[unit], new)
-                lost = [event("power_cycle", at_s, unit + 1)] if restarts else []
-                made += lost
-                if keys:
-                    made.append(event("setting", at_s + (lost[0].off_s if lost else 0.0), unit + 1, **keys))
-                self._made[unit] = new
-            self._restarts.clear()
-            happening = [event(**wanted | {"at_s": at_s}) for wanted in self._wanted]
-            self._wanted.clear()
-            self._to_come += happening
-            self._events = self._events + made + happening
-        if not made and not happening:
-            return None
-        self._errors += [event for event in happening if event.effect == "web"]
-        self._calm_s, self._prompt = time.monotonic() + _CALM_S, max(self._prompt - 1, 0)
-        self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
-        engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
-        self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
-        return due_ns
+            until_ns = self._under_way.made_until_ns
+            self._prompt = _PROMPT if time.monotonic() >= self._calm_s else self._prompt
+            self._ahead_ns = max(self._ahead_ns, until_ns - self._under_way.due_in_ns(0))
+            from_ns = self._since_ns(self._lead_ns)
+            if not self._prompt and until_ns < FOREVER_NS:  # some packets are still to be made
+                from_ns = max(from_ns, until_ns - self._scenario.start_ns)
+            at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
+            with self._lock:
+                made = list[Event]()
+                for unit, device in enumerate(self.devices):
+                    new, restarts = device.settings, unit in self._restarts
+                    keys = self._keys(self._factory[unit] if restarts else self._made[unit], new)
+                    lost = [event("power_cycle", at_s, unit + 1)] if restarts else []
+                    made += lost
+                    if keys:
+                        made.append(event("setting", at_s + (lost[0].off_s if lost else 0.0), unit + 1, **keys))
+                    self._made[unit] = new
+                self._restarts.clear()
+                happening = [event(**wanted | {"at_s": at_s}) for wanted in self._wanted]
+                self._wanted.clear()
+                self._to_come += happening
+                self._events = self._events + made + happening
+            if not made and not happening:
+                return None
+            self._errors += [event for event in happening if event.effect == "web"]
+            self._calm_s, self._prompt = time.monotonic() + _CALM_S, max(self._prompt - 1, 0)
+            self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
+            engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
+            self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
+            return due_ns
 
     def _settle(self, from_ns: int) -> None:
         """Wait until packets of a change are made ahead; if that took longer than they lead, the next ones lead by more."""
@@ -296,34 +278,29 @@ class Control:
                 return
 
     def _keys(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
-        before, after = _keys_of(old), _keys_of(new)
+        before, after = asdict(_in_force(old)), asdict(_in_force(new))
         if not self._scenario.gps.connected:
             del after["phase_lock_deg"]
         return {key: value for key, value in after.items() if value != before[key]}
 
 
-def _keys_of(settings: DeviceSettings) -> dict[str, Any]:
-    """Keys of an event that sets all of it."""
-    return {
-        "rpm": settings.rpm,
-        "return_mode": str(settings.return_mode),
-        "laser": settings.laser_on,
-        "fov_deg": settings.fov_deg,
-        "phase_lock_deg": settings.phase_lock_cdeg / 100 if settings.phase_lock_on else "off",
-    }
+def _in_force(settings: DeviceSettings) -> InForce:
+    phase: float | Literal["off"] = settings.phase_lock_cdeg / 100 if settings.phase_lock_on else "off"
+    return InForce(settings.rpm, str(settings.return_mode), settings.laser_on, settings.fov_deg, phase)
 
 
-def _with(settings: DeviceSettings, event: Event) -> DeviceSettings:
-    phase = event.phase_lock_deg
-    keys: dict[str, Any] = {
-        "rpm": event.rpm,
-        "return_mode": event.return_mode and ReturnMode(event.return_mode),
-        "laser_on": event.laser,
-        "fov_deg": event.fov_deg,
-        "phase_lock_on": None if phase is None else phase != "off",
-        "phase_lock_cdeg": round(100 * phase) % 36_000 if isinstance(phase, float) else None,
-    }
-    return replace(settings, **{key: value for key, value in keys.items() if value is not None})
+def _showing(settings: DeviceSettings, new: InForce) -> DeviceSettings:
+    """Return the settings with those in force; a phase that is off keeps its number."""
+    phase = new.phase_lock_deg
+    return replace(
+        settings,
+        rpm=new.rpm,
+        return_mode=ReturnMode(new.return_mode),
+        laser_on=new.laser,
+        fov_deg=new.fov_deg,
+        phase_lock_on=phase != "off",
+        phase_lock_cdeg=settings.phase_lock_cdeg if phase == "off" else round(100 * phase) % 36_000,
+    )
 
 
 def _place(sentence: bytes) -> str:

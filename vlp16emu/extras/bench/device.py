@@ -43,17 +43,12 @@ def _address(expected: str, is_good: Callable[[IPv4Address], bool]) -> AfterVali
     return AfterValidator(checked)
 
 
-def _has_ones_first(mask: IPv4Address) -> bool:
-    zeros = int(mask) ^ _ALL_ONES
-    return bool(int(mask)) and not zeros & (zeros + 1)
-
-
 _Receiver = _address(
     "the IPv4 address of a host, or 255.255.255.255",
     lambda at: not (at.is_unspecified or at.is_multicast or (at.is_reserved and int(at) != _ALL_ONES)),
 )
 _Gateway = _address("the IPv4 address of a router, or 0.0.0.0", lambda at: not (at.is_multicast or at.is_reserved))
-_Mask = _address("a network mask such as 255.255.255.0", _has_ones_first)
+_Mask = _address("a network mask such as 255.255.255.0", lambda mask: int(mask) > 0 and "01" not in f"{int(mask):032b}")
 _WholeDegree = Annotated[int, Field(ge=0, le=359)]
 
 
@@ -66,30 +61,18 @@ class DeviceSettings:
 
     rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
     """Speed of the rotor; others upset speed control and phase lock (section 8.3)."""
-    return_mode: ReturnMode = ReturnMode.STRONGEST
-    """Echoes that are sent."""
-    laser_on: bool = True
-    """False: no data packets; position packets go on."""
-    fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)
-    """First and last azimuth that is sent; (0, 359) is all around."""
-    phase_lock_on: bool = False
-    """Whether the rotor follows the pulse of the GPS receiver."""
-    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0
-    """Rotor angle at each pulse, in 0.01 degree."""
-    host: Annotated[str, _Receiver] = "255.255.255.255"
-    """IPv4 address that packets are sent to."""
-    data_port: Port = 2368
-    """Destination port of data packets."""
-    position_port: Port = 8308
-    """Destination port of position packets."""
-    address: Address = "192.168.1.201"
-    """IPv4 address of the sensor."""
-    mask: Annotated[str, _Mask] = "255.255.255.0"
-    """Of its network."""
-    gateway: Annotated[str, _Gateway] = "192.168.1.1"
-    """Of its network."""
-    dhcp: bool = False
-    """Whether it asks a server for them."""
+    return_mode: ReturnMode = ReturnMode.STRONGEST  # echoes that are sent
+    laser_on: bool = True  # false: no data packets; position packets go on
+    fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)  # first and last azimuth that is sent; (0, 359) is all around
+    phase_lock_on: bool = False  # whether the rotor follows the pulse of the GPS receiver
+    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0  # rotor angle at each pulse, in 0.01 degree
+    host: Annotated[str, _Receiver] = "255.255.255.255"  # IPv4 address that packets are sent to
+    data_port: Port = 2368  # destination port of data packets
+    position_port: Port = 8308  # destination port of position packets
+    address: Address = "192.168.1.201"  # IPv4 address of the sensor
+    mask: Annotated[str, _Mask] = "255.255.255.0"  # of its network
+    gateway: Annotated[str, _Gateway] = "192.168.1.1"  # of its network
+    dhcp: bool = False  # whether it asks a server for them
 
 
 _SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
@@ -216,8 +199,7 @@ _RAILS = {
     | {"pwr_v_in": (11.964 / 11, 23)},
     "top": {"hv": (5 - 181 / 101, 29), "ad_temp": (0.735, 31), "pwr_5v": (5.073 / 2, 37), "pwr_2_5v": (2.499, 41)}
     | {"pwr_3_3v": (3.280, 43), "pwr_5v_raw": (5.347 / 2, 47), "pwr_vccint": (1.1914, 59)},
-}
-"""Volts at the converters of both boards, and the period of their small movement in seconds."""
+}  # volts at the converters of both boards, and the period of their small movement in seconds
 
 
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
@@ -228,28 +210,21 @@ def diagnostics(status: DeviceStatus) -> dict[str, object]:
     """
 
     def counts(volts: float, period_s: int) -> int:
-        return round(volts * _COUNTS_PER_V + 0.8 * _sine(status, period_s))
+        return round(volts * _COUNTS_PER_V + 0.8 * sine(period_s))
+
+    def sine(period_s: int) -> float:
+        return math.sin(2 * math.pi * (status.t_ns % (period_s * S_NS)) / (period_s * S_NS))
 
     current_a = _REST_A + _LASER_A * status.laser_on + _MOTOR_A_PER_RPM * status.motor_rpm
+    missing = math.exp(-status.powered_for_s / _WARM_UP_S)
     boards = {board: {name: counts(*of) for name, of in rails.items()} for board, rails in _RAILS.items()}
     boards["bot"] |= {"i_out": counts(2.5 + current_a / 10, 7), "pwr_1_25v": 0}
     for board, last_c, period_s in (("bot", _BOTTOM_C, 61), ("top", _TOP_C, 53)):
-        boards[board]["lm20_temp"] = _lm20(_warmed(last_c, status, period_s))
+        board_c = last_c - (last_c - _AMBIENT_C) * missing + _SWAY_C * sine(period_s)
+        # A reading of V is T = -1481.96 + sqrt(2.1962e6 + (1.8639 - V) / 3.88e-6).
+        volts = 1.8639 - 3.88e-6 * ((board_c + 1481.96) ** 2 - 2.1962e6)
+        boards[board]["lm20_temp"] = round(volts * _COUNTS_PER_V)
     return {"volt_temp": boards, "vhv": 412, "adc_nf": 14, "ixe": 1}
-
-
-def _lm20(temperature_c: float) -> int:
-    """Read a thermometer: T = -1481.96 + sqrt(2.1962e6 + (1.8639 - V) / 3.88e-6)."""
-    return round((1.8639 - 3.88e-6 * ((temperature_c + 1481.96) ** 2 - 2.1962e6)) * _COUNTS_PER_V)
-
-
-def _warmed(last_c: float, status: DeviceStatus, period_s: int) -> float:
-    missing = math.exp(-status.powered_for_s / _WARM_UP_S)
-    return last_c - (last_c - _AMBIENT_C) * missing + _SWAY_C * _sine(status, period_s)
-
-
-def _sine(status: DeviceStatus, period_s: int) -> float:
-    return math.sin(2 * math.pi * (status.t_ns % (period_s * S_NS)) / (period_s * S_NS))
 
 
 _MODELS = {SensorModel.VLP_16: "VLP-16", SensorModel.PUCK_LITE: "Puck LITE", SensorModel.PUCK_HI_RES: "Puck Hi-Res"}
@@ -258,8 +233,7 @@ _FIRMWARE = Path(__file__).with_name("firmware.json")
 """Images 3.0.41.1, and 1.9.3.0 to fall back on, and their states: invented, and of one piece."""
 _PARTS = {
     f"/cgi/{name}.json": part for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
-}
-"""What is read alone, and its name in the snapshot of all."""
+}  # what is read alone, and its name in the snapshot of all
 _MOST_KEYS = 16
 
 
@@ -329,12 +303,19 @@ def document(path: str, device: Device) -> object | None:
     """Return the document of a path, as it is now; None if there is none."""
     if path not in (*_PARTS, "/cgi/snapshot.hdl"):
         return None
-    status = device.status()
+    status, info = device.status(), device.info
+    motor = {"state": _switch(status.motor_on), "rpm": round(status.motor_rpm), "lock": _switch(status.phase_locked)}
+    own = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
+    firmware: dict[str, object] = json.loads(_FIRMWARE.read_text(encoding="utf-8"))
     snapshot = {
         "config": _settings(device.settings),
         "diag": diagnostics(status),
-        "status": _status(status),
-        "info": _info(device.info),
+        "status": {
+            "gps": {"pps_state": status.pps.name.capitalize(), "position": status.position},
+            "motor": motor | {"phase": status.phase_cdeg},
+            "laser": {"state": _switch(status.laser_on)},
+        },
+        "info": own | firmware,
     }
     return snapshot[_PARTS[path]] if path in _PARTS else snapshot
 
@@ -389,18 +370,3 @@ def _settings(settings: DeviceSettings) -> dict[str, Any]:
         table = tree.setdefault(key.form, {}) if key.form else tree
         table[key.name] = key.shown(value if key.end is None else value[key.end])
     return tree
-
-
-def _status(status: DeviceStatus) -> dict[str, object]:
-    motor = {"state": _switch(status.motor_on), "rpm": round(status.motor_rpm), "lock": _switch(status.phase_locked)}
-    return {
-        "gps": {"pps_state": status.pps.name.capitalize(), "position": status.position},
-        "motor": motor | {"phase": status.phase_cdeg},
-        "laser": {"state": _switch(status.laser_on)},
-    }
-
-
-def _info(info: DeviceInfo) -> dict[str, object]:
-    own = {"model": _MODELS[info.model], "serial": info.serial, "mac_addr": info.mac.hex("-")}
-    firmware: dict[str, object] = json.loads(_FIRMWARE.read_text(encoding="utf-8"))
-    return own | firmware

@@ -1,15 +1,18 @@
 """The tables `[[events]]` of a scene: what is set on a sensor while it runs, and what goes wrong."""
 
+from dataclasses import dataclass, fields, replace
 from functools import cache
+from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Union
 
 from pydantic import Field, TypeAdapter, create_model, model_validator
 
-from vlp16emu.sensor.settings import FreeSensor
-from vlp16emu.settings import Fraction, NonNegative, Positive, Section
+from vlp16emu.sensor.settings import FreeSensor, Sensor
+from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
 from vlp16emu.units import seconds_to_ns
 
 FOREVER_NS = 2**62  # end of an event that lasts until the run ends
+ALL_AROUND = 0, 359  # field of view that leaves nothing out
 _MOST = 10_000
 
 
@@ -57,6 +60,28 @@ class Event(Section):
         return self
 
 
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """Settings of a sensor from an instant on: the keys of the event `setting`."""
+
+    rpm: int
+    return_mode: str
+    laser: bool = True
+    fov_deg: tuple[int, int] = ALL_AROUND
+    phase_lock_deg: float | Literal["off"] = "off"
+
+    @classmethod
+    def of(cls, section: Sensor | FreeSensor) -> Self:
+        """Return the settings at power-up."""
+        phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
+        return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
+
+    def after(self, event: Event) -> Self:
+        """Return the settings after an event `setting`."""
+        given = {field.name: getattr(event, field.name) for field in fields(self)}
+        return replace(self, **{name: value for name, value in given.items() if value is not None})
+
+
 def _from(kind: type, **bounds: Any) -> Any:
     return Annotated[kind, Field(**bounds)]
 
@@ -93,74 +118,20 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     "bits": (_from(int, ge=1, le=4096), 8, "Number of bits that are flipped in a packet."),
     "to_bytes": (_from(int, ge=0, le=1205), 600, "Bytes of the payload that are left."),
     "status": (_from(int, ge=400, le=599) | None, None, "Status of the answers; no answer where it is left out."),
-}
-"""Type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ."""
+}  # type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ
 
 
 class Kind(NamedTuple):
     """A row of `KINDS`."""
 
-    effect: Literal["settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"]
-    """What it changes; a sensor without packets takes `optics` alone, and `gps` needs `gps.connected`."""
-    keys: str
-    """Names of `KEYS`, beside those of `Event`."""
+    effect: Literal["settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"]  # what it changes
+    keys: str  # names of `KEYS`, beside those of `Event`
     selects: str
     meaning: str
 
 
-_SET = "A change of settings, as the web interface of the sensor makes it; keys that are left out stay as they are."
-_LATE = "Sentences that come late; one that comes after the next pulse names the wrong second."
-_HELD = "Packets that are late by the same time, each by itself: those that are not delayed overtake them."
-_HTTP = "A web interface that answers every request with an error, or not at all; only of a stream that has one."
-_PART = "duration_s packets count share"
-KINDS = {
-    "setting": Kind("settings", "rpm return_mode laser fov_deg phase_lock_deg", "a change of settings", _SET),
-    "rpm_wobble": Kind(
-        *("rotor", "duration_s amplitude_rpm period_s"),
-        *("a wobbling rotor", "A speed that is not held: a sine on top of it."),
-    ),
-    "motor_stop": Kind("rotor", "duration_s", "a stopping rotor", "A rotor that runs down, and up again afterwards."),
-    "power_cycle": Kind(
-        "power", "off_s", "a loss of power", "Power that is lost and comes back; unsaved settings are lost."
-    ),
-    "dead_laser": Kind("optics", "duration_s laser", "a dead laser", "A laser that emits nothing."),
-    "dirty_window": Kind(
-        "optics", "duration_s sector_deg transmission", "a dirty window", "Dirt on a sector of the window."
-    ),
-    "oscillator": Kind(
-        *("clock", "offset_us drift_ppm"),
-        *("an error of the oscillator", "A step and a drift of the clock that runs without GPS."),
-    ),
-    "pps_loss": Kind("gps", "duration_s", "a loss of the pulse per second", "Pulses that do not come."),
-    "void_sentence": Kind(
-        "gps", "duration_s", "void sentences", "Sentences of status V, as of a receiver without a fix."
-    ),
-    "wrong_sentence": Kind(
-        *("gps", "duration_s characters", "garbled sentences"),
-        "Sentences that are garbled on the line, so that their checksum is wrong.",
-    ),
-    "late_sentence": Kind("gps", "duration_s by_s", "late sentences", _LATE),
-    "missing_sentence": Kind("gps", "duration_s", "missing sentences", "Sentences that do not come."),
-    "drop": Kind("packets", _PART, "a loss of packets", "Packets that are lost."),
-    "duplicate": Kind("packets", f"{_PART} after_s", "a repetition of packets", "Packets that arrive twice."),
-    "reorder": Kind("packets", f"{_PART} by", "a change of order", "Packets that later ones overtake."),
-    "delay": Kind("packets", f"{_PART} by_s", "a constant delay", _HELD),
-    "jitter": Kind(
-        *("packets", f"{_PART} up_to_s", "a random delay"),
-        "Packets that are late by a random time, in a queue: none overtakes another of its kind.",
-    ),
-    "corrupt": Kind(
-        *("packets", f"{_PART} bits", "flipped bits"),
-        "Packets with flipped bits, in the sensor: checksums are those of the wrong bytes.",
-    ),
-    "truncate": Kind("packets", f"{_PART} to_bytes", "cut packets", "Packets whose payload is cut."),
-    "freeze": Kind(
-        *("packets", "duration_s packets count", "a hanging sensor"),
-        "A sensor that hangs: it sends the same payload again and again.",
-    ),
-    "http_error": Kind("web", "duration_s status", "an error of the web interface", _HTTP),
-}
-"""What can happen, by the word that selects it."""
+_TABLE = toml(files(__package__).joinpath("events.toml").read_text(encoding="utf-8"))
+KINDS = {name: Kind(**row) for name, row in _TABLE.items()}  # what can happen, by the word that selects it
 
 
 @cache
@@ -179,11 +150,7 @@ def tables() -> TypeAdapter[list[Event]]:
 
 
 def checked(given: object, scene: dict[str, Any]) -> list[Event]:
-    """Check the events of a scene.
-
-    Parameters
-    ----------
-    scene : the tables `sensor`, `rig` and `gps`, as far as they are sound
+    """Check the events of a scene, which is the tables `sensor`, `rig` and `gps` as far as they are sound.
 
     Raises ValueError if one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene.
     """

@@ -152,8 +152,13 @@ class Wire:
             if fault.unit.number != packet.unit:
                 continue
             hit = fault.befalls(packet, number)
-            if fault.event.kind == "jitter":
-                out = [self._queued(fault, each, number, hit=hit) for each in out]
+            if fault.event.kind == "jitter" and packet.kind in kinds_of(
+                fault.event
+            ):  # the first of `_ORDER`: of one packet
+                key = fault.number, packet.unit, packet.kind
+                due_ns = out[0].due_ns + (fault.jitter_ns(out[0], number) if hit else 0)
+                self._left_ns[key] = max(due_ns, self._left_ns[key])  # it stays behind the one before it
+                out = [replace(out[0], due_ns=self._left_ns[key])]
             elif hit and fault.event.kind == "freeze":
                 first = self._frozen.setdefault((fault.number, packet.kind), packet)
                 as_first = {"payload": first.payload, "fired_ns": first.fired_ns, "slots": first.slots}
@@ -161,14 +166,6 @@ class Wire:
             elif hit:
                 out = [changed for each in out for changed in fault.change(each, number)]
         return out
-
-    def _queued(self, fault: PacketFault, packet: Packet, number: int, *, hit: bool) -> Packet:
-        """Delay a packet, and hold it back behind the one before it."""
-        due_ns = packet.due_ns + (fault.jitter_ns(packet, number) if hit else 0)
-        key = fault.number, packet.unit, packet.kind
-        if packet.kind in kinds_of(fault.event):
-            due_ns = self._left_ns[key] = max(due_ns, self._left_ns[key])
-        return packet if due_ns == packet.due_ns else replace(packet, due_ns=due_ns)
 
 
 def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
@@ -203,12 +200,9 @@ def arriving(
         for fault in faults
         if fault.event.kind == "freeze" and fault.event.begin_ns < from_ns < fault.event.end_ns
         for kind in kinds_of(fault.event)
-        if (packet := _first(fault, kind, streams(fault.event.begin_ns, stop_ns)))
+        for earlier in [streams(fault.event.begin_ns, stop_ns)]
+        if (packet := next((one for one in earlier if (one.unit, one.kind) == (fault.unit.number, kind)), None))
     }
     numbers = {unit.number: unit.timeline.count(0, from_ns) for unit in units}
     passed = Wire(faults, numbers, frozen).passed(streams(from_ns, stop_ns))
     return (packet for packet in passed if start_ns <= packet.due_ns - scenario.start_ns < stop_ns)
-
-
-def _first(fault: PacketFault, kind: PacketKind, packets: Iterator[Packet]) -> Packet | None:
-    return next((packet for packet in packets if packet.unit == fault.unit.number and packet.kind is kind), None)

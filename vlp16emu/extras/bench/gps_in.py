@@ -241,7 +241,7 @@ class GpsReader:
                 self._over.wait(_LOOK_S)
         self._port.close()
 
-    def _look(self, port: Any) -> tuple[bytes, bool, int]:  # as above
+    def _look(self, port: Any) -> tuple[bytes, bool, int]:
         """Read what is there, or wait for a character where no line is to be looked at; and the line, and when it was."""
         if self._pulse:
             high, at_ns = bool(getattr(port, self._pulse)), time.monotonic_ns()

@@ -49,9 +49,7 @@ def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[byt
 def decode_imu(frame: bytes) -> np.void:
     """Read a frame: an `IMU_FRAME`.
 
-    Raises
-    ------
-    PacketError : another length, magic or version, or a wrong checksum
+    Raises PacketError if length, magic or version is another, or the checksum is wrong.
     """
     if len(frame) != IMU_FRAME.itemsize:
         raise PacketError("IMU frame", f"found {len(frame)} bytes", f"{IMU_FRAME.itemsize}")

@@ -26,12 +26,10 @@ class Http(Options):
     saved: Annotated[
         Path | None,
         Option("Keep the settings that are saved in the web interface, from run to run.", "FILE", "--http-settings"),
-    ] = None
-    """File of the first sensor; those of others have its name with their number."""
+    ] = None  # file of the first sensor; those of others have its name with their number
     serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
     """Called with the address and port of each, before the first packet leaves."""
-    controlled: Callable[[Any], None] = lambda _: None
-    """Called before that with the `Control` that sets the sensors."""
+    controlled: Callable[[Any], None] = lambda _: None  # called before that with the `Control` that sets the sensors
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,16 +55,14 @@ class PosesIn(Options):
             "udp://HOST:PORT",
             "--pose-in",
         ),
-    ] = None
-    """None if `Emulator.put_pose` alone brings them."""
+    ] = None  # none if `Emulator.put_pose` alone brings them
     flown: Annotated[
         Path | None,
         Option(
             "Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.", "FILE.csv", "--flown"
         ),
     ] = None
-    news: Callable[[str], None] = lambda _: None
-    """Called with a line when poses are waited for, lost, or back."""
+    news: Callable[[str], None] = lambda _: None  # called with a line when poses are waited for, lost, or back
 
 
 @dataclass(frozen=True)
@@ -83,8 +79,7 @@ class Outlets(Options):
     ] = None
     gps_pps: Annotated[
         str, Option("Line of that port that carries the receiver's pulse.", words=("dtr", "rts", "off"))
-    ] = "dtr"
-    """A null-modem cable leads DTR to DCD, where programs look for it."""
+    ] = "dtr"  # a null-modem cable leads DTR to DCD, where programs look for it
     imu_out: Annotated[
         str | None,
         Option(
@@ -114,18 +109,14 @@ class GpsIn(Options):
             name="--gps-in-pulse",
             words=("sentence", "cd", "cts", "dsr", "ri"),
         ),
-    ] = "sentence"
-    """With `sentence` a second begins `gps.sentence_delay_s` before its sentence."""
+    ] = "sentence"  # with `sentence` a second begins `gps.sentence_delay_s` before its sentence
 
 
 @dataclass(frozen=True)
 class BenchOptions(StreamOptions):
     """Options of a stream, with what stands beside it."""
 
-    http: Http | None = None
-    """None for no web interfaces."""
-    poses: PosesIn | None = None
-    """The stream of a live scene begins with the first pose, and drops late packets."""
+    http: Http | None = None  # none for no web interfaces
+    poses: PosesIn | None = None  # the stream of a live scene begins with the first pose, and drops late packets
     outlets: Outlets | None = None
-    gps_in: GpsIn | None = None
-    """Sets the clock of the sensors instead of the receiver of the scene."""
+    gps_in: GpsIn | None = None  # sets the clock of the sensors instead of the receiver of the scene

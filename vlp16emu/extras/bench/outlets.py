@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from io import UnsupportedOperation
 from operator import itemgetter
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
 
 from vlp16emu.engine import Engine
@@ -142,14 +142,6 @@ class OutletResult:
     pulses: int | None = None  # pulses on that line; None if the port has no such line
 
 
-class Outlet(PacketSink, Protocol):
-    """A sink that reports what it sent."""
-
-    @property
-    def result(self) -> OutletResult:
-        """Messages that left so far."""
-
-
 def has_line(act: Callable[[], object]) -> bool:
     """Return whether a port has the line that `act` sets or reads; a pseudo-terminal has none."""
     try:
@@ -241,13 +233,8 @@ class SerialPort:
             self._away_since_s = None
 
 
-class SerialSink(Outlet):
-    """Writes packets to a serial port, and pulses to its line; a thread of its own does it, so that a port never holds up others.
-
-    Parameters
-    ----------
-    port : of the thread from now on
-    """
+class SerialSink(PacketSink):
+    """Writes packets to a serial port, and pulses to its line, in a thread that owns it: a port never holds up others."""
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port
@@ -318,7 +305,7 @@ class Ways(PacketSink):
     """The ways that sentences, pulses and inertial samples take beside the packets of the sensors; a sink of all of them."""
 
     def __init__(self, asked: Outlets) -> None:
-        self._asked, self._ways = asked, dict[PacketKind, Outlet]()
+        self._asked, self._ways = asked, dict[PacketKind, SerialSink | ImuUdpSink]()
         self._sensors: PacketSink
 
     def __exit__(self, *_: object) -> None:
@@ -343,7 +330,7 @@ class Ways(PacketSink):
             port = SerialSink(SerialPort(self._asked.gps_out, _GPS_BAUD, "--gps-out", line))
             self._ways[PacketKind.NMEA] = self._ways[PacketKind.PPS] = port
         if self._asked.imu_out and imu:
-            self._ways[PacketKind.IMU] = imu_outlet(self._asked.imu_out, imu.rate_hz)
+            self._ways[PacketKind.IMU] = _imu_way(self._asked.imu_out, imu.rate_hz)
         return self
 
     def send(self, packet: Packet) -> None:
@@ -360,17 +347,8 @@ class Ways(PacketSink):
         return result(PacketKind.NMEA), result(PacketKind.IMU)
 
 
-def imu_outlet(to: str, rate_hz: int) -> Outlet:
-    """Open the way that samples go.
-
-    Parameters
-    ----------
-    to : udp://HOST:PORT; or serial: and a device or URL of pyserial, at 921600 baud
-    rate_hz : of the samples
-
-    Raises OutputError if it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for
-    the rate.
-    """
+def _imu_way(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
+    """Open the way that samples go; OutputError if it is none, or a serial line is too slow for the rate."""
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
         if rate_hz > most_hz:
@@ -387,7 +365,7 @@ def imu_outlet(to: str, rate_hz: int) -> Outlet:
     return ImuUdpSink(str(host), int(port or 0))
 
 
-class ImuUdpSink(Outlet):
+class ImuUdpSink(PacketSink):
     """Sends samples by UDP, one to a datagram: together they would be late by the time between them."""
 
     def __init__(self, host: str, port: int) -> None:

@@ -11,14 +11,7 @@ from threading import Event
 import numpy as np
 
 from vlp16emu.extras.bench.imu_frame import moved_imu
-from vlp16emu.packets.layout import (
-    DATA_PAYLOAD,
-    POSITION_BYTES,
-    POSITION_PAYLOAD,
-    RETURN_MODE_BYTE,
-    SENTENCE_BYTES,
-    SEQUENCES_PER_PACKET,
-)
+from vlp16emu.packets import layout
 from vlp16emu.packets.position import STAMP_LEAD_NS
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sinks import PacketSink
@@ -40,13 +33,13 @@ def _offset(payload: np.dtype[np.void], field: str) -> int:
 
 
 _STAMP_AT = {
-    PacketKind.DATA: _offset(DATA_PAYLOAD, "timestamp_us"),
-    PacketKind.POSITION: _offset(POSITION_PAYLOAD, "timestamp_us"),
+    PacketKind.DATA: _offset(layout.DATA_PAYLOAD, "timestamp_us"),
+    PacketKind.POSITION: _offset(layout.POSITION_PAYLOAD, "timestamp_us"),
 }
-_PPS_AT = _offset(POSITION_PAYLOAD, "pps")
-_MODE_AT = _offset(DATA_PAYLOAD, "return_mode")
-_DUAL = bytes([RETURN_MODE_BYTE[ReturnMode.DUAL]])
-_SENTENCE = slice(_offset(POSITION_PAYLOAD, "sentence"), _offset(POSITION_PAYLOAD, "unused_tail"))
+_PPS_AT = _offset(layout.POSITION_PAYLOAD, "pps")
+_MODE_AT = _offset(layout.DATA_PAYLOAD, "return_mode")
+_DUAL = bytes([layout.RETURN_MODE_BYTE[ReturnMode.DUAL]])
+_SENTENCE = slice(_offset(layout.POSITION_PAYLOAD, "sentence"), _offset(layout.POSITION_PAYLOAD, "unused_tail"))
 
 
 def has_stamp(packet: Packet) -> bool:
@@ -67,7 +60,7 @@ def age_ns(packet: Packet) -> int:
     if packet.kind is not PacketKind.DATA:
         return STAMP_LEAD_NS if packet.kind is PacketKind.POSITION else 0
     is_dual = packet.payload[_MODE_AT:].startswith(_DUAL)
-    return SEQUENCES_PER_PACKET[ReturnMode.DUAL if is_dual else ReturnMode.STRONGEST] * SEQUENCE_NS
+    return layout.SEQUENCES_PER_PACKET[ReturnMode.DUAL if is_dual else ReturnMode.STRONGEST] * SEQUENCE_NS
 
 
 def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
@@ -108,9 +101,9 @@ def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> 
     payload = bytearray(packet.payload)
     _STAMP.pack_into(payload, _STAMP_AT[packet.kind], clock_ns % HOUR_NS // US_NS)
     if packet.kind is PacketKind.POSITION:
-        payload += bytes(POSITION_BYTES - len(payload))
+        payload += bytes(layout.POSITION_BYTES - len(payload))
         payload[_PPS_AT] = pps
-        payload[_SENTENCE] = sentence[:SENTENCE_BYTES].ljust(SENTENCE_BYTES, b"\0")
+        payload[_SENTENCE] = sentence[: layout.SENTENCE_BYTES].ljust(layout.SENTENCE_BYTES, b"\0")
     return replace(packet, payload=bytes(payload[: len(packet.payload)]))
 
 
@@ -164,8 +157,7 @@ class NowSink(PacketSink):
         self._ahead_ns = 0
         self.moved_s = 0
         """Whole seconds from the time of the packets to the present; known when the first one leaves, as `began_ns`."""
-        self.began_ns = 0
-        """UTC at which that is by the sensor's clock."""
+        self.began_ns = 0  # UTC at which that is by the sensor's clock
 
     def begin(self, first: Packet, stop: Event) -> int:
         """Wait for the instant at which the first packet leaves, or until the stream is to stop.

@@ -39,13 +39,6 @@ _PAGE_POLICY = (
 
 
 @dataclass(frozen=True, slots=True)
-class HttpFault:
-    """Fault of the web interface."""
-
-    status: int | None  # status of every answer; None for no answer at all
-
-
-@dataclass(frozen=True, slots=True)
 class _Request:
     method: str
     path: str  # without the query
@@ -84,14 +77,13 @@ class WebServer:
     ----------
     device : what is asked and set
     host, port : where it listens; port 0 for a free one
-    fault : returns what is wrong with it now, None for nothing; called from its thread, and must not wait
+    fault : returns what is wrong with it now: the status of all answers, 0 for no answer at all, None for nothing; called
+        from its thread, and must not wait
 
     Raises OutputError if it cannot listen there.
     """
 
-    def __init__(
-        self, device: Device, host: str, port: int, *, fault: Callable[[], HttpFault | None] = lambda: None
-    ) -> None:
+    def __init__(self, device: Device, host: str, port: int, *, fault: Callable[[], int | None] = lambda: None) -> None:
         self.device, self.fault = device, fault
         self.page = Path(__file__).with_name("page.html").read_bytes()
         self._lines = dict[StreamWriter, asyncio.Task[None] | None]()
@@ -166,14 +158,10 @@ class WebServer:
             return await _listen_out(reader, line)
         if request is None or not self.device.is_up():
             return False
-        fault = self.fault()
-        if fault is None:
-            answer = _answer(request, self)
-        elif fault.status is not None:
-            answer = _said(fault.status, "error", responses.get(fault.status, "fault"))
-        else:
+        if (status := self.fault()) == 0:
             await self._over.wait()
             return False
+        answer = _said(status, "error", responses.get(status, "fault")) if status else _answer(request, self)
         line.write(answer.packed(bare=request.method == "HEAD", is_last=request.is_last))
         if len(request.body) > MOST_BODY_BYTES:
             return await _listen_out(reader, line)
@@ -190,13 +178,20 @@ async def _listen_out(reader: StreamReader, line: StreamWriter) -> bool:
 
 
 def _answer(request: _Request, server: WebServer) -> _Answer:
-    """Answer as a sensor does that is well."""
     if len(request.body) > MOST_BODY_BYTES:
         return _said(413, "error", f"more than {MOST_BODY_BYTES} bytes")
     if _is_foreign(request, is_private=server.is_private):
         return _said(403, "error", "a request that a page of another site has sent")
     if request.path in PATHS:
-        return _submitted(request, server.device) if request.method == "POST" else _not_allowed("POST")
+        if request.method != "POST":
+            return _not_allowed("POST")
+        try:
+            submit(request.path, request.body, server.device)
+        except FormError as refused:
+            return _said(200, "ignored", str(refused))
+        except Vlp16emuError as error:
+            return _said(500, "error", str(error))
+        return _Answer(204)
     if request.path == "/":
         answer = _Answer(200, server.page, _HTML, ("Content-Security-Policy", _PAGE_POLICY))
     elif (made := document(request.path, server.device)) is not None:
@@ -204,16 +199,6 @@ def _answer(request: _Request, server: WebServer) -> _Answer:
     else:
         return _said(404, "error", "no such path")
     return answer if request.method in ("GET", "HEAD") else _not_allowed("GET, HEAD")
-
-
-def _submitted(request: _Request, device: Device) -> _Answer:
-    try:
-        submit(request.path, request.body, device)
-    except FormError as refused:
-        return _said(200, "ignored", str(refused))
-    except Vlp16emuError as error:
-        return _said(500, "error", str(error))
-    return _Answer(204)
 
 
 def _is_foreign(request: _Request, *, is_private: bool) -> bool:
@@ -225,7 +210,14 @@ def _is_foreign(request: _Request, *, is_private: bool) -> bool:
     host, origin = request.headers.get("host"), request.headers.get("origin")
     if request.method == "POST" and origin not in (None, f"http://{host}"):
         return True
-    return is_private and host is not None and not _is_unnamed(host)
+    if not is_private or host is None:
+        return False
+    try:  # an address, or the name that is this machine's everywhere
+        name = urlsplit(f"//{host}").hostname or ""
+        ip_address("127.0.0.1" if name == "localhost" else name)
+    except ValueError:
+        return True
+    return False
 
 
 async def _request(line: StreamReader) -> _Request | None:
@@ -305,13 +297,3 @@ def _not_allowed(methods: str) -> _Answer:
 
 def _json(made: object) -> bytes:
     return json.dumps(made, separators=(",", ":")).encode()
-
-
-def _is_unnamed(host: str) -> bool:
-    """Return whether a Host header holds an address, or the name that is this machine's everywhere."""
-    try:
-        name = urlsplit(f"//{host}").hostname or ""
-        ip_address("127.0.0.1" if name == "localhost" else name)
-    except ValueError:
-        return False
-    return True

@@ -28,17 +28,14 @@ _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
 
-Frames = Iterator[Frame | None]
-"""Frames of a file; the last is None if the file ends in the middle of a record."""
+Frames = Iterator[Frame | None]  # frames of a file; the last is None if the file ends in the middle of a record
 
 
 def frames(path: Path, file: Any) -> Frames:
     """Yield the frames of a file that is no plain pcap.
 
-    Raises
-    ------
-    CaptureError
-        If it is neither pcapng nor an archive that can be unpacked with a capture in it, or a record is damaged.
+    Raises CaptureError if it is neither pcapng nor an archive that can be unpacked with a capture in it, or a
+    record is damaged.
     """
     head = b""
     try:

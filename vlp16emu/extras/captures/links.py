@@ -37,19 +37,13 @@ _NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `u
 class Ip(NamedTuple):
     """An IP packet in a frame."""
 
-    at: int
-    """Offset of its header in the frame."""
-    body: int
-    """Offset of its content, behind header and extensions."""
-    end: int
-    """Offset of its end by its own length; what is behind is padding."""
+    at: int  # offset of its header in the frame
+    body: int  # offset of its content, behind header and extensions
+    end: int  # offset of its end by its own length; what is behind is padding
     protocol: int
-    fragment: int
-    """Offset in the datagram, bytes."""
-    more: bool
-    """More fragments follow."""
-    key: bytes
-    """Addresses, identification and protocol, the same for all fragments of a datagram."""
+    fragment: int  # offset in the datagram, bytes
+    more: bool  # more fragments follow
+    key: bytes  # addresses, identification and protocol, the same for all fragments of a datagram
 
 
 class Unwrapper:

@@ -169,8 +169,7 @@ SCENE_COLUMNS = (
     Column("ring", "<u2", ("ring",), 0, ("ring",)),
     Column("laser", "<u2", ("laser",), 0, ("laser",)),
     Column("return_number", "|u1", ("return_number",), 0, ("return_number",)),
-)
-"""Columns of points of a scene."""
+)  # columns of points of a scene
 TRUTH_COLUMNS = (
     Column("semantic", "|u1", ("semantic",), 0, ("semantic",)),
     Column("part", "|u1", ("part",), 0, ("part",)),
@@ -178,8 +177,7 @@ TRUTH_COLUMNS = (
     Column("instance", "<u4", ("instance",), 0, ("instance",)),
     Column("species", "<u2", ("species",), 0, ("species",)),
     Column("reflectance", "<f4", ("reflectance",), 4, ("reflectance",)),
-)
-"""Columns of the surface behind each point of a scene."""
+)  # columns of the surface behind each point of a scene
 
 
 _VIEWPOINT = Column(
@@ -189,15 +187,13 @@ DESKEWED_COLUMNS = (
     *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
     Column("is_last", "|u1", ("is_last",), 0, ("is_last",)),
     _VIEWPOINT,
-)
-"""Columns of points of a capture that a trajectory places in the world."""
+)  # columns of points of a capture that a trajectory places in the world
 LABEL_COLUMNS = (
     Column("label", "|u1", ("label",), 0, ("label",)),
     Column("tree_id", "<u4", ("tree_id",), 0, ("treeID",)),
     Column("height_m", "<f4", ("height_above_ground_m",), 4, ("height_above_ground",)),
     _VIEWPOINT,
-)
-"""Beside the truth, for a scheme of labels."""
+)  # beside the truth, for a scheme of labels
 
 
 def scene_comments() -> tuple[str, ...]:

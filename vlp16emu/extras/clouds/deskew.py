@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import chain, pairwise
 from pathlib import Path
@@ -13,17 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, TrajectoryError, readable
-from vlp16emu.extras.clouds.cloud import (
-    DESKEWED_COLUMNS,
-    LABEL_COLUMNS,
-    TRUTH_COLUMNS,
-    CloudAbout,
-    Column,
-    LabelScheme,
-    PointLabels,
-    point_file,
-    time_comment,
-)
+from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import twins
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
@@ -31,7 +20,7 @@ from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
-from vlp16emu.packets import CaptureReader, Clock, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
@@ -101,18 +90,18 @@ class CaptureTruth:
     scheme : by which points are labelled besides; needs the scene
     """
 
-    def __init__(self, folder: Path, unit: int, scheme: LabelScheme | None) -> None:
+    def __init__(self, folder: Path, unit: int, scheme: cloud.LabelScheme | None) -> None:
         self._rows = SlotReader(folder / f"returns{'' if unit == 1 else f'_{unit}'}.parquet")
-        self._labels: PointLabels | None = None
+        self._labels: cloud.PointLabels | None = None
         if scheme is not None:
             scenario = load(folder / "scenario.json")
-            self._labels = PointLabels(scheme, scenario.world.site(scenario.world_seed).height_m)
+            self._labels = cloud.PointLabels(scheme, scenario.world.site(scenario.world_seed).height_m)
 
     @property
-    def columns(self) -> tuple[Column, ...]:
-        """Columns of the points beside `DESKEWED_COLUMNS`."""
-        known = {column.name for column in DESKEWED_COLUMNS} | {"reflectance"}
-        wanted = TRUTH_COLUMNS + LABEL_COLUMNS * (self._labels is not None)
+    def columns(self) -> tuple[cloud.Column, ...]:
+        """Columns of the points beside `cloud.DESKEWED_COLUMNS`."""
+        known = {column.name for column in cloud.DESKEWED_COLUMNS} | {"reflectance"}
+        wanted = cloud.TRUTH_COLUMNS + cloud.LABEL_COLUMNS * (self._labels is not None)
         return tuple(column for column in wanted if column.name not in known)
 
     def of(self, chunk: PacketChunk, packets: slice, points: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
@@ -126,27 +115,10 @@ class CaptureTruth:
         return rows | self._labels.of(rows | {"world_m": world_m})
 
 
-@dataclass(frozen=True, slots=True)
-class Deskewed:
-    """Contents of a file of points of a capture."""
-
-    file: str
-    capture: str
-    trajectory: str
-    points: int
-    without_pose: int  # points left out, as the trajectory has no pose at their pulses
-    truth: bool  # true if points have labels
-    simulated_s: float  # time from the first pulse of the capture to the last
-    clock: str  # clock of the pulses: sensor, gps or host
-    host_ahead_s: float  # capture stamps less the sensor's clock at the first packet
-    bytes: int
-    interrupted: bool  # ended by its stop event
-
-
 def write_deskewed(
     capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event, clock: str | None = None
-) -> Deskewed:
-    """Write the points of a capture, in the world and in the sensor's frame, to a file as of `point_file`.
+) -> dict[str, Any]:
+    """Write the points of a capture, in the world and in the sensor's frame, to a file as of `point_file`; return what is in it.
 
     Parameters
     ----------
@@ -163,15 +135,15 @@ def write_deskewed(
         chunks = reader.points()
         first = next(chunks)
         start_ns = int(first.utc_ns[0])
-        about = CloudAbout(
-            ("x, y, z in the world by a trajectory", time_comment(f"{stamped.clock}'s")),
+        about = cloud.CloudAbout(
+            ("x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")),
             start_utc=datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000),
             origin=way.origin,
             unit=way.unit,
         )
-        columns = DESKEWED_COLUMNS + (truth.columns if truth else ())
+        columns = cloud.DESKEWED_COLUMNS + (truth.columns if truth else ())
         points = without_pose = last_ns = 0
-        with point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
+        with cloud.point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
             for chunk in chain([first], chunks):
                 for block, left_out in _blocks(chunk, way, truth, start_ns):
                     writer.write(block)
@@ -180,20 +152,27 @@ def write_deskewed(
                 if stop.is_set():
                     break
             if without_pose and not points:
-                raise _no_pose(way, stamped.clock, start_ns / S_NS, last_ns / S_NS)
-    return Deskewed(
-        file=str(path),
-        capture=str(capture),
-        trajectory=str(way.path),
-        points=points,
-        without_pose=without_pose,
-        truth=truth is not None,
-        simulated_s=last_ns / S_NS,
-        clock=stamped.clock,
-        host_ahead_s=(stamped.host_ahead_ns or 0) / S_NS,
-        bytes=path.stat().st_size,
-        interrupted=stop.is_set(),
-    )
+                found, (first_s, end_s) = (
+                    "poses from {:.3f} to {:.3f} s".format(*way.span_s),
+                    (start_ns / S_NS, (start_ns + last_ns) / S_NS),
+                )
+                by = f"by the {stamped.clock} clock (see --clock and --time-offset)"
+                raise TrajectoryError(
+                    str(way.path), found, f"poses at the pulses, from {first_s:.3f} to {end_s:.3f} s {by}"
+                )
+    return {
+        "file": str(path),
+        "capture": str(capture),
+        "trajectory": str(way.path),
+        "points": points,
+        "without_pose": without_pose,  # points left out, as the trajectory has no pose at their pulses
+        "truth": truth is not None,
+        "simulated_s": last_ns / S_NS,  # from the first pulse of the capture to the last
+        "clock": stamped.clock,
+        "host_ahead_s": (stamped.host_ahead_ns or 0) / S_NS,  # capture stamps less the sensor's clock at first
+        "bytes": path.stat().st_size,
+        "interrupted": stop.is_set(),
+    }
 
 
 def _blocks(
@@ -240,11 +219,3 @@ def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float]
         raise InputError("--unit", f"found {unit}", f"at most {len(known)}, the units in {rig}")
     file, sensor = known[unit - 1]
     return file, origin, sensor if len(known) > 1 else None
-
-
-def _no_pose(way: Trajectory, clock: Clock, start_s: float, duration_s: float) -> TrajectoryError:
-    begin_s, end_s = way.span_s
-    pulses = f"from {start_s:.3f} to {start_s + duration_s:.3f} s by the {clock} clock (see --clock and --time-offset)"
-    return TrajectoryError(
-        str(way.path), f"poses from {begin_s:.3f} to {end_s:.3f} s", f"poses at the pulses, {pulses}"
-    )

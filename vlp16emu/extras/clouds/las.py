@@ -36,8 +36,7 @@ _GPS_EPOCH_NS = _ns(1980, 1, 6)
 _LEAPS_NS = np.array(
     [_ns(year, 7, 1) for year in (1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)]
     + [_ns(year, 1, 1) for year in (1988, 1990, 1991, 1996, 1999, 2006, 2009, 2017)]
-)
-"""Instants after the leap seconds since GPS time began (IERS Bulletin C; none is announced after that of 2016-12-31)."""
+)  # instants after the leap seconds since GPS time began (IERS Bulletin C; none is announced after that of 2016-12-31)
 _LEAPS_NS.sort()
 _ADJUSTMENT_S = 1_000_000_000  # LAS specification 1.4 - R15, section 2.4, global encoding bit 0
 
@@ -63,8 +62,6 @@ class LasFile(PointWriter):
         self._failures: type[Exception] = lazrs.LazrsError if compressed else OSError
         self._about = about
         self._writer: Any = None
-        names = {column.name for column in columns}
-        self._has_labels = bool(names & {"label", "semantic"})
         self._columns = [column for column in columns if column.ply]
         self._extra = {
             name: (column.kind, header)
@@ -93,8 +90,10 @@ class LasFile(PointWriter):
         record["user_data"] = block["return_number" if "return_number" in block else "is_last"]
         record["point_source_id"] = np.full(n, self._about.unit)
         record["gps_time"] = adjusted_gps_s(block["t_ns"])
-        if self._has_labels:
-            record["classification"] = values.get("label", _asprs(block))
+        if "label" in values:
+            record["classification"] = values["label"]
+        elif "semantic" in block:
+            record["classification"] = label_scheme("asprs").codes(block["semantic"], block["part"])
         for name in self._extra:
             record[name] = values[name]
         with self._writing():
@@ -179,12 +178,6 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
         f'VERT_CS["height over the origin",VERT_DATUM["ellipsoidal height {height_m!r} m",2005],'
         'UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Up",UP]]]'
     )
-
-
-def _asprs(block: Block) -> NDArray[np.uint8] | None:
-    if "semantic" not in block:
-        return None
-    return label_scheme("asprs").codes(block["semantic"], block["part"])
 
 
 def adjusted_gps_s(t_ns: NDArray[np.int64]) -> NDArray[np.float64]:

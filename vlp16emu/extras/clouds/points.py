@@ -11,24 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
-from vlp16emu.extras.clouds.cloud import (
-    LABEL_COLUMNS,
-    RETURN_NAMES,
-    SCENE_COLUMNS,
-    TRUTH_COLUMNS,
-    Block,
-    CloudAbout,
-    LabelScheme,
-    PointLabels,
-    label_scheme,
-    point_file,
-    scene_comments,
-)
+from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import points_of
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
@@ -49,7 +37,7 @@ class PointCloud:
     pulses_per_s: float
     turn: Turn
     points: int
-    returns: Mapping[str, int]  # points by `RETURN_NAMES`
+    returns: Mapping[str, int]  # points by `cloud.RETURN_NAMES`
     truth: bool  # true if points have labels
     bytes: int
     simulated_s: float
@@ -79,18 +67,18 @@ def write_points(
     library for a format is not there; OutputError if file or folder cannot be written, or are an input of the scene;
     TrajectoryError if the walk ends before the span does; RunError if the disk is full; the file is not complete.
     """
-    run, path, began_s, asked = emulator.run, Path(path), time.perf_counter(), PointOptions(**options)
-    number, scenario, stop = run.number(asked.unit), run.scenario, stop or Event()
-    scheme, truth = (label_scheme(asked.labels) if asked.labels else None), asked.truth or bool(asked.labels)
+    path, began_s, asked = Path(path), time.perf_counter(), PointOptions(**options)
+    number, scenario, stop = emulator.number(asked.unit), emulator.scenario, stop or Event()
+    scheme, truth = (cloud.label_scheme(asked.labels) if asked.labels else None), asked.truth or bool(asked.labels)
     begin_s, _ = span_s = scenario.span_s(asked.start_s, asked.duration_s)
-    blocks = _blocks(run.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
-    columns = SCENE_COLUMNS + TRUTH_COLUMNS * truth + LABEL_COLUMNS * bool(scheme)
+    blocks = _blocks(emulator.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
+    columns = cloud.SCENE_COLUMNS + cloud.TRUTH_COLUMNS * truth + cloud.LABEL_COLUMNS * bool(scheme)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
-    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=run.files)
+    file = cloud.point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=emulator.files)
     with (
-        run.engine.windows.stopped_by(stop),
+        emulator.engine.windows.stopped_by(stop),
         file as writer,
-        run.truth(asked.truth_to, span_s, of=run) as folder,
+        emulator.truth(asked.truth_to, span_s) as folder,
         suppress(CancelledError),
     ):
         for block, end_ns in blocks:
@@ -102,11 +90,11 @@ def write_points(
             progress(simulated_s)
             if stop.is_set():
                 break
-    sensor, wall_s = run.engine.parts.units[number], time.perf_counter() - began_s
+    sensor, wall_s = emulator.parts.units[number], time.perf_counter() - began_s
     beams = sensor.head.beams
     return PointCloud(
         file=str(path),
-        scene=run.name,
+        scene=emulator.name,
         seed=scenario.seed,
         unit=asked.unit,
         sensor=sensor.section.model,
@@ -115,7 +103,7 @@ def write_points(
         pulses_per_s=S_NS / beams.sequence_ns * len(beams.elevation_deg),
         turn=turn_of(sensor.head, simulated_s),
         points=int(returns.sum()),
-        returns=dict(zip(RETURN_NAMES, returns.tolist(), strict=True)),
+        returns=dict(zip(cloud.RETURN_NAMES, returns.tolist(), strict=True)),
         truth=truth,
         bytes=path.stat().st_size,
         simulated_s=simulated_s,
@@ -125,10 +113,10 @@ def write_points(
     )
 
 
-def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> CloudAbout:
-    comments = scene_comments()
+def _about(scenario: Scenario, number: int, labels: cloud.LabelScheme | None) -> cloud.CloudAbout:
+    comments = cloud.scene_comments()
     gps = scenario.gps
-    return CloudAbout(
+    return cloud.CloudAbout(
         comments=comments if labels is None else (*comments, f"label: {labels.name}, {labels.source}"),
         start_utc=scenario.start_utc,
         origin=(gps.latitude_deg, gps.longitude_deg, gps.height_m),
@@ -137,15 +125,15 @@ def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> Cloud
 
 
 def _blocks(
-    engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool, labels: LabelScheme | None
-) -> Iterator[tuple[Block, int]]:
+    engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool, labels: cloud.LabelScheme | None
+) -> Iterator[tuple[cloud.Block, int]]:
     """Points of each block of a span, and the time in ns since the first pulse until which they reach."""
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
     scenario = engine.scenario
-    labelled = labels and PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)
+    labelled = labels and cloud.PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)
 
-    def made(block: Returns) -> tuple[Block, int]:
+    def made(block: Returns) -> tuple[cloud.Block, int]:
         t_ns = block.firings.t_ns
         points, _ = points_of(unit, block, (t_ns >= begin_ns) & (t_ns < end_ns), truth=truth)
         points["since_start_ns"] = points["t_ns"] - start_ns

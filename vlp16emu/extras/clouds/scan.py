@@ -40,14 +40,10 @@ LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
 class Chunk:
     """The n points of m azimuth readings, in order of time."""
 
-    t_ns: I8
-    """(m,) UTC of the first pulse after each reading."""
-    azimuth_deg: F8
-    """(m,) readings."""
-    reading: I8
-    """(n,) index of each point's reading, ascending."""
-    arrays: Mapping[str, NDArray[Any]]
-    """Arrays of n points by the names that they have in a scan."""
+    t_ns: I8  # (m,) UTC of the first pulse after each reading
+    azimuth_deg: F8  # (m,) readings
+    reading: I8  # (n,) index of each point's reading, ascending
+    arrays: Mapping[str, NDArray[Any]]  # arrays of n points by the names that they have in a scan
 
     def then(self, later: "Chunk") -> "Chunk":
         """Return this chunk with a later one appended."""
@@ -129,11 +125,9 @@ def decode(
     -------
     iterator over the whole revolutions, which reads the file as it goes; errors come after the scans before them
 
-    Raises
-    ------
-    CaptureError : where the file cannot be read or is damaged, or has no data packets
-    PacketError : where a packet is not a VLP-16's
-    InputError : there is no such frame, clock or unit, or there are several units and none is named
+    Raises CaptureError where the file cannot be read or is damaged, or has no data packets; PacketError where a
+    packet is not a VLP-16's; InputError if there is no such frame, clock or unit, or there are several units and none
+    is named.
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
@@ -187,9 +181,7 @@ def twins(points: Points) -> NDArray[np.bool_]:
 def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool) -> Iterator[Scan]:
     """Return whole revolutions of a unit, numbered from 0, within a span; with labels if `truth`.
 
-    Raises
-    ------
-    TrajectoryError : If the walk is over before the span
+    Raises TrajectoryError if the walk is over before the span.
     """
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)

@@ -6,23 +6,27 @@ import numpy as np
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import commonest, local, statistics_of, turning_of
-from vlp16emu.extras.compare.surfaces import Statistics, beat_of, stretches_of
+from vlp16emu.extras.compare.statistics import (
+    Statistics,
+    beat_of,
+    commonest,
+    local,
+    statistics_of,
+    stretches_of,
+    turning_of,
+)
 from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
 from vlp16emu.sensor import Sensor
 
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
-_LEVEL = 80.0
-"""Reflectivity in the middle of those whose neighbours are compared."""
+_LEVEL = 80.0  # reflectivity in the middle of those whose neighbours are compared
 _EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
 """Step of bright codes over their scatter and the share of equal neighbours, from our own packets; its limit; where it is one, and set."""
-_ELSE_MM = 2.6
-"""White error that the detector and the 2 mm of a code add to that of the settings, from our own packets."""
+_ELSE_MM = 2.6  # white error that the detector and the 2 mm of a code add to that of the settings, from our own packets
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
-_HALF_DEG_PER_US = 0.0018
-"""Half of what a rotor of 600 rpm turns in a microsecond."""
+_HALF_DEG_PER_US = 0.0018  # half of what a rotor of 600 rpm turns in a microsecond
 _SET_RPM, _MOST_OFF_RPM = 60, 3.0
 """Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (sibling manuals)."""
 
@@ -66,17 +70,12 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         )
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
-        if level := _silent_level(sequences):
+        silent = sequences.distance_lsb == 0
+        enough = silent.sum(axis=0) >= _LEAST_SILENT
+        if enough.any():  # the middle over the lasers of what no-returns carry most often; codes are cut
+            level = float(np.median(commonest(silent, sequences.reflectivity)[enough])) + 0.5
             out["no_return_level"] = round(level, 1)
     return out
-
-
-def _silent_level(sequences: Sequences) -> float:
-    """Find the middle over the lasers of what no-returns carry most often, 0 where there are too few; codes are cut."""
-    silent = sequences.distance_lsb == 0
-    enough = silent.sum(axis=0) >= _LEAST_SILENT
-    codes = commonest(silent, sequences.reflectivity)[enough]
-    return float(np.median(codes)) + 0.5 if enough.any() else 0.0
 
 
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:

@@ -14,10 +14,8 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-_LEAST_PACKETS = 80
-"""One revolution at 600 rpm has 75."""
-_MOST_PACKETS = 50_000
-"""One minute; more would change no figure."""
+_LEAST_PACKETS = 80  # one revolution at 600 rpm has 75
+_MOST_PACKETS = 50_000  # one minute; more would change no figure
 _RPM = 270.0, 1320.0
 """300 to 1200 rpm (63-9243 Rev D, section 8.3, p. 50) with a tenth of margin: other rotors stand, or run up or down."""
 
@@ -26,22 +24,14 @@ _RPM = 270.0, 1320.0
 class Sequences:
     """n firing sequences of b blocks and p packets; in dual return, of the odd blocks."""
 
-    number: NDArray[np.int64]
-    """(n,) from 0, in units of 55.296 us: lost packets leave gaps."""
-    distance_lsb: NDArray[np.int64]
-    """(n, 16)."""
-    reflectivity: NDArray[np.int64]
-    """(n, 16)."""
-    azimuth_cdeg: NDArray[np.int64]
-    """(b,) without the jump at north: it goes on rising."""
-    block: NDArray[np.int64]
-    """(b,) number of the blocks, in units of 110.592 us."""
-    clock_ns: NDArray[np.int64]
-    """(p,) the sensor's clock, hours added."""
-    stamp_ns: NDArray[np.int64]
-    """(p,) of the capture."""
-    packet: NDArray[np.int64]
-    """(p,) from 0, numbered through gaps."""
+    number: NDArray[np.int64]  # (n,) from 0, in units of 55.296 us: lost packets leave gaps
+    distance_lsb: NDArray[np.int64]  # (n, 16)
+    reflectivity: NDArray[np.int64]  # (n, 16)
+    azimuth_cdeg: NDArray[np.int64]  # (b,) without the jump at north: it goes on rising
+    block: NDArray[np.int64]  # (b,) number of the blocks, in units of 110.592 us
+    clock_ns: NDArray[np.int64]  # (p,) the sensor's clock, hours added
+    stamp_ns: NDArray[np.int64]  # (p,) of the capture
+    packet: NDArray[np.int64]  # (p,) from 0, numbered through gaps
     last: tuple[NDArray[np.int64], NDArray[np.int64]] | None
     """Distances and reflectivities (n, 16) of the even blocks, in dual return."""
 
@@ -65,10 +55,8 @@ class Sequences:
 def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
     """Read a minute of a capture at most, whatever the product byte.
 
-    Raises
-    ------
-    CaptureError
-        If it is no capture, holds less than a revolution or two return modes, or its rotor has no speed of a VLP-16
+    Raises CaptureError if it is no capture, holds less than a revolution or two return modes, or its rotor has no
+    speed of a VLP-16.
     """
     with Capture(path) as capture:
         own = (one for one in capture if len(one.payload) == layout.DATA_BYTES and (unit is None or unit.owns(one)))
@@ -85,7 +73,6 @@ def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
 
 
 def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64]) -> Sequences:
-    """Count sequences and blocks by the time stamps of packets."""
     dual = bool(fields["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
     blocks = fields["blocks"][:, 1::2] if dual else fields["blocks"]
     per_packet = layout.BLOCKS_PER_PACKET // 2 if dual else layout.BLOCKS_PER_PACKET
@@ -112,7 +99,6 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64])
 
 
 def _of_lasers(blocks: NDArray[np.void]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return distances and reflectivities (n, 16) of blocks."""
     names, records = ("distance_lsb", "reflectivity"), blocks["records"]
     distance, code = (records[name].reshape(-1, layout.LASERS).astype(np.int64) for name in names)
     return distance, code

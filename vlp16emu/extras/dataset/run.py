@@ -1,4 +1,4 @@
-"""A dataset from its walks to its manifest: missing walks are made by this process or by others of this machine.
+"""The file that describes a dataset, its walks, and their manifest: walks are made by this process or by others of this machine.
 
 Each folder of a walk lists its own files with their sha256, and the manifest joins these lists. Nothing unlisted is ever
 removed.
@@ -16,23 +16,158 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
+from itertools import pairwise, product
 from pathlib import Path
 from shutil import rmtree
 from threading import Thread
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import in_one_world
-from vlp16emu.errors import OutputError, RunError, readable
+from vlp16emu.errors import OutputError, RunError, ScenarioError, readable
+from vlp16emu.explain import explain
 from vlp16emu.extras.clouds.cloud import label_scheme
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.extras.dataset.spec import DatasetWalk
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import OutputFile, lock
-from vlp16emu.types import F8, U4, Scan
+from vlp16emu.random import Purpose, generator
+from vlp16emu.run.emulator import Emulator
+from vlp16emu.scenario import Scenario, load
+from vlp16emu.scenario.find import find
+from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.settings import Fraction, Section, toml
+from vlp16emu.types import U4
 from vlp16emu.units import S_NS
+
+_SPLITS = ("train", "val", "test")
+_ONE = 1e-9
+
+
+def _each_once(values: list[Any]) -> list[Any]:
+    if len({getattr(value, "name", value) for value in values}) < len(values):
+        raise ValueError("each name and each number once")
+    return values
+
+
+_OnceEach = Field(min_length=1), AfterValidator(_each_once)
+_Seed = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _Variant(Section):
+    """A name and settings of a scene."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,60}$")]  # part of the names of walks
+    set: Annotated[list[str], Field(default_factory=list)]
+    """Settings, each `key.path=value` as in `--set`; their files are found from the current folder."""
+
+
+class _Stand(_Variant):
+    """A stand: a scene, whose other parts sensors and paths may change."""
+
+    scene: Annotated[str, Field(min_length=1)]
+    """Name of a scene, or path of a scene file, which is relative to the folder of the dataset's file."""
+
+
+class _Splits(Section):
+    """Shares of the stands; a stand is in one split with all its walks."""
+
+    train: Fraction = 0.7
+    val: Fraction = 0.15
+    test: Fraction = 0.15
+
+    @model_validator(mode="after")
+    def _sum(self) -> Self:
+        if abs(self.train + self.val + self.test - 1) > _ONE:
+            raise ValueError("train, val and test that sum to 1")
+        return self
+
+
+class DatasetSpec(Section):
+    """The file of a dataset: each stand with each seed, path and sensor is a walk."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]  # version of this format
+    layout: Literal["semantickitti", "pcap+truth", "las-plots"]  # which files are written
+    seed: _Seed = 1  # seed of the assignment of stands to splits
+    seeds: Annotated[list[_Seed], *_OnceEach] = [1]  # noqa: RUF012  # pydantic copies it
+    """Seeds of the scenes."""
+    stands: Annotated[list[_Stand], *_OnceEach]  # scenes to walk in
+    paths: Annotated[list[_Variant], *_OnceEach]  # paths through each stand
+    sensors: Annotated[list[_Variant], *_OnceEach]  # sensors on each path
+    splits: _Splits = _Splits()  # shares of the stands in train, val and test
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetWalk:
+    """One sensor on one path through one stand."""
+
+    number: int  # from 0, in the order of stands, seeds, paths and sensors
+    stand: str
+    path: str
+    sensor: str
+    split: str
+    layout: str
+    scenario: Scenario
+
+    @property
+    def seed(self) -> int:
+        """Seed of the scene."""
+        return self.scenario.seed
+
+    @property
+    def name(self) -> str:
+        """Unique name within the dataset."""
+        return f"{self.stand}.{self.seed}.{self.path}.{self.sensor}"
+
+    @property
+    def folder(self) -> str:
+        """Folder within the dataset."""
+        return f"sequences/{self.number:02d}" if self.layout == "semantickitti" else f"walks/{self.number:04d}"
+
+
+def load_spec(path: Path) -> DatasetSpec:
+    """Read the file of a dataset; ScenarioError if it cannot be read or is not valid."""
+    with readable(path, "a file of a dataset", ScenarioError):
+        text = path.read_text(encoding="utf-8-sig")
+    try:
+        tree = toml(text)
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(str(path), f"no valid TOML: {error}", "a TOML file") from None
+    try:
+        return DatasetSpec.model_validate(tree)
+    except ValidationError as error:
+        key, found, expected = explain(error, DatasetSpec.model_json_schema())
+        raise ScenarioError(f"{path}: {key}", found, expected) from None
+
+
+def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
+    """Return the walks of a dataset, with scene files found from `folder`.
+
+    ScenarioError if a scene or a setting is wrong, or a sensor has no packets and the layout needs them.
+    """
+    split_of, walks = _split_of(spec), list[DatasetWalk]()
+    for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):
+        settings = [*stand.set, *path.set, *sensor.set, f"seed={seed}"]
+        scene = find(stand.scene)
+        own = scene == Path(stand.scene)  # a path, not a name
+        scenario = load(folder / scene if own else scene, settings)
+        if spec.layout == "pcap+truth":
+            on_the_wire(scenario.sensor)
+        names = stand.name, path.name, sensor.name
+        walks.append(DatasetWalk(len(walks), *names, split_of[stand.name], spec.layout, scenario))
+    return walks
+
+
+def _split_of(spec: DatasetSpec) -> dict[str, str]:
+    """Assign each stand to a split: the order of their names is shuffled, and cut at the shares."""
+    names = sorted(stand.name for stand in spec.stands)
+    shuffled = [names[i] for i in generator(spec.seed, Purpose.DATASET_SPLIT).permutation(len(names))]
+    ends = [0, *(round(end * len(names)) for end in (spec.splits.train, 1 - spec.splits.test, 1.0))]
+    return {
+        name: split for split, (begin, end) in zip(_SPLITS, pairwise(ends), strict=True) for name in shuffled[begin:end]
+    }
+
 
 Entry = dict[str, Any]  # a walk in its list and in the manifest
 
@@ -52,7 +187,8 @@ def finished(out: Path, walk: DatasetWalk) -> Entry | None:
     ours = _ours(out / walk.folder)
     if entry.items() >= identity(walk).items() and len(ours) == len(entry["files"]) + 1:
         return entry
-    if strange := _files_in(out / walk.folder) - ours:
+    folder = out / walk.folder
+    if strange := {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()} - ours:
         found = f"{min(strange).relative_to(out)} is there, and no {_LIST} lists it so"
         raise OutputError(str(out), found, "a new folder, or one of an earlier run")
     return None
@@ -137,14 +273,9 @@ def _is_ours(tree: Any) -> bool:
 
 
 def _described(path: Path, folder: Path) -> Entry:
-    """Return name in a folder, size and sha256 of a file."""
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}
-
-
-def _files_in(folder: Path) -> set[Path]:
-    return {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()}
 
 
 _MOST_INSTANCES = 0xFFFF  # the upper 16 bits of a label hold the instance (SemanticKITTI, "Data")
@@ -164,7 +295,9 @@ def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
     for number, scan in enumerate(emulator.scans(truth=True)):
         assert scan.labels is not None
         assert scan.world_T_sensor is not None
-        rows = np.column_stack([_deskewed(emulator, scan), scan.reflectivity / 255]).astype("<f4")
+        pulse, first = emulator.world_T_sensor(scan.t_ns), scan.world_T_sensor
+        from_first_m = np.einsum("nij,nj->ni", pulse[:, :3, :3], scan.xyz_m) + (pulse[:, :3, 3] - first[:3, 3])
+        rows = np.column_stack([from_first_m @ first[:3, :3], scan.reflectivity / 255]).astype("<f4")
         (folder / "velodyne" / f"{number:06d}.bin").write_bytes(rows.tobytes())
         classes = scheme.codes(scan.labels.semantic, scan.labels.part).astype("<u4")
         labels = classes | _numbers(scan.labels.instance, known) << np.uint32(16)
@@ -175,15 +308,6 @@ def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
     calibration = [f"{name}: {_IDENTITY}" for name in ("P0", "P1", "P2", "P3", "Tr")]
     for name, lines in (("poses.txt", poses), ("times.txt", times), ("calib.txt", calibration)):
         (folder / name).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
-
-
-def _deskewed(emulator: Emulator, scan: Scan) -> F8:
-    """Return points (n, 3) of a scan in the sensor's frame at the scan's first pulse."""
-    assert scan.world_T_sensor is not None
-    pulse = emulator.world_T_sensor(scan.t_ns)
-    first = scan.world_T_sensor
-    world_m = np.einsum("nij,nj->ni", pulse[:, :3, :3], scan.xyz_m) + (pulse[:, :3, 3] - first[:3, 3])
-    return np.asarray(world_m @ first[:3, :3])
 
 
 def _numbers(instances: U4, known: dict[int, int]) -> U4:
@@ -199,8 +323,7 @@ LAYOUTS: dict[str, Callable[[Emulator, Path], object]] = {
     "semantickitti": _semantic_kitti,
     "pcap+truth": lambda emulator, folder: emulator.record(folder / "walk.pcap", truth=folder / "truth"),
     "las-plots": lambda emulator, folder: write_points(emulator, folder / "points.laz", truth=True),
-}
-"""Writers of a walk into an empty folder, by the layout's name in the file of a dataset."""
+}  # writers of a walk into an empty folder, by the layout's name in the file of a dataset
 
 
 _DEATHS = 10  # deaths of workers, without a finished walk between them, that end a run: then a walk kills them
@@ -336,10 +459,10 @@ def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
 def _start_worker() -> None:
     """Leave Ctrl-C to the parent process, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Thread(target=_end_with_parent, daemon=True).start()
 
+    def end_with_parent() -> None:
+        if parent := multiprocessing.parent_process():
+            parent.join()
+            os._exit(1)
 
-def _end_with_parent() -> None:
-    if parent := multiprocessing.parent_process():
-        parent.join()
-        os._exit(1)
+    Thread(target=end_with_parent, daemon=True).start()

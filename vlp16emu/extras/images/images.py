@@ -13,19 +13,19 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Unit, workers
 from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
 from vlp16emu.extras.meshes.furnished import Furnished
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.outputs import OutputFolder
-from vlp16emu.extras.palette import surface_colours
+from vlp16emu.extras.plots import surface_colours
 from vlp16emu.extras.truth.folder import tum_rows
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.output import write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F4, SURFACE, U1, PlantPart, Poses, Semantic, World
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -166,7 +166,7 @@ def write_images(
     """
     asked = ImageOptions(**options)
     engine, stop, camera = emulator.engine, stop or Event(), Camera.of(asked.kind, asked.size, asked.fov_deg)
-    scenario, of = engine.scenario, engine.parts.units[emulator.run.number(asked.unit)]
+    scenario, of = engine.scenario, engine.parts.units[emulator.number(asked.unit)]
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
     windows, species = engine.windows, species_of(engine.parts.world)
     pictures = PictureFolder(Path(folder), _cameras(camera, species))
@@ -196,7 +196,6 @@ def species_of(world: World) -> dict[int, str]:
 
 
 def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
-    """Return the content of `cameras.json`: intrinsics, extrinsics, units and the meaning of labels."""
     sensor_T_camera = np.eye(4)
     sensor_T_camera[:3, :3] = _BODY_R_CAMERA
     size: dict[str, Any] = {"kind": camera.kind, "width": camera.width, "height": camera.height}

@@ -95,7 +95,6 @@ class FlownMotion(Knots):
 
 
 def _cell(where: str, text: str) -> Cell:
-    """Read the name of a box."""
     try:
         x, y, z = map(int, text.split())
     except ValueError:

@@ -2,12 +2,12 @@
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp
 from vlp16emu.extras.recorded.motion import Pieces
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import cos_sin
 from vlp16emu.units import S_NS
 
@@ -61,21 +61,17 @@ class Knots(Pieces):
 
     def append(self, state: Array) -> None:
         """Add a knot (13,), a step after the last one."""
-        if self._count == len(self._states):
-            self._forget()
+        if self._count == len(self._states):  # drop the older half, in new arrays: others may be reading these
+            half = self._count // 2
+            self._first, self._count = self._first + half, self._count - half
+            self._knots_ns = self._knots_ns + half * STEP_NS
+            self._states, self._pieces = np.roll(self._states, -half, 0), np.roll(self._pieces, -half, 1)
         if self._count:
             _fill_piece(self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1])
         self._states[self._count] = self.last_state = state
         self._count += 1
         # In one piece, as other threads read it.
         self._arrays = self._knots_ns[: self._count], self._pieces
-
-    def _forget(self) -> None:
-        """Drop the older half, in new arrays: others may be reading these."""
-        half = self._count // 2
-        self._first, self._count = self._first + half, self._count - half
-        self._knots_ns = self._knots_ns + half * STEP_NS
-        self._states, self._pieces = np.roll(self._states, -half, 0), np.roll(self._pieces, -half, 1)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -130,7 +126,6 @@ def turn_between(old: Array, new: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _cross(a: Array, b: Array) -> Array:
-    """Cross product (3,)."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 

@@ -60,10 +60,6 @@ class PoseInput:
 
     Stamps of a sender count on a clock of its own. What that clock is off is taken from the pose that was quickest so
     far: its way took no time. So only what others took longer is known, and the least delay is part of the latency.
-
-    Parameters
-    ----------
-    clock_ns : monotonic
     """
 
     def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:

@@ -16,12 +16,9 @@ POSE_BYTES = _LAYOUT.size
 class PosePacket:
     """A pose of the body in the world."""
 
-    position_m: tuple[float, ...]
-    """x, y, z: east, north, up."""
-    quaternion: tuple[float, ...]
-    """x, y, z, w, body to world; the body's x axis is forward, z up."""
-    t_ns: int | None = None
-    """Time of the pose on the sender's clock, of any epoch; None stands for its arrival."""
+    position_m: tuple[float, ...]  # x, y, z: east, north, up
+    quaternion: tuple[float, ...]  # x, y, z, w, body to world; the body's x axis is forward, z up
+    t_ns: int | None = None  # time of the pose on the sender's clock, of any epoch; None stands for its arrival
 
 
 def pack_pose(position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bytes:
@@ -39,9 +36,7 @@ def is_pose(payload: bytes) -> bool:
 def unpack_pose(payload: bytes) -> PosePacket:
     """Read the datagram of a pose; its numbers are not checked.
 
-    Raises
-    ------
-    PacketError : If it is none
+    Raises PacketError if it is none.
     """
     if len(payload) != POSE_BYTES:
         raise PacketError("pose packet", f"found {len(payload)} bytes", f"{POSE_BYTES}")

@@ -25,8 +25,7 @@ POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 TIMED_POSES = {
     "t_s": Column({"t_s": 1.0}),
     **{name: Column({name: 1.0, name.removesuffix("_m"): 1.0}) for name in POSE},
-}
-"""Columns of a table of poses."""
+}  # columns of a table of poses
 _TUM = "t x y z qx qy qz qw"
 _MATRIX = tuple(f"{row}{column}" for row in "123" for column in "1234")
 
@@ -62,9 +61,7 @@ def read_trajectory_csv(path: Path) -> RecordedPoses:
 def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     """Read lines of 12 numbers, the rows of a 3 x 4 pose matrix (KITTI odometry benchmark, development kit).
 
-    Parameters
-    ----------
-    times : a file with a time in seconds for each pose, one to a line, or the rate of the poses in Hz
+    Their times are the rate of the poses in Hz, or a file with a time in seconds for each pose, one to a line.
     """
     columns = {name: Column({name: 1.0}) for name in _MATRIX}
     table = read_table(path, columns, "the numbers of a 3 x 4 matrix", TrajectoryError, has_header=False)

@@ -2,13 +2,13 @@
 
 import math
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import acos, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.settings import Recorded
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.motion.splines import interpolant
 from vlp16emu.types import Array, IntArray, Poses
@@ -71,8 +71,7 @@ class RecordedMotion(Pieces):
         powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
         super().__init__(start_ns, knots_ns, powers)
         self._check_norm(poses)
-        self.position_m = np.ascontiguousarray(powers[3, :, :3])
-        """(n - 1, 3) of all poses but the last, in the world."""
+        self.position_m = np.ascontiguousarray(powers[3, :, :3])  # (n - 1, 3) of all poses but the last, in the world
 
     def _check_norm(self, poses: RecordedPoses) -> None:
         (knots_ns, powers), found = self._arrays, "no smooth turn leads here from the pose before: times are too uneven"

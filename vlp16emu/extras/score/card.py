@@ -28,16 +28,12 @@ if TYPE_CHECKING:
 
 Cloud = Mapping[str, NDArray[Any]]
 
-WITHIN_M = (0.05, 0.1, 0.2)
-"""Distances for precision and completeness of a map."""
+WITHIN_M = (0.05, 0.1, 0.2)  # distances for precision and completeness of a map
 SAME_POINT_M = 0.02
 """A labelled point stands for the nearest true one within this distance: half a beam's width near the sensor."""
-LEAST_POINTS = 10
-"""Least number of points of a tree that counts as seen: fewer make neither a stem nor a box."""
-REGION_M = 20.0
-"""Radius around the first true position in which density and uniformity of a map are measured."""
-_BREAST_M = 0.1
-"""Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
+LEAST_POINTS = 10  # least number of points of a tree that counts as seen: fewer make neither a stem nor a box
+REGION_M = 20.0  # radius around the first true position in which density and uniformity of a map are measured
+_BREAST_M = 0.1  # half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
 _STYLE = (
@@ -48,28 +44,22 @@ _STYLE = (
 _HEAD = ["tree", "list line", "own number", "x m", "y m", "position error m", "DBH m", "DBH error m", "hits"]
 _SIZE_PX = 1100, 460
 
-Limit = tuple[str, str, float]
-"""A threshold: the name of a score, the sign, and the bound, which NaN never keeps."""
+Limit = tuple[str, str, float]  # a threshold: the name of a score, the sign, and the bound, which NaN never keeps
 
 
 @dataclass(frozen=True, slots=True)
 class TreeRow:
     """A true tree, a found one, or a pair of them."""
 
-    true_id: str
-    """Number in the inventory; empty if a found tree is false."""
-    list_line: str
-    """Line of the user's stem list that named the true tree."""
-    found_number: str
-    """Number of the found tree in its own list; empty if the tree is missed."""
+    true_id: str  # number in the inventory; empty if a found tree is false
+    list_line: str  # line of the user's stem list that named the true tree
+    found_number: str  # number of the found tree in its own list; empty if the tree is missed
     x_m: float
     y_m: float
     position_error_m: float
     true_dbh_m: float
-    dbh_error_m: float
-    """Found minus true."""
-    hits: int | None
-    """True points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points."""
+    dbh_error_m: float  # found minus true
+    hits: int | None  # true points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points
 
     @property
     def kind(self) -> str:
@@ -85,8 +75,7 @@ class ScoreCard:
     scores: dict[str, float] = field(default_factory=dict)
     trees: list[TreeRow] = field(default_factory=list)
     path: PathScore | None = None
-    notes: dict[str, str] = field(default_factory=dict)
-    """How groups of scores are measured."""
+    notes: dict[str, str] = field(default_factory=dict)  # how groups of scores are measured
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
         """Return the thresholds that are not kept, with the values, as text; InputError if there is no score of that name."""
@@ -248,7 +237,6 @@ def page(card: ScoreCard, missed: Sequence[str]) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table, all but the first column as numbers."""
     lines = [f"<tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>"]
     for first, *others in rows:
         cells = "".join(f'<td class="n">{escape(_text(value))}</td>' for value in others)

@@ -22,14 +22,12 @@ _PLACES = (
     ("world_x_m", "world_y_m", "world_z_m"),
     tuple("xyz"),
     ("x_m", "y_m", "z_m"),
-)
-"""Columns that hold the place of a point, the world's before the sensor's."""
+)  # columns that hold the place of a point, the world's before the sensor's
 _INSTANCES = ("instance", "treeID", "tree_id", "treeid")
 """Names of the column of instances: the first that is there counts, of ours and of other tools."""
 _KEPT = ("semantic", "part", "leaf_wood", "instance")
 _NUMBERS = ("number", "tree", "treeid", "tree_id", "id")
-_LARGEST_DBH_M = 15.0
-"""The largest tree known, Taxodium mucronatum at Tule, has 11.6 m."""
+_LARGEST_DBH_M = 15.0  # the largest tree known, Taxodium mucronatum at Tule, has 11.6 m
 _COLUMNS = {
     "x_m": Column({"x": 1.0, "x_m": 1.0}),
     "y_m": Column({"y": 1.0, "y_m": 1.0}),
@@ -47,17 +45,12 @@ _COLUMNS = {
 class Stem:
     """One line of a stem list or of an inventory."""
 
-    number: str
-    """Number in the list, kept as it is; the line if there is none."""
-    x_m: float
-    """Place of the stem at breast height if the list has that, as inventories have; else its place."""
+    number: str  # number in the list, kept as it is; the line if there is none
+    x_m: float  # place of the stem at breast height if the list has that, as inventories have; else its place
     y_m: float
-    z_m: float
-    """Foot; NaN if the list has none."""
-    dbh_m: float
-    """NaN if the list has none."""
-    list_line: str
-    """Line of the user's stem list that named the tree, in an inventory."""
+    z_m: float  # foot; NaN if the list has none
+    dbh_m: float  # NaN if the list has none
+    list_line: str  # line of the user's stem list that named the tree, in an inventory
 
 
 def read_cloud(path: Path) -> Cloud:

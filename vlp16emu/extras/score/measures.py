@@ -9,8 +9,7 @@ from vlp16emu.extras.score.files import Stem
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.types import F8, I8
 
-_DISKS = 9000
-"""Disks of PU-Net (Yu et al., CVPR 2018, section 4.2)."""
+_DISKS = 9000  # disks of PU-Net (Yu et al., CVPR 2018, section 4.2)
 _COCO = tuple(np.arange(50, 100, 5) / 100)
 """Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
 
@@ -143,7 +142,6 @@ def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
 
 
 def _overlaps(found: F8, true: F8) -> F8:
-    """Return intersection over union (k, m) of boxes."""
     low = np.maximum(found[:, None, 0], true[None, :, 0])
     high = np.minimum(found[:, None, 1], true[None, :, 1])
     both = np.prod(np.clip(high - low, 0, None), axis=-1)
@@ -169,7 +167,6 @@ def _average_precision(overlap: F8, limit: float) -> float:
 
 
 def _shares(name: str, hits: int, false: int, missed: int) -> dict[str, float]:
-    """Return precision, recall and F1 by numbers of hits, false and missed ones."""
     shares = {
         "precision": (hits, hits + false),
         "recall": (hits, hits + missed),

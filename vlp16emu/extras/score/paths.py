@@ -14,14 +14,10 @@ from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.types import F8
 from vlp16emu.units import MS_NS, S_NS
 
-RPE_DELTA_M = 1.0
-"""Length of path for relative errors, which short walks have too."""
-DRIFT_M = (10.0, 100.0)
-"""Lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)."""
-_MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS
-"""Three sweeps, and how finely they are searched."""
-_LEAST_POSES, _FLAT_M = 10, 1e-4
-"""Fewer poses, or a motion this even, say nothing about stamps."""
+RPE_DELTA_M = 1.0  # length of path for relative errors, which short walks have too
+DRIFT_M = (10.0, 100.0)  # lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)
+_MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS  # three sweeps, and how finely they are searched
+_LEAST_POSES, _FLAT_M = 10, 1e-4  # fewer poses, or a motion this even, say nothing about stamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +29,10 @@ class PathScore:
     `drift_100m_percent`, the mean relative error of positions over such stretches, NaN on a shorter path; `stamp_offset_s` to add to
     the estimate's stamps, NaN where the motion is too even to say."""
     poses: int
-    left_out: int
-    """Estimated poses outside the time of the truth."""
-    true_m: F8
-    """(n, 3)."""
-    found_m: F8
-    """(n, 3), aligned."""
-    errors_m: F8
-    """(n,)."""
+    left_out: int  # estimated poses outside the time of the truth
+    true_m: F8  # (n, 3)
+    found_m: F8  # (n, 3), aligned
+    errors_m: F8  # (n,)
 
 
 def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScore:

@@ -14,11 +14,10 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from vlp16emu.extras.camera import Orthographic, look
-from vlp16emu.extras.palette import colour_of_kind, colour_of_species, surface_colours
-from vlp16emu.extras.plots import plotted
-from vlp16emu.extras.sheets.survey import Survey, WorldSummary, subtitle_of, summary_of, survey
+from vlp16emu.extras.plots import colour_of_kind, colour_of_species, plotted, surface_colours
+from vlp16emu.extras.sheets.survey import Survey, subtitle_of, summary_of, survey
 from vlp16emu.forest.ground.dem import write_ascii
-from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
+from vlp16emu.forest.plants.stem import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import write_csv
 from vlp16emu.forest.stand.nearby import AllNear, Grow, cut_out
 from vlp16emu.forest.twin import write_glb
@@ -26,7 +25,6 @@ from vlp16emu.output import OutputFile
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F8, U1, HeightField
-from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.vectors import places_m
 
 if TYPE_CHECKING:
@@ -92,7 +90,9 @@ class StandSection:
 def section_of(seen: Survey) -> StandSection:
     """Lay the section of a survey: a hall from its southern wall, a forest along the path, deep enough to hold some trees."""
     if seen.hall is not None:
-        return _hall_section(seen.hall)
+        length_m, width_m, height_m = seen.hall.size_m
+        start_xy_m, along = np.array([-length_m / 2, 0.0]), np.array([1.0, 0.0])
+        return StandSection(start_xy_m, along, length_m, width_m - 2 * _INSIDE_M, -_BELOW_M, height_m)
     foot_m = places_m(seen.trees, "xy")
     for depth_m in _DEPTHS_M:
         section = strip_along(seen.path_m, _SECTION_M, depth_m).within(*seen.bounds_m)
@@ -105,12 +105,6 @@ def section_of(seen: Survey) -> StandSection:
     tops_m = (seen.trees["z_m"] + seen.trees["height_m"])[holds]
     top_m = max([*tops_m.tolist(), float(ground_m.max()) + _LEAST_HEIGHT_M]) + _ABOVE_M
     return replace(section, low_m=float(ground_m.min()) - _BELOW_M, high_m=top_m)
-
-
-def _hall_section(hall: HallWorld) -> StandSection:
-    length_m, width_m, height_m = hall.size_m
-    start_xy_m, along = np.array([-length_m / 2, 0.0]), np.array([1.0, 0.0])
-    return StandSection(start_xy_m, along, length_m, width_m - 2 * _INSIDE_M, -_BELOW_M, height_m)
 
 
 def strip_along(path_m: F8, length_m: float, depth_m: float) -> StandSection:
@@ -189,8 +183,7 @@ INK, SOFT, WALK = "#26302b", "#747e78", "#c8372d"
 _DRAWN_IN_ORDER = (
     *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "broken_log"),
     *("stump", "broken_stump", "root_plate", "deadwood", "sapling", "shrub", "tree", "other"),
-)
-"""Kinds of things, the lowest first."""
+)  # kinds of things, the lowest first
 _MARGIN_M = 2.0
 _LEAST_STEM_PX = 2.4  # thinner stems are drawn this wide, or nobody would see them
 _SMOOTH_M = 2.0  # one sigma of the smoothing of contour lines, which show hills and not every step
@@ -316,7 +309,6 @@ def _draw_strip(axes: "Axes", section: StandSection) -> None:
 
 
 def _draw_scale_and_north(axes: "Axes") -> None:
-    """Draw a bar of a round length, and an arrow to the north, below the plan."""
     (x_m, right_m), pixel = axes.get_xlim(), 1.0 / axes.get_window_extent().height
     bar_m, y = _round_up_m((right_m - x_m) / 12), -_BELOW_PX * pixel
     below: dict[str, Any] = {"color": INK, "transform": axes.get_xaxis_transform(), "clip_on": False}
@@ -408,7 +400,6 @@ def draw_side(axes: "Axes", seen: Survey, section: StandSection, drawn: U1) -> N
 
 
 def _draw_sensor(axes: "Axes", seen: Survey, row: int, x_m: float) -> None:
-    """Draw the sensor at a row of the path, the pole that holds it, and the ends of its field of view."""
     ground_m = float(seen.bare.height_m(seen.path_m[row : row + 1, 0], seen.path_m[row : row + 1, 1])[0])
     sensor_m = float(seen.path_m[row, 2])
     axes.plot([x_m, x_m], [ground_m, sensor_m], color=WALK, lw=2.2, solid_capstyle="butt", zorder=5)
@@ -423,7 +414,7 @@ _GROUND_CELL_M = 0.25  # cell of the ground grid: the finest that is usual for f
 
 def write_sheets(
     scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path], *, truth: Path | None
-) -> WorldSummary:
+) -> dict[str, Any]:
     """Survey a scene and write the files of some options, which are opened before anything heavy; return the summary.
 
     InputError if `truth`, the folder of a run, has no returns of this scene.
@@ -440,9 +431,8 @@ def write_sheets(
 
 
 def _writer(
-    name: str, seen: Survey, title: str, summary: WorldSummary, truth: Path | None
+    name: str, seen: Survey, title: str, summary: Mapping[str, Any], truth: Path | None
 ) -> Callable[[BinaryIO], object]:
-    """Return what writes the file of an option."""
     if name == "--inventory":  # all trees within the sensor's range, with what a run saw of their stems
         more, rows = seen.stems_seen(seen.trees, truth) if truth else None, seen.inventory(seen.trees)
         return lambda file: write_csv(file, rows, more, table=seen.plants.trees)

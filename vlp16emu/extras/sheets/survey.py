@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,14 @@ from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.extras.meshes.furnished import Furnished
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.forest.plants.crown import CrownKey
-from vlp16emu.forest.plants.flora import Flora, Table, Trees, flora
-from vlp16emu.forest.plants.stem_rings import StemForms, axis_m, stem_circles, stem_forms
+from vlp16emu.forest.plants.prototypes import CrownKey
+from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
+from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.inventory import INVENTORY, Models, branch_circles, inventory
+from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
 from vlp16emu.forest.stand.nearby import Thing, things_near
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
+from vlp16emu.forest.stand.tree_models import TreeModels
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F8, I8, U4, HeightField, PlantPart, Semantic, Window, World
@@ -34,8 +36,7 @@ STEM_SEEN = np.dtype(
         ("stem_seen", "<f8"),  # share of the surface between 0.3 m and the crown base, in cells of 10 degrees by 0.5 m
         ("breast_seen_deg", "<f8"),  # of the stem's girth between 1.1 m and 1.5 m, in cells of 10 degrees
     ]
-)
-"""Coverage of a stem by returns."""
+)  # coverage of a stem by returns
 
 _SECTORS = 36  # cells around a stem
 
@@ -139,9 +140,9 @@ class Survey:
         return self.bare.plants if isinstance(self.bare, ForestWorld) else flora()
 
     @property
-    def models(self) -> Models:
+    def models(self) -> TreeModels:
         """Trees of the user's own models."""
-        return self.bare.models if isinstance(self.bare, ForestWorld) else Models()
+        return self.bare.models if isinstance(self.bare, ForestWorld) else TreeModels()
 
     @property
     def species(self) -> dict[int, str]:
@@ -248,23 +249,6 @@ CELL_M = 0.5  # edge of the cells for areas and slopes: about the length of a fo
 
 
 @dataclass(frozen=True, slots=True)
-class StandRow:
-    """Figures of one species of a stand, or of all."""
-
-    species: str
-    stems: int
-    stems_per_ha: float
-    dbh_mean_cm: float  # quadratic mean
-    dbh_min_cm: float
-    dbh_max_cm: float
-    height_mean_m: float
-    height_max_m: float
-    basal_area_m2_per_ha: float
-    stem_m3_per_ha: float  # volume of stems over bark
-    leaf_area_index: float  # leaf area of these trees over the area considered
-
-
-@dataclass(frozen=True, slots=True)
 class Relief:
     """Ground in the area considered."""
 
@@ -274,32 +258,24 @@ class Relief:
     slope_max_deg: float
 
 
-def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[StandRow]:
-    """Return rows of the species of an inventory (n,), the most frequent first, and a last one of all trees if there are several."""
+def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[dict[str, Any]]:
+    """Return figures of the species of an inventory (n,), the most frequent first, and at last of all trees if there are several."""
     numbers, stems = np.unique(inventory["species"], return_counts=True)
-    rows = [
-        _row(species[int(number)], inventory[inventory["species"] == number], ground_m2)
-        for number in numbers[np.argsort(-stems, kind="stable")]
-    ]
-    return rows if len(rows) < 2 else [*rows, _row("all", inventory, ground_m2)]
-
-
-def _row(name: str, trees: NDArray[np.void], ground_m2: float) -> StandRow:
-    ground_ha = ground_m2 / 10_000
-    dbh_m = trees["dbh_m"]
-    return StandRow(
-        species=name,
-        stems=len(trees),
-        stems_per_ha=len(trees) / ground_ha,
-        dbh_mean_cm=100 * float(np.sqrt(np.mean(dbh_m**2))),
-        dbh_min_cm=100 * float(dbh_m.min()),
-        dbh_max_cm=100 * float(dbh_m.max()),
-        height_mean_m=float(trees["height_m"].mean()),
-        height_max_m=float(trees["height_m"].max()),
-        basal_area_m2_per_ha=float(np.sum(np.pi / 4 * dbh_m**2)) / ground_ha,
-        stem_m3_per_ha=float(trees["stem_m3"].sum()) / ground_ha,
-        leaf_area_index=float(trees["leaf_m2"].sum()) / ground_m2,
-    )
+    own = [(species[int(n)], inventory[inventory["species"] == n]) for n in numbers[np.argsort(-stems, kind="stable")]]
+    ground_ha, rows = ground_m2 / 10_000, list[dict[str, Any]]()
+    for name, trees in own if len(own) < 2 else [*own, ("all", inventory)]:
+        dbh_m = trees["dbh_m"]
+        row = {
+            "stems_per_ha": len(trees) / ground_ha,
+            "dbh_mean_cm": 100 * np.sqrt(np.mean(dbh_m**2)),
+        }  # quadratic mean
+        row |= {"dbh_min_cm": 100 * dbh_m.min(), "dbh_max_cm": 100 * dbh_m.max()}
+        row |= {"height_mean_m": trees["height_m"].mean(), "height_max_m": trees["height_m"].max()}
+        row["basal_area_m2_per_ha"] = np.sum(np.pi / 4 * dbh_m**2) / ground_ha
+        row["stem_m3_per_ha"] = trees["stem_m3"].sum() / ground_ha  # volume of stems over bark
+        row["leaf_area_index"] = trees["leaf_m2"].sum() / ground_m2  # leaf area of these trees over the area considered
+        rows.append({"species": name, "stems": len(trees)} | {key: float(value) for key, value in row.items()})
+    return rows
 
 
 def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
@@ -348,8 +324,7 @@ _MEASURES = {
     **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
     "root_plate": ("diameter", 1),
     **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
-}
-"""Reported size of a kind of thing, and its axis."""
+}  # reported size of a kind of thing, and its axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,109 +336,61 @@ class PathSummary:
     end_m: list[float]
 
 
-@dataclass(frozen=True, slots=True)
-class NamedThing:
-    """A named thing: of a hall, or one of the user's own."""
-
-    name: str
-    kind: str
-    instance: int
-    place_m: list[float]
-    size_m: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Things:
-    """Things of one kind without names."""
-
-    count: int
-    per_ha: float
-    measure: str  # the size whose extremes follow: height, length or diameter
-    least_m: float
-    greatest_m: float
-    species: Mapping[str, int]  # counts by name, the most frequent first
-
-
-@dataclass(frozen=True, slots=True)
-class WorldSummary:
-    """Figures of any world."""
-
-    scene: str
-    title: str
-    seed: int
-    world: str  # kind of the world
-    path: PathSummary
-    radius_m: float  # distance from the path within which things are reported
-    named: tuple[NamedThing, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class ForestSummary(WorldSummary):
-    """Figures of a forest, within the radius."""
-
-    area_ha: float
-    relief: Relief
-    trees: tuple[StandRow, ...]
-    clark_evans: float | None  # none with fewer than two trees
-    things: Mapping[str, Things]  # by kind
-    trees_in_reach: int  # trees within the sensor's range
-
-
-def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
-    """Summarise the survey of a scene of this name."""
+def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
+    """Summarise the survey of a scene of this name: of any world its path and what has a name, of a forest its figures within the radius."""
     path_xy_m = seen.path_m[:, :2]
     length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
-    bare = WorldSummary(
-        scene=scene,
-        title=scenario.title,
-        seed=scenario.seed,
-        world=scenario.world.kind,
-        path=PathSummary(length_m, seen.path_m[0].tolist(), seen.path_m[-1].tolist()),
-        radius_m=seen.radius_m,
-        named=tuple(
-            NamedThing(seen.names[thing.instance], thing.kind, thing.instance, thing.place_m.tolist(), thing.size_m)
-            for thing in seen.things
-            if thing.instance in seen.names
-        ),
-    )
+    named = [(seen.names[one.instance], one) for one in seen.things if one.instance in seen.names]
+    summary: dict[str, Any] = {
+        "scene": scene,
+        "title": scenario.title,
+        "seed": scenario.seed,
+        "world": scenario.world.kind,
+        "path": PathSummary(length_m, seen.path_m[0].tolist(), seen.path_m[-1].tolist()),
+        "radius_m": seen.radius_m,  # distance from the path within which things are reported
+        "named": [
+            {"name": name, "kind": one.kind, "instance": one.instance}
+            | {"place_m": one.place_m.tolist(), "size_m": one.size_m}
+            for name, one in named
+        ],
+    }
     if seen.hall is not None:
-        return bare
+        return summary
     cells = cells_near(path_xy_m, seen.radius_m)
     ground_m2 = len(cells) * CELL_M**2
     xy_m, all_xy_m = (places_m(trees, "xy") for trees in (seen.near, seen.trees))
-    return ForestSummary(
-        **{name: getattr(bare, name) for name in WorldSummary.__slots__},
-        area_ha=ground_m2 / 10_000,
-        relief=relief(cells, seen.bare.height_m),
-        trees=tuple(stand_rows(seen.inventory(seen.near), seen.species, ground_m2)),
-        clark_evans=clark_evans(xy_m, all_xy_m, ground_m2) if len(xy_m) > 1 else None,
-        things=_things(seen, ground_m2),
-        trees_in_reach=len(seen.trees),
-    )
+    return summary | {
+        "area_ha": ground_m2 / 10_000,
+        "relief": relief(cells, seen.bare.height_m),
+        "trees": stand_rows(seen.inventory(seen.near), seen.species, ground_m2),
+        "clark_evans": clark_evans(xy_m, all_xy_m, ground_m2) if len(xy_m) > 1 else None,
+        "things": _things(seen, ground_m2),
+        "trees_in_reach": len(seen.trees),  # within the sensor's range
+    }
 
 
-def subtitle_of(summary: WorldSummary) -> str:
+def subtitle_of(summary: Mapping[str, Any]) -> str:
     """Return a summary in one line."""
-    words = [f"{Path(summary.scene).stem}, seed {summary.seed}"]
-    if summary.path.length_m:
-        words.append(f"{summary.path.length_m:.0f} m of path")
-    if isinstance(summary, ForestSummary):
-        words.append(f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m")
-        if summary.trees:
-            row = summary.trees[-1]
-            words.append(f"{row.stems_per_ha:.0f} stems/ha, DBH {row.dbh_mean_cm:.0f} cm")
-            words.append(f"{row.basal_area_m2_per_ha:.0f} m2/ha, leaf area index {row.leaf_area_index:.1f}")
+    words = [f"{Path(summary['scene']).stem}, seed {summary['seed']}"]
+    if summary["path"].length_m:
+        words.append(f"{summary['path'].length_m:.0f} m of path")
+    if "area_ha" in summary:
+        words.append(f"{summary['area_ha']:.2f} ha within {summary['radius_m']:g} m")
+        for row in summary["trees"][-1:]:
+            words.append(f"{row['stems_per_ha']:.0f} stems/ha, DBH {row['dbh_mean_cm']:.0f} cm")
+            words.append(f"{row['basal_area_m2_per_ha']:.0f} m2/ha, leaf area index {row['leaf_area_index']:.1f}")
     return "  |  ".join(words)
 
 
-def _things(seen: Survey, ground_m2: float) -> dict[str, Things]:
-    """Count things without names by kind, with their species and the range of their sizes."""
-    kinds = dict[str, Things]()
+def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
+    """Count things without names by kind, with their species by frequency, and the extremes of their size."""
+    kinds = dict[str, dict[str, Any]]()
     nameless = [thing for thing in seen.things if thing.instance not in seen.names]
     for kind in sorted({thing.kind for thing in nameless}):
         things, (measure, axis) = [thing for thing in nameless if thing.kind == kind], _MEASURES[kind]
         sizes_m = [thing.size_m[axis] for thing in things]
         species = dict(Counter(seen.species[one.species] for one in things if one.species).most_common())
         per_ha = len(things) / ground_m2 * 10_000
-        kinds[kind] = Things(len(things), per_ha, measure, min(sizes_m), max(sizes_m), species)
+        kinds[kind] = {"count": len(things), "per_ha": per_ha, "measure": measure}
+        kinds[kind] |= {"least_m": min(sizes_m), "greatest_m": max(sizes_m), "species": species}
     return kinds

@@ -21,16 +21,14 @@ from vlp16emu.output import OutputFile, final_name
 _COLUMNS = 1_080_000
 """Columns of a revolution times rpm: 1800 at 600 rpm, as LIO-SAM and LeGO-LOAM count (config/params.yaml, utility.h)."""
 
-Leaves = list[tuple[str, Any, str]]
-"""Key, value and a remark, which is empty where the value is the program's own."""
+Leaves = list[tuple[str, Any, str]]  # key, value and a remark, which is empty where the value is the program's own
 
 
 class Value(NamedTuple):
     """A value of a configuration under its path in the file; if ours differs the program's own, why, and where that is read."""
 
     key: str
-    value: Any
-    """A text {name} is a value of the rig."""
+    value: Any  # a text {name} is a value of the rig
     default: Any = None
     why: str = ""
     source: str = ""
@@ -41,8 +39,7 @@ class ConfigFile(NamedTuple):
 
     name: str
     values: tuple[Value, ...]
-    root: str = ""
-    """Path under which all keys are."""
+    root: str = ""  # path under which all keys are
     include: str = ""
 
 
@@ -55,10 +52,8 @@ class Program(NamedTuple):
     start: str
     compiled: str
     files: list[ConfigFile]
-    needs: Mapping[str, str]
-    """What to set, and what happens otherwise, by the rule of `fitness`."""
-    rest_s: float = 0.0
-    """Rest at the start that it needs."""
+    needs: Mapping[str, str]  # what to set, and what happens otherwise, by the rule of `fitness`
+    rest_s: float = 0.0  # rest at the start that it needs
 
 
 @cache
@@ -85,8 +80,7 @@ class Rig:
     base_T_lidar: NDArray[np.float64] | None = None
     """(4, 4) extrinsics, as the next; None if they are the identity, or change."""
     base_T_imu: NDArray[np.float64] | None = None
-    imu: Mapping[str, Any] | None = None
-    """Section of the scene."""
+    imu: Mapping[str, Any] | None = None  # section of the scene
     lidar_frame: str = "velodyne"
 
     @classmethod
@@ -150,12 +144,8 @@ def configurations(program: Program, rig: Rig) -> dict[str, str]:
 def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Iterator[None]:
     """Write the configuration of a program, or of all, beside a bag after the block: `walk.lio-sam.yaml`; None writes none.
 
-    Raises
-    ------
-    InputError
-        If there is no such program
-    OutputError
-        If one of the files is there already, with other values
+    Raises InputError if there is no such program; OutputError if one of the files is there already, with other
+    values.
     """
     texts = {
         final_name(bag.with_name(f"{bag.stem}.{file}")): text
@@ -189,7 +179,6 @@ def _text(program: Program, file: ConfigFile, rig: Rig) -> str:
 
 
 def _tree(file: ConfigFile, leaves: Leaves) -> dict[str, Any]:
-    """Return values and remarks as a tree by the parts of their keys."""
     tree: dict[str, Any] = {}
     for key, value, remark in leaves:
         *path, last = f"{file.root}/{key}".strip("/").split("/")

@@ -12,6 +12,7 @@ from typing import Any, Self
 
 from vlp16emu.errors import InputError, MissingExtraError, RunError
 from vlp16emu.extras.outputs import OutputFolder
+from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import write_json
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
@@ -19,8 +20,7 @@ from vlp16emu.units import S_NS
 _FILES = re.compile(
     r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json|(packets|trajectory)(_\d+)?\.tum"
     r"|returns(_\d+)?\.parquet"
-)
-"""Names of all files that a run may write."""
+)  # names of all files that a run may write
 
 
 class TruthFolder:
@@ -96,7 +96,7 @@ def seconds_text(t_ns: int) -> str:
     return f"{t_ns // S_NS}.{t_ns % S_NS:09d}"
 
 
-def tum_rows(poses: Poses) -> str:
+def tum_rows(poses: Poses | Kinematics) -> str:
     """Write poses as lines `t x y z qx qy qz qw` of the TUM RGB-D benchmark, qw never negative.
 
     UTC seconds, metres, and the rotation that takes coordinates of the body to those of the world.
@@ -117,14 +117,9 @@ def _stranger(folder: Path) -> str | None:
     """Name an entry that is none of ours; without the scenario of an earlier run the folder is somebody else's."""
     present = sorted(folder.iterdir())
     strange = [file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)]
-    if not strange and not _is_scenario(folder / "scenario.json"):
+    tree = None
+    with suppress(OSError, ValueError):
+        tree = json.loads((folder / "scenario.json").read_text(encoding="utf-8"))
+    if not strange and not (isinstance(tree, dict) and "written_by" in tree):
         strange = present
     return strange[0].name if strange else None
-
-
-def _is_scenario(path: Path) -> bool:
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(tree, dict) and "written_by" in tree

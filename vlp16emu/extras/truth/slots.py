@@ -79,8 +79,7 @@ SLOT = np.dtype(
         ("share", "<f4"),  # of the footprint that met the surface of the return
         ("repeat", "?"),  # in dual return: of the same return as the record of the block before
     ]
-)
-"""Truth behind one record of a data packet."""
+)  # truth behind one record of a data packet
 
 NO_ECHO = 255  # echo of a record without distance
 LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)  # leaf (2) or wood (1) by `PlantPart`; 0 neither
@@ -112,18 +111,13 @@ SLOT_COLUMNS = {
     "share": "float32",
     "miss": "bool",
     "repeat": "bool",
-}
-"""Columns with their types; of a record without distance those from `echo` to `share` are null."""
+}  # columns with their types; of a record without distance those from `echo` to `share` are null
 _OF_RETURNS = tuple(SLOT_COLUMNS)[5:-2]
 _FLOATS = [name for name in _OF_RETURNS if SLOT_COLUMNS[name].startswith("float")]
 
 
 class SlotTable:
-    """Writes a row for each record of the data packets that it is given; a context manager.
-
-    Parameters
-    ----------
-    path : of the file, which is readable when this has been left
+    """Writes a row for each record of the data packets that it is given; a context manager, after which the file is readable.
 
     Raises MissingExtraError if pyarrow is not installed; OutputError if the file cannot be opened.
     """
@@ -201,10 +195,6 @@ class SlotReader:
 
     A packet of the capture is found by its time stamp, from the one before on, so that some of the run's packets may be
     missing, twice, or late by up to 64.
-
-    Parameters
-    ----------
-    path : of the table
 
     Raises MissingExtraError if pyarrow is not installed; InputError if the file is no such table.
     """

@@ -14,7 +14,6 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
 from vlp16emu.engine.position import number_at, positions_due
 from vlp16emu.errors import RunError
@@ -27,13 +26,13 @@ from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import TruthPlace, TruthTo
-from vlp16emu.run.run import Run
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import Sensor, on_the_wire
-from vlp16emu.types import Packet, PacketKind, Poses
+from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
 
@@ -49,6 +48,13 @@ class Happening:
     packets: PacketKind
     first: int  # number of the first packet from its begin on, from 0 at the first pulse of the run
     count: int  # packets until its end
+
+    @property
+    def row(self) -> str:
+        """Line of `events.csv`."""
+        last = str(self.first + self.count - 1) if self.count else ""
+        cells = seconds_text(self.begin_ns), seconds_text(self.end_ns), self.event, self.unit, self.kind, self.packets
+        return ",".join(map(str, (*cells, self.first, last, self.count))) + "\n"
 
 
 def happenings(
@@ -143,6 +149,7 @@ _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", 
 _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
 _IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
+_OF_UNITS = ("name", "model", "serial_number", "address", "data_port", "position_port")  # keys of a unit in `rig.json`
 ATTITUDE = ("qx", "qy", "qz", "qw")  # columns behind them of a unit that reports its attitude: world_R_imu
 STAMP = "stamp_utc_s"  # column behind all others of a unit whose time stamps are late
 
@@ -165,7 +172,7 @@ class Truth:
     packets are wanted of a sensor that has none; RunError if it cannot be written: here, or later.
     """
 
-    def __init__(self, to: TruthTo, of: Run | PacketFeed, span_s: tuple[float, float]) -> None:
+    def __init__(self, to: TruthTo, of: Emulator | PacketFeed, span_s: tuple[float, float]) -> None:
         engine = of.engine
         scenario, parts = engine.scenario, engine.parts
         self._of = of
@@ -189,16 +196,7 @@ class Truth:
             earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
             firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
             from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
-            at = scenario.start_ns, to.rate_hz
-            self._trajectories = [
-                Samples(
-                    self._begun(_file("trajectory", unit), _TUM_HEADER),
-                    partial(_trajectory, unit.motion, *at),
-                    *at,
-                    from_ns,
-                )
-                for unit in self._units
-            ]
+            self._trajectories = [self._trajectory(unit, from_ns) for unit in self._units]
             self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
             self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
             self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
@@ -221,6 +219,10 @@ class Truth:
         self._open.__exit__(type(failed) if failed else None, failed, None)  # which keeps the folder if nothing failed
         if failed is not error and failed is not None:
             raise failed
+
+    def _trajectory(self, unit: Unit, from_ns: int) -> "Samples[str]":
+        append, at = self._begun(_file("trajectory", unit), _TUM_HEADER), (self._scenario.start_ns, self._to.rate_hz)
+        return Samples(append, lambda *part: tum_rows(true_motion(unit.motion, *at, *part)), *at, from_ns)
 
     def _finish(self) -> None:
         """Write the samples up to the last packet, and the scene with the span that was run."""
@@ -269,7 +271,7 @@ class Truth:
         for number, firsts_ns in self._firsts_ns.items():
             if firsts_ns:
                 true = self._units[number].motion.kinematics_at(np.array(firsts_ns))
-                self._packets[number](_tum(true))
+                self._packets[number](tum_rows(true))
                 firsts_ns.clear()
 
     def _write_events(self) -> None:
@@ -284,7 +286,7 @@ class Truth:
         found = happenings(ran, self._of.engine.parts.units, from_ns, until_ns, stop_ns)
         begin_ns = ran.start_ns + seconds_to_ns(self._span_s[0])
         self._listed_ns = until_ns
-        self._folder.append("events.csv", "".join(_event_row(one) for one in found if one.end_ns >= begin_ns))
+        self._folder.append("events.csv", "".join(one.row for one in found if one.end_ns >= begin_ns))
 
     def _begun(self, name: str, header: str | Sequence[str]) -> Callable[[str], None]:
         self._folder.append(name, header if isinstance(header, str) else ",".join(header) + "\n")
@@ -326,27 +328,17 @@ class Samples(Generic[_T]):
             self._next = stop
 
     def _count_before(self, t_ns: int) -> int:
-        """Count the samples, from sample 0 on, before an instant."""
         # Sample i lies i * S_NS // rate_hz after sample 0.
         return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
 
 
 def _file(name: str, unit: Unit, suffix: str = "tum") -> str:
-    """Name a file of a unit; the first has no number in it."""
     return f"{name}_{unit.number + 1}.{suffix}" if unit.number else f"{name}.{suffix}"
-
-
-def _tum(true: Kinematics) -> str:
-    return tum_rows(Poses(true.t_ns, true.world_R_body, true.world_p_body_m))
 
 
 def true_motion(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> Kinematics:
     """Return samples first .. first + count - 1 of a trajectory."""
     return motion.kinematics_at(start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz)
-
-
-def _trajectory(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> str:
-    return _tum(true_motion(motion, start_ns, rate_hz, first, count))
 
 
 def _inertial(imu: ImuSampler, first: int, count: int) -> str:
@@ -384,12 +376,6 @@ def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
     return "".join(rows)
 
 
-def _event_row(one: Happening) -> str:
-    last = str(one.first + one.count - 1) if one.count else ""
-    times = seconds_text(one.begin_ns), seconds_text(one.end_ns)
-    return f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
-
-
 def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:
     tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True) | {"duration_s": span_s[1]}
     start = f", --start {span_s[0]!r}" if span_s[0] else ""
@@ -403,10 +389,18 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     return {
         "world": {"axes": "x east, y north, z up"} | place,
         "sensor": {"axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"},
-        "units": [_unit(unit, given) for unit, given in zip(parts.units, mounts_of(scenario), strict=True)],
+        "units": [
+            {
+                "unit": unit.number + 1,
+                **{key: getattr(unit.section, key) for key in _OF_UNITS if hasattr(unit.section, key)},
+                "trajectory": _file("trajectory", unit),
+                **_extrinsics("body_T_sensor", unit.mount, given),
+            }
+            for unit, given in zip(parts.units, mounts_of(scenario), strict=True)
+        ],
         "manual": {
             "axes": "azimuth 0 on +y, clockwise seen from above (63-9243 Rev D, section 9.1)",
-            "sensor_T_manual": _transform(SENSOR_R_MANUAL, np.zeros(3)),
+            "sensor_T_manual": transform(SENSOR_R_MANUAL, np.zeros(3)),
         },
         "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
     } | ({"imu": _extrinsics("body_T_imu", parts.imu_mount, imu.mount)} if imu else {})
@@ -422,23 +416,13 @@ def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> NDAr
     return None if "spin_hz" in mount else np.array(mount["matrix"])
 
 
-def _unit(unit: Unit, given: Mount) -> dict[str, Any]:
-    keys = ("name", "model", "serial_number", "address", "data_port", "position_port")
-    return {
-        "unit": unit.number + 1,
-        **{key: getattr(unit.section, key) for key in keys if hasattr(unit.section, key)},
-        "trajectory": _file("trajectory", unit),
-        **_extrinsics("body_T_sensor", unit.mount, given),
-    }
-
-
 def _mount(section: Mount) -> dict[str, Any]:
     R = rotation(section.yaw_deg, section.pitch_deg, section.roll_deg)
     spin = {"spin_hz": section.spin_hz, "spin_axis": section.spin_axis} if section.spin_hz else {}
-    return _transform(R, np.array(section.lever_arm_m)) | spin
+    return transform(R, np.array(section.lever_arm_m)) | spin
 
 
-def _transform(R: NDArray[np.float64], p_m: NDArray[np.float64]) -> dict[str, Any]:
+def transform(R: NDArray[np.float64], p_m: NDArray[np.float64]) -> dict[str, Any]:
     """Write a rigid transform as matrix and as translation and quaternion."""
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
@@ -474,11 +458,11 @@ def write_truth(
     packets are wanted of a sensor that has none; TrajectoryError if the walk ends before the span does; RunError if the
     disk is full; the lines before are kept.
     """
-    run = emulator.run.with_truth_in(TruthTo.of(to))
-    begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
-    run.engine.span_ns(*span_s)  # checks the span before the folder is touched
+    emulator = emulator.with_truth_in(TruthTo.of(to))
+    begin_s, stop_s = span_s = emulator.scenario.span_s(start_s, duration_s)
+    emulator.engine.span_ns(*span_s)  # checks the span before the folder is touched
     done_s, stop = 0.0, stop or threading.Event()
-    with run.truth(to, span_s, of=run) as truth:
+    with emulator.truth(to, span_s) as truth:
         while truth and done_s < stop_s - begin_s and not stop.is_set():
             done_s = min(done_s + 1.0, stop_s - begin_s)
             truth.up_to(begin_s + done_s)

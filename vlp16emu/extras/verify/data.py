@@ -87,8 +87,7 @@ class DataChunk:
         self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)  # (n, 12)
         self.distance_lsb, self.reflectivity = (
             np.ascontiguousarray(blocks["records"][name]) for name in ("distance_lsb", "reflectivity")
-        )
-        """(n, 12, 2, 16)."""
+        )  # (n, 12, 2, 16)
         self._read_factory(payload, before)
         self._read_codes()
         self._read_steps()
@@ -445,8 +444,7 @@ class PositionChunk:
         is_old = is_known & (self.late_s >= _LATEST_S)
         self.is_old, self.is_off = (
             of & ~np.append(False, of[:-1]) for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
-        )
-        """First of packets in a row whose sentence and clock disagree, with lock and without."""
+        )  # first of packets in a row whose sentence and clock disagree, with lock and without
         is_next = is_locked & is_known & ~is_old & (earlier >= 0) & (self.second == (earlier + 1) % 3600)
         is_next[1:] &= np.diff(self.stamp_ns) < _NEXT_NS
         came_s = self.late_s[self.own][is_next[self.own]]

@@ -84,8 +84,7 @@ class Finding:
     """One place where a rule is broken."""
 
     rule: Rule
-    packet: int
-    """Number of the frame in the capture, from 1, as Wireshark counts."""
+    packet: int  # number of the frame in the capture, from 1, as Wireshark counts
     found: str
     expected: str
     level: Level = Level.ERROR
@@ -181,8 +180,7 @@ _HEADER = np.dtype(
         *(("ttl", "u1"), ("protocol", "u1"), ("ip_sum", ">u2"), ("addresses", "V8")),
         *(("source_port", ">u2"), ("destination_port", ">u2"), ("udp_bytes", ">u2"), ("udp_sum", ">u2")),
     ]
-)
-"""IPv4 header without options and UDP header (RFC 791, RFC 768)."""
+)  # IPv4 header without options and UDP header (RFC 791, RFC 768)
 
 
 def wrap_hour_us(difference_us: Microseconds) -> Microseconds:

@@ -41,24 +41,16 @@ class Verification:
 
     data_packets: int
     position_packets: int
-    other_frames: int
-    """Frames of other traffic and of other units, which are not checked."""
-    lost_packets: int
-    """Missing data and position packets."""
+    other_frames: int  # frames of other traffic and of other units, which are not checked
+    lost_packets: int  # missing data and position packets
     void_sentences: int
     """Seconds for which the GPS receiver had no fix, by the status V of its sentences, as trees make them too."""
-    span_s: float
-    """Time from the first packet to the last, by the capture's stamps."""
-    rpm: float | None
-    """Mean rotor speed; None without data packets."""
-    is_cut: bool
-    """The file ends in the middle of a packet, as that of a killed program may; the rest has been checked."""
-    counts: Mapping[Rule, int]
-    """Errors of each broken rule."""
-    notes: Mapping[Rule, int]
-    """Findings of each rule that settings, receivers, old firmware or recorders account for."""
-    findings: tuple[Finding, ...]
-    """The first findings of each rule, by packet number."""
+    span_s: float  # time from the first packet to the last, by the capture's stamps
+    rpm: float | None  # mean rotor speed; None without data packets
+    is_cut: bool  # the file ends in the middle of a packet, as that of a killed program may; the rest has been checked
+    counts: Mapping[Rule, int]  # errors of each broken rule
+    notes: Mapping[Rule, int]  # findings of each rule that settings, receivers, old firmware or recorders account for
+    findings: tuple[Finding, ...]  # the first findings of each rule, by packet number
 
     @property
     def is_clean(self) -> bool:

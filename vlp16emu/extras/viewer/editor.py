@@ -157,21 +157,16 @@ class Draft:
         route = Route(path, walk, points.pause_s)
         if isinstance(ground, DemHeights):
             ground.check(path.xy_m, scenario.sensor.max_range_m)
+        near = self._seen.trees
+        if isinstance(scenario.world, Woods) and len(near):
+            corridor, table = Corridor(path.xy_m, scenario.world.path_clearance_m), self._seen.plants.trees
+            near = near[path_gap_m(near, foot_discs(near, table=table)[:, 2], corridor) < corridor.clearance_m]
         return Outlook(
             run_time_s=route.run_time_s,
             length_m=route.length_m,
             path_m=np.column_stack([path.xy_m, ground.height_m(*path.xy_m.T)]),
-            in_the_way_m=self._in_the_way_m(scenario, path.xy_m),
+            in_the_way_m=places_m(near),
         )
-
-    def _in_the_way_m(self, scenario: Scenario, path_xy_m: F8) -> F8:
-        trees = self._seen.trees
-        if not isinstance(scenario.world, Woods) or not len(trees):
-            return np.zeros((0, 3))
-        corridor = Corridor(path_xy_m, scenario.world.path_clearance_m)
-        gap_m = path_gap_m(trees, foot_discs(trees, table=self._seen.plants.trees)[:, 2], corridor)
-        near = trees[gap_m < corridor.clearance_m]
-        return places_m(near)
 
     def save(self, to: FilePath) -> None:
         """Write the scene file with the current course; comments and other keys stay as the user wrote them.
@@ -180,8 +175,9 @@ class Draft:
         """
         import tomlkit
 
-        scenario = self.scenario(self.course)
-        self._check_place(to, scenario)
+        scenario, folder = self.scenario(self.course), self._file.parent.absolute()
+        if to.suffix != ".toml" or (named_files(scenario) and to.parent.absolute() != folder):
+            raise OutputError(str(to), "cannot hold the scene", f"a .toml file in {folder}, beside its files")
         document = tomlkit.parse(self._file.read_text(encoding="utf-8-sig"))
         motion: Any = document["motion"]
         for key, value in self.changes(self.course).items():
@@ -192,11 +188,6 @@ class Draft:
         text = tomlkit.dumps(document)
         with OutputFile(to) as output, output.writing() as file:
             file.write(text.encode())
-
-    def _check_place(self, to: FilePath, scenario: Scenario) -> None:
-        folder = self._file.parent.absolute()
-        if to.suffix != ".toml" or (named_files(scenario) and to.parent.absolute() != folder):
-            raise OutputError(str(to), "cannot hold the scene", f"a .toml file in {folder}, beside its files")
 
 
 def _written(value: Any) -> Any:
@@ -272,7 +263,6 @@ class Editor:
         return min(max(int(number) - 1, 0), last) if math.isfinite(number) else 0
 
     def _as_in_panel(self, course: Course, number: int) -> Course:
-        """Return the course with speed, laps, gait, harness and stop of the panel."""
         gait = None if self._gait.value == _GAITS[0] else str(self._gait.value)
         speed_m_s, laps = float(self._speed.value), int(self._laps.value)
         walked = replace(course, speed_m_s=speed_m_s, laps=laps, gait=gait, harness=self._harness.value is True)
@@ -304,7 +294,6 @@ class Editor:
         self._note = f"saved {self._to.name}"
 
     def _show(self) -> None:
-        """Draw the course, and report what it leads to."""
         course = self._draft.course
         outlook = self._draft.outlook(course)
         with self._server.atomic():
@@ -313,16 +302,14 @@ class Editor:
         self._speed.value, self._laps.value = course.speed_m_s, course.laps
         self._gait.value, self._harness.value = course.gait or _GAITS[0], course.harness
         self._pause.value = course.points[self._chosen()][2]
-        lines = [outlook.fault] if outlook.fault else self._figures(outlook)
+        lines = [f"path: {outlook.length_m:.1f} m", f"run time: {outlook.run_time_s:.1f} s"]
+        if outlook.fault:
+            lines = [outlook.fault]
+        elif outlook.run_time_s > self._duration_s:
+            lines.append(f"recorded: the first {self._duration_s:g} s, which is the scene's duration")
         if outlook.in_the_way_m is not None and (stems := len(outlook.in_the_way_m)):
             lines.append(f"**{stems} stems in the way**")
         self._text.content = "  \n".join([*lines, self._note])
-
-    def _figures(self, outlook: Outlook) -> list[str]:
-        lines = [f"path: {outlook.length_m:.1f} m", f"run time: {outlook.run_time_s:.1f} s"]
-        if outlook.run_time_s > self._duration_s:
-            lines.append(f"recorded: the first {self._duration_s:g} s, which is the scene's duration")
-        return lines
 
     def _show_points(self, course: Course) -> None:
         while len(self._gizmos) > len(course.points):

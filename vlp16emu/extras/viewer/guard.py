@@ -80,7 +80,6 @@ def _check_messages(server: viser.ViserServer) -> None:
 
 
 def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
-    """Check each request before viser sees it."""
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL + 1)  # strangers write no line of ours
     loop = server.get_event_loop()
     # viser's server of websockets is a local of a task of its own.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.palette import Rgb, colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.extras.plots import Rgb, colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.types import F8, SURFACE, U1, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
@@ -27,8 +27,7 @@ PART_RGB: dict[PlantPart, Rgb] = {
     PlantPart.LEAF: (70, 150, 70),
     PlantPart.ROOT_FLARE: (160, 40, 60),
     PlantPart.DEAD_BRANCH: (130, 110, 150),
-}
-"""Colours of the layer "part"."""
+}  # colours of the layer "part"
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
@@ -57,8 +56,14 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> U1:
     different, which = np.unique(_labels(scan, layer), return_inverse=True)
     named, other = _named(layer, species), ("", colour_of_kind("ground"))
     of_instance = layer == "instance"
-    rgb = [_instance_rgb(value) if of_instance else named.get(value, other)[1] for value in different.tolist()]
-    return np.array(rgb, np.uint8).reshape(-1, 3)[which.ravel()]
+
+    def rgb(value: int) -> Rgb:
+        if not of_instance or not value:
+            return (140, 140, 140) if of_instance else named.get(value, other)[1]
+        red, green, blue = colorsys.hsv_to_rgb(value * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (value % 2))
+        return round(255 * red), round(255 * green), round(255 * blue)
+
+    return np.array([rgb(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()]
 
 
 def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
@@ -84,7 +89,6 @@ def _labels(scan: Scan, layer: str) -> NDArray[Any]:
 
 
 def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]:
-    """Return name and colour of the values of a layer."""
     if layer == "class":
         named = {kind.value: (name := kind.name.lower(), colour_of_kind(name)) for kind in Semantic}
         return named | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}
@@ -108,13 +112,6 @@ def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
     }
     value, most, unit = values[layer]
     return np.asarray(value, np.float64), (0.0, most, unit)
-
-
-def _instance_rgb(number: int) -> Rgb:
-    if not number:
-        return (140, 140, 140)
-    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (number % 2))
-    return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def legend_of(entries: Entries) -> str:

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError, PacketError, RunError
 from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.sheets.survey import survey
@@ -24,6 +23,7 @@ from vlp16emu.extras.viewer.page import SweepView, draw_stand
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
 from vlp16emu.packets import DATA_BYTES, decode_data
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import F8, I8, Packet, PacketKind, Scan
 from vlp16emu.units import S_NS
@@ -100,11 +100,10 @@ class WatchedSink(PacketSink):
             return
         # A run prepared in a capture does not know first pulses: 1 ms more or less is not seen.
         self._held.append((packet.payload, packet.fired_ns or packet.due_ns))
-        if (now_ns := time.monotonic_ns()) - self._offered_ns >= _EVERY_NS or len(self._held) == _MOST:
-            self._offered_ns = now_ns
-            self._offer()
-
-    def _offer(self) -> None:
+        now_ns = time.monotonic_ns()
+        if now_ns - self._offered_ns < _EVERY_NS and len(self._held) < _MOST:
+            return
+        self._offered_ns = now_ns
         payloads, fired_ns = zip(*self._held, strict=True)
         t_ns = np.array(fired_ns)
         since_ns, poses = t_ns - self._emulator.scenario.start_ns, self._emulator.world_T_sensor(t_ns)
@@ -221,30 +220,21 @@ class LivePage:
     def _draw(self, glimpse: Glimpse) -> None:
         if not self._parts:
             return
-        place_m = glimpse.world_T_sensor[-1][:3, 3]
         with self._server.atomic():
             self._view.draw(self._parts)
-        self._look_at(place_m)
-        self._text.content = "  \n".join(_lines(glimpse, sum(len(part.world_m) for part in self._parts)))
-
-    def _look_at(self, place_m: F8) -> None:
-        """Move cameras with the sensor, with their direction and distance kept."""
-        if self._follow.value is not True:
-            return
-        for client in self._server.get_clients().values():
+        place_m, late = glimpse.world_T_sensor[-1][:3, 3], glimpse.late
+        # Cameras move with the sensor, and keep direction and distance.
+        for client in self._server.get_clients().values() if self._follow.value is True else ():
             camera = client.camera
             away_m = camera.position - camera.look_at
             if np.linalg.norm(camera.look_at - place_m) > _NEAR_M:
                 with client.atomic():  # or a slow browser answers between the two, and comes nearer each time
                     camera.position, camera.look_at = place_m + away_m, place_m
-
-
-def _lines(glimpse: Glimpse, points: int) -> list[str]:
-    late = glimpse.late
-    at_most = f"at most {late.max_ns / 1e6:.1f} ms; now {glimpse.worst_ns / 1e6:.2f} ms"
-    lines = [
-        f"{glimpse.since_ns[-1] / S_NS:.1f} s, {late.packets} packets",
-        f"{points} points in the last turn",
-        f"lateness: median {late.median_ns / 1e3:.0f} us, 99 % within {late.p99_ns / 1e3:.0f} us, {at_most}",
-    ]
-    return [*lines, f"**late by {glimpse.delay_ns / S_NS:.2f} s**"] if glimpse.delay_ns else lines
+        at_most = f"at most {late.max_ns / 1e6:.1f} ms; now {glimpse.worst_ns / 1e6:.2f} ms"
+        lines = [
+            f"{glimpse.since_ns[-1] / S_NS:.1f} s, {late.packets} packets",
+            f"{sum(len(part.world_m) for part in self._parts)} points in the last turn",
+            f"lateness: median {late.median_ns / 1e3:.0f} us, 99 % within {late.p99_ns / 1e3:.0f} us, {at_most}",
+            *([f"**late by {glimpse.delay_ns / S_NS:.2f} s**"] if glimpse.delay_ns else []),
+        ]
+        self._text.content = "  \n".join(lines)

@@ -13,7 +13,6 @@ import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.extras.sheets.survey import survey, way_m
 from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.layers import boxed, colours_of, entries_of, layers_of_scan, legend_of
@@ -21,6 +20,7 @@ from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import SceneSweeps, Sweep, Sweeps
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.motion.settings import Walk
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8
 
 _MOST_KEPT = 50  # sweeps drawn together: 1.2 million points
@@ -68,11 +68,8 @@ def scene_page(
 ) -> "Page":
     """Grow and draw a scene to a radius from its path; a walk's path can be drawn anew, and saved to a file.
 
-    InputError if there is no such unit, or the stand cannot be grown.
-
-    Parameters
-    ----------
-    progress : called with the share of the stand that has grown
+    `progress` is called with the share of the stand that has grown. InputError if there is no such unit, or the stand
+    cannot be grown.
     """
     text, scenario, parts = server.gui.add_markdown("growing the world"), emulator.scenario, emulator.parts
     bare = getattr(parts.world, "bare", parts.world)

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.clouds.deskew import Trajectory
@@ -24,6 +23,7 @@ from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale,
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.packets.layout import LASERS
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
 from vlp16emu.types import F8, U1
 
@@ -87,18 +87,6 @@ _MILLIONS = 100_000  # points from which on they are counted in millions
 _FROM_DEG = 205.0  # bearing of the eye, unless another is wanted: light falls from the south
 _STATIONS = 200  # number of places along a path
 _FEWEST_COLUMNS = 800  # firing sequences of a revolution at 1200 rpm are some 900
-
-
-@dataclass(frozen=True, slots=True)
-class PictureRun:
-    """Content of a picture."""
-
-    file: str
-    revolutions: int
-    points: int
-    colour: str
-    bytes: int
-    interrupted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,10 +160,10 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
     t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
     way_m, rings = parts.motion.poses_at(t_ns).world_p_body_m, len(parts.units[0].head.beams.elevation_deg)
     sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
-    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.run.files)
+    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.files)
 
 
-def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> PictureRun:
+def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
     InputError if there is no revolution, or none with such a layer; OutputError, MissingExtraError as `check_suffix`.
@@ -207,9 +195,9 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
                 pass
             _still(file, drawing, entries_of(first.scan, colour, species))
         else:
-            (_gif if suffix == ".gif" else _mp4)(file, (drawing.marked(sweep) for sweep in images), look.size)
-    interrupted = stop.is_set()
-    return PictureRun(str(path), drawing.revolutions, drawing.points, colour, path.stat().st_size, interrupted)
+            _film(file, (drawing.marked(sweep) for sweep in images), look, suffix)
+    made = {"file": str(path), "revolutions": drawing.revolutions, "points": drawing.points, "colour": colour}
+    return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
 
 
 def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View:
@@ -223,14 +211,9 @@ def _view(look: PictureLook, first: Sweep, way_m: F8 | None, rings: int) -> View
     else:
         low = way_m.min(axis=0) - np.array([_AROUND_M, _AROUND_M, _BELOW_M])
         high = way_m.max(axis=0) + np.array([_AROUND_M, _AROUND_M, _ABOVE_M])
-    return _slanted(look, np.stack([low, high]))
-
-
-def _slanted(look: PictureLook, box_m: F8) -> View:
-    """Return a view of the world from above at a slant; points beside the box would hide what is near the path."""
-    camera = Orthographic.around(
-        box_m, _FROM_DEG if look.from_deg is None else look.from_deg, _ELEVATION_DEG, look.size
-    )
+    # From above at a slant; points beside the box would hide what is near the path.
+    box_m, from_deg = np.stack([low, high]), _FROM_DEG if look.from_deg is None else look.from_deg
+    camera = Orthographic.around(box_m, from_deg, _ELEVATION_DEG, look.size)
 
     def sensor(sweep: Sweep) -> F8 | None:
         pose = sweep.scan.world_T_sensor
@@ -240,7 +223,6 @@ def _slanted(look: PictureLook, box_m: F8) -> View:
 
 
 def _inside(box_m: F8, places: F8) -> F8:
-    """Return places (n, 3), NaN for those beside a box."""
     inside = ((places >= box_m[0]) & (places <= box_m[1]))[:, :2].all(axis=1)
     return np.where(inside[:, None], places, np.nan)
 
@@ -325,18 +307,17 @@ class _Drawing(Canvas):
         return image
 
 
-def _gif(file: Any, frames: Iterator[U1], _size: tuple[int, int]) -> None:
-    from PIL import Image
+def _film(file: Any, frames: Iterator[U1], look: PictureLook, suffix: str) -> None:
+    if suffix == ".gif":
+        from PIL import Image
 
-    made = (Image.fromarray(frame) for frame in frames)
-    next(made).save(file, "GIF", save_all=True, append_images=made, duration=1000 // _FRAMES_PER_S, loop=0)
-
-
-def _mp4(file: Any, frames: Iterator[U1], size: tuple[int, int]) -> None:
-    """Write a film as MP4, frame by frame; ffmpeg writes by name."""
+        made = (Image.fromarray(frame) for frame in frames)
+        next(made).save(file, "GIF", save_all=True, append_images=made, duration=1000 // _FRAMES_PER_S, loop=0)
+        return
     from imageio_ffmpeg import write_frames
 
-    writer = write_frames(file.name, size, fps=_FRAMES_PER_S, macro_block_size=2, output_params=["-f", "mp4"])
+    # ffmpeg writes by name.
+    writer = write_frames(file.name, look.size, fps=_FRAMES_PER_S, macro_block_size=2, output_params=["-f", "mp4"])
     writer.send(None)
     for frame in frames:
         writer.send(np.ascontiguousarray(frame))

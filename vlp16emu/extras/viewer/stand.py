@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.extras.palette import colour_of_kind, surface_colours
+from vlp16emu.extras.plots import colour_of_kind, surface_colours
 from vlp16emu.extras.sheets.survey import Survey
-from vlp16emu.forest.plants.undergrowth import SaplingKey
+from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F4, F8, I8, U4, Mesh, PlantPart, ShapeKey
@@ -75,7 +75,8 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
                     continue
             few, colour = _simple(mesh, key, part, most), tuple(colours[row + number].tolist())
             if len(alike) == 1:
-                single[colour].append(_moved(few, window.world_T_shape[alike[0]]))
+                turn, place_m = window.world_T_shape[alike[0], :, :3], window.world_T_shape[alike[0], :, 3]
+                single[colour].append(Mesh((few.vertices_m @ turn.T + place_m).astype(np.float32), few.faces))
             else:
                 yield _piece(f"things/{which}_{number}", few, colour, window.world_T_shape[alike])
     for count, (colour, meshes) in enumerate(single.items()):
@@ -184,11 +185,6 @@ def _ground(seen: Survey) -> Mesh:
     used, faces = np.unique(quads, return_inverse=True)
     vertices_m = np.column_stack([x, y, z])[used].astype(np.float32)
     return Mesh(vertices_m, faces.reshape(-1, 4).astype(np.uint32))
-
-
-def _moved(mesh: Mesh, world_T_shape: F8) -> Mesh:
-    vertices_m = mesh.vertices_m @ world_T_shape[:, :3].T + world_T_shape[:, 3]
-    return Mesh(vertices_m.astype(np.float32), mesh.faces)
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:

@@ -4,21 +4,20 @@ from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import LabelsOf, scans_in
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.verify import Rule, verify_units
-from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8, Labels, Scan
 
@@ -28,8 +27,7 @@ _MARKED = 10_000  # most findings of a rule that are shown; all are counted
 _ABOUT_POINTS = (
     *(Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE, Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE),
     *(Rule.FROZEN, Rule.AZIMUTH_STEP, Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
-)
-"""Rules whose findings are shown with a sweep; with the others, such as late packets, points are right."""
+)  # rules whose findings are shown with a sweep; with the others, such as late packets, points are right
 
 
 class Sweep(NamedTuple):
@@ -107,7 +105,9 @@ class CaptureSweeps:
         found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
         """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
-        self.species = {} if truth is None else _species(truth)  # names of species by number
+        world = None if truth is None else load(truth / "scenario.json").world
+        self.species = {} if world is None else dict(flora(getattr(world, "species_file", None)).names)
+        """Names of species by number."""
         packets, self._starts_ns = list[I8](), list[int]()
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
@@ -137,7 +137,14 @@ class CaptureSweeps:
         if wanted not in self._held and (self._reading is None or wanted < self._next):
             self.close()
             truth = None if self._folder is None else CaptureTruth(self._folder, self._number, None)
-            self._reading, self._next = self._scans(partial(_labels, truth)), 0
+
+            def labels(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
+                if truth is None:
+                    return {}
+                rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
+                return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}
+
+            self._reading, self._next = self._scans(labels), 0
         while self._reading is not None and wanted not in self._held:
             self._held[self._next] = next(self._reading)
             self._next += 1
@@ -160,18 +167,6 @@ class CaptureSweeps:
         for scan in scans_in(reader, labels_of):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
-
-
-def _species(folder: Path) -> dict[int, str]:
-    world = load(folder / "scenario.json").world
-    return dict(flora(getattr(world, "species_file", None)).names)
-
-
-def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
-    if truth is None:
-        return {}
-    rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
-    return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}
 
 
 Sweeps = SceneSweeps | CaptureSweeps
