@@ -212,7 +212,7 @@ def test_a_trespass_would_be_seen():
     ):
         assert trespasses("motion/walk.py", ast.parse(f"def f():\n    {line}")), line
         assert trespasses("units.py", ast.parse(line)), line
-    assert not trespasses("foliage/far.py", ast.parse("from vlp16emu.world.polyline import distance_m"))
+    assert not trespasses("foliage/far.py", ast.parse("from vlp16emu.foliage.polyline import distance_m"))
     assert not trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.frames import HEADER"))
     assert not trespasses("motion/walk.py", ast.parse("from vlp16emu.world import Terrain"))
 

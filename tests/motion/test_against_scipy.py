@@ -61,12 +61,6 @@ def test_periodic_quintic_splines_are_scipys():
         np.testing.assert_allclose(*(found(at[[end]], derivative) for end in (0, -1)), rtol=0, atol=1e-10)
 
 
-def test_points_are_met_exactly():
-    """At its parameters a spline has the very values it was made of, within one rounding."""
-    at, values = uneven(50)
-    np.testing.assert_allclose(interpolant(at, values, 5)(at), values, rtol=0, atol=1e-13)
-
-
 SPAN_S = 0.15
 NODES_S = np.arange(round(1000 * SPAN_S) + 1) / 1000
 

@@ -195,10 +195,3 @@ def test_longitude_wraps_at_the_date_line():
         np.array([[1000.0, 0.0, 0.0]]), Gps(latitude_deg=10.0, longitude_deg=179.999, height_m=0.0)
     )[0, 1]
     assert -180.0 <= longitude_deg < -179.9
-
-
-def test_a_point_does_not_know_its_neighbours():
-    """A point alone gives the same bits as among others."""
-    many_m = np.random.default_rng(4).uniform(-1e4, 1e4, (37, 3))
-    whole = to_geodetic(many_m, ORIGINS[0])
-    assert (np.concatenate([to_geodetic(many_m[i : i + 1], ORIGINS[0]) for i in range(37)]) == whole).all()

@@ -54,20 +54,6 @@ def test_step_is_the_matrix_exponential():
         assert np.abs(error).max() < 1e-9, (hz, damping)
 
 
-def test_pack_answers_a_long_sine_as_the_transfer_function_says(straps):
-    """Gain and lag in the steady state are those of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)."""
-    f, hz, z = 1.8, 2.2, 0.15
-
-    def sine(first, count):
-        t = np.arange(first, first + count) / KNOTS_PER_S
-        return np.repeat(np.where(t > 0, 0.02 * np.sin(2 * np.pi * f * t), 0.0)[:, None], 6, axis=1)
-
-    s, w = 2j * np.pi * f, 2 * np.pi * hz
-    gain = (2 * z * w * s + w * w) / (s * s + 2 * z * w * s + w * w)
-    expected = 0.02 * np.imag(gain * np.exp(s * (60 + NODES_S)))
-    np.testing.assert_allclose(Pack(sine, straps(hz, z)).nodes(60)[:, 0, 0], expected, atol=1e-10)
-
-
 def test_stiff_straps_are_no_straps(straps):
     """At 1 GHz the pack is where the trunk is, within 1e-9 in displacement, velocity and acceleration."""
     rigid, stiff = Pack(sines, None).nodes(2), Pack(sines, straps(1e9, 0.5)).nodes(2)
@@ -164,14 +150,6 @@ def test_stride_times_vary_as_published_and_with_long_memory(gait):
     assert strides.std() / strides.mean() == pytest.approx(0.03, rel=0.35)
     centred = strides - strides.mean()
     assert (centred[1:] * centred[:-1]).mean() / centred.var() > 0.4
-
-
-def test_samples_do_not_depend_on_their_company(gait):
-    """A sample taken alone has the bits that it has among others; another seed has others."""
-    among = Trunk(gait(), 1.2, 7).at(T, WALKS)
-    alone = Trunk(gait(), 1.2, 7).at(T[9_999:10_000], np.ones(1))
-    assert (among[9_999] == alone[0]).all()
-    assert (Trunk(gait(), 1.2, 8).at(T, WALKS) != among).any()
 
 
 @pytest.mark.parametrize(("vertical_m", "warned"), [(0.3, False), (1.0, True)])

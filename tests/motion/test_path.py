@@ -119,15 +119,6 @@ def test_heading_does_not_jump():
     assert heading_rad[-1] - heading_rad[0] > 5.5 * np.pi
 
 
-def test_a_point_does_not_depend_on_its_company():
-    """A point computed alone has the same bits as among a hundred thousand."""
-    path = Path(WAY_POINTS_M, hilly)
-    s_m = np.linspace(0.0, path.length_m, 100_003)
-    among, alone = path.derivatives_at(s_m), path.derivatives_at(s_m[77_777:77_778])
-    for many, one in zip(among, alone, strict=True):
-        assert (many[77_777] == one[0]).all()
-
-
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=8))
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_any_way_points_give_a_smooth_path_or_a_refusal(points):

@@ -160,12 +160,6 @@ def test_a_stop_is_at_its_place_and_lasts_its_time(at_m):
     assert (np.diff(t[there]) < 2e-3).all()
 
 
-def test_stops_at_one_place_add_up():
-    """Two stops at one place are one of both pauses."""
-    twice = profile(stops=[(20.0, 1.0), (20.0, 2.0)])
-    assert twice.run_time_s == profile(stops=[(20.0, 3.0)]).run_time_s
-
-
 def test_speed_is_adapted_to_a_given_run_time():
     """A given run time is kept to the last bit, with all limits."""
     made = profile(one_bend, [(20.0, 3.0)], run_time_s=100.0)
@@ -211,13 +205,6 @@ def test_short_and_long_paths_are_finite(length_m):
     values = np.array(made.at(np.linspace(0.0, made.run_time_s, 1000)))
     assert np.isfinite(values).all()
     assert values[0, -1] == pytest.approx(length_m)
-
-
-def test_a_moment_does_not_depend_on_its_company():
-    """A moment computed alone has the same bits as among others."""
-    made, t = profile(one_bend), np.linspace(0.0, 50.0, 1003)
-    for many, one in zip(made.at(t), made.at(t[777:778]), strict=True):
-        assert many[777] == one[0]
 
 
 def test_limited_slope_is_the_largest_curve_below():

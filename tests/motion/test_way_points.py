@@ -7,7 +7,6 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Gps, LawnMower, Stop, Walk
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.route import Route
-from vlp16emu.motion.walk import WalkMotion
 from vlp16emu.motion.way_points import lawn_mower, way_points
 
 
@@ -133,19 +132,6 @@ def test_the_person_turns_round_without_a_halt(track):
     assert speed_m_s.max() <= 1.2 + 1e-9
     assert np.abs(np.diff(speed_m_s)).max() / 1e-2 < 1.0 + 1e-6
     assert speed_m_s[300:-300].min() > 0.3
-
-
-def test_pose_and_velocity_are_continuous_at_the_ends():
-    """A sensor that is carried by a gait has velocities and turn rates that are the differences of its poses over a millisecond."""
-    section = walk(laps=2)
-    made = route(section)
-    motion, turn_s = WalkMotion(section, made, start_ns=0, seed=1), made.run_time_s / 2
-    t_ns = np.arange((turn_s - 8.0) * 1000, (turn_s + 8.0) * 1000).astype(np.int64) * 1_000_000
-    truth = motion.kinematics_at(t_ns)
-    moved_m_s = (truth.world_p_body_m[2:] - truth.world_p_body_m[:-2]) / 2e-3
-    np.testing.assert_allclose(moved_m_s, truth.world_v_body_m_s[1:-1], atol=2e-4)
-    assert np.abs(np.diff(truth.world_v_body_m_s, axis=0)).max() < 0.05  # 50 m/s2 over a millisecond, of heel strikes
-    assert np.abs(np.diff(truth.body_w_rad_s, axis=0)).max() < 0.05
 
 
 def test_stops_are_made_there_and_back():

@@ -27,7 +27,6 @@ from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
 from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
-from vlp16emu.world.settings import Sway
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
@@ -126,7 +125,7 @@ class Parts:
     imu_mount: Mount  # True mount of the inertial unit, if there is one
     ground_m: HeightField  # Height of the ground over places
     world: World  # At rest
-    wind: Sway | None  # What moves its trees
+    wind: Any  # What moves its trees, a `forest.stand.wind.TreeSway`; None in still air
     people: Any  # People beside the carrier, an `extras.people.People`; None without them
     gps: GpsInput  # What the receiver sends; what each unit gets of it is the unit's
 
@@ -211,7 +210,7 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
     return Footprint(scenario.beam, seed, scenario.detector.resolution_m, *seen)
 
 
-def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Sway | None]:
+def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
     """Make the carrier, the ground and the world that it goes through, and what moves its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)

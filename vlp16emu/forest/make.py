@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.species import flora
@@ -15,7 +16,6 @@ from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.types import Array, World
-from vlp16emu.world.polyline import Corridor
 
 _log = logging.getLogger(__name__)
 

@@ -141,40 +141,31 @@ class Stop(Section):
         return self
 
 
+_STRONG_GAIT = {  # a heavy pack on rough ground: about twice the natural, an assumption
+    "vertical_m": 0.04,
+    "second_harmonic_m": 0.006,
+    "heel_strike_m": 0.003,
+    "sideways_m": 0.045,
+    "fore_aft_m": 0.02,
+    "roll_deg": 4.0,
+    "pitch_deg": 4.5,
+    "yaw_deg": 7.0,
+    "variation": 0.08,
+}
+
+
 class Gait(Preset):
     """Amplitudes of the trunk's motion at walking speed; they fade as the person slows down.
 
     Defaults are those of `natural`.
     """
 
-    amplitudes: ClassVar = (
-        "vertical_m",
-        "second_harmonic_m",
-        "heel_strike_m",
-        "sideways_m",
-        "fore_aft_m",
-        "roll_deg",
-        "pitch_deg",
-        "yaw_deg",
-    )
-    still: ClassVar = dict.fromkeys((*amplitudes, "variation"), 0.0)
     presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
-        "none": still,
+        "none": dict.fromkeys(_STRONG_GAIT, 0.0),
         # Two plain sines (Lu et al., LiDAR-Forest, module 4).
-        "paper": {**still, "step_hz": 1.8, "vertical_m": 0.025, "sideways_m": 0.02},
+        "paper": {**dict.fromkeys(_STRONG_GAIT, 0.0), "step_hz": 1.8, "vertical_m": 0.025, "sideways_m": 0.02},
         "natural": {},
-        # A heavy pack on rough ground: about twice the natural, an assumption.
-        "strong": {
-            "vertical_m": 0.04,
-            "second_harmonic_m": 0.006,
-            "heel_strike_m": 0.003,
-            "sideways_m": 0.045,
-            "fore_aft_m": 0.02,
-            "roll_deg": 4.0,
-            "pitch_deg": 4.5,
-            "yaw_deg": 7.0,
-            "variation": 0.08,
-        },
+        "strong": _STRONG_GAIT,
     }
 
     preset: Literal["none", "paper", "natural", "strong"] = "natural"
@@ -204,7 +195,7 @@ class Gait(Preset):
     @property
     def moves(self) -> bool:
         """True if any amplitude is above zero."""
-        return any(getattr(self, name) for name in self.amplitudes)
+        return any(getattr(self, name) for name in _STRONG_GAIT if name != "variation")
 
 
 class Harness(Section):

@@ -1,7 +1,4 @@
-"""Surroundings of the sensor: a hall of known shapes here, forests in a package of their own.
-
-Here are the tables of a scene alone, so that one is read without numpy and numba; models are in their own modules.
-"""
+"""Surroundings of the sensor: the tables of a hall of known shapes here, its model and the shapes of others in the files of the room."""
 
 from vlp16emu.world.settings import Hall, People, WorldSection
 

@@ -9,7 +9,7 @@ from vlp16emu.doors import door
 from vlp16emu.settings import Fraction, LazySection, SceneFile, Section, Size
 
 if TYPE_CHECKING:  # scenes are read without numpy
-    from vlp16emu.types import Array, Window, World
+    from vlp16emu.types import Array, World
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
 _KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
@@ -68,13 +68,6 @@ class MeshSource(Section):
     """Axis of the file that points upwards."""
 
 
-class Sway(Protocol):
-    """Moving things of a world."""
-
-    def with_sway(self, window: "Window", track_m: "Array", start_ns: int, stop_ns: int) -> "Window":
-        """Return the window of sensor positions (n, 3) with its sway between two UTC instants."""
-
-
 class Site(Protocol):
     """The ground of a world, before the path that leads over it is known."""
 
@@ -95,8 +88,8 @@ class Site(Protocol):
 
     def world(
         self, path_xy_m: "Array", *, reach_m: float, farthest_m: float, wind: Any, start_ns: int
-    ) -> "tuple[World, Sway | None]":
-        """Return the world around a path, and what moves in it; None in still air.
+    ) -> "tuple[World, Any]":
+        """Return the world around a path, and what moves in it, as `forest.stand.wind.TreeSway`; None in still air.
 
         Raises GeometryError if the world cannot be made as it is written, or ends within reach.
 

@@ -1,6 +1,5 @@
 """Meshes that the user brings, and a world with them in it."""
 
-import io
 import json
 import struct
 from pathlib import Path
@@ -237,13 +236,6 @@ def test_a_size_that_tells_of_a_wrong_unit_is_refused(tmp_path, size, unit, mess
         return
     with pytest.raises(GeometryError, match=message):
         load(tmp_path, content, unit=unit)
-
-
-def test_a_wide_mesh_is_no_tall_one(tmp_path):
-    """A kilometre of ground in metres is taken."""
-    grid = io.StringIO()
-    grid.write("v 0 0 0\nv 1000 0 0\nv 1000 1000 3\nf 1 2 3\n")
-    assert load(tmp_path, grid.getvalue()).radius_m == pytest.approx(707.1, abs=0.1)
 
 
 TRACK_M = np.array([[0.0, 0.0, 1.5], [3.0, 0.0, 1.5]])

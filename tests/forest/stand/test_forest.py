@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.make import ForestSite
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey
 from vlp16emu.forest.settings import SpeciesShare
@@ -13,7 +14,6 @@ from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.polyline import distance_m
 
 THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=5.0, height_m=6.0)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.stand.nearby import cut_out, things_near
 from vlp16emu.forest.stand.stand import REGENERATION
@@ -15,7 +16,6 @@ from vlp16emu.forest.tiles import TileKey
 from vlp16emu.forest.twin import write_glb
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.settings import Hall, HallPole
 
 RADIUS_M = 12.0

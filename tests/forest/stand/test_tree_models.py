@@ -6,6 +6,7 @@ import trimesh
 
 from vlp16emu import Emulator
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import flora, species_table
@@ -15,7 +16,6 @@ from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.stand.tree_models import Cutter, ModelKey, TreeModels
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.polyline import Corridor
 
 BIRCH = species_table()["silver_birch"]
 PARTS = [ModelPart(name="crown", part="leaf"), ModelPart(name="bough", part="branch_first_order")]

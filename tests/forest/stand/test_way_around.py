@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.stand.way_around import around
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.way_points import WayPoints
-from vlp16emu.world.polyline import distance_m
 
 
 def way(*xy_m):

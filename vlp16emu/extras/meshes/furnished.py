@@ -13,6 +13,7 @@ from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.extras.meshes.files import UserMesh, load_mesh
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.types import (
     FIRST_FREE_INSTANCE,
     SURFACE,
@@ -25,7 +26,6 @@ from vlp16emu.types import (
     Window,
     World,
 )
-from vlp16emu.world.polyline import distance_m
 
 _log = logging.getLogger(__name__)
 
