@@ -108,6 +108,24 @@ def kept_woods():
     user_store.cache_clear()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _things_of_halls():
+    """Build each thing of a hall once: its key describes it whole, and a ball takes as long as a second of packets."""
+    from vlp16emu.raycast.near import EmbreeCaster
+    from vlp16emu.world.hall import HallWorld
+
+    made, begin = {}, EmbreeCaster.__init__
+
+    def begun(caster, world, workers):
+        begin(caster, world, workers)
+        if isinstance(world, HallWorld):
+            caster._solids = made
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(EmbreeCaster, "__init__", begun)
+        yield
+
+
 @pytest.fixture(scope="session")
 def workers():
     """Threads that build shapes."""

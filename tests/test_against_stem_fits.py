@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic

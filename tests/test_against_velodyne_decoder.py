@@ -7,7 +7,7 @@ import pytest
 import velodyne_decoder
 from woods import LINES
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, decode_data
 from vlp16emu.scenario import load
 

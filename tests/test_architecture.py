@@ -18,7 +18,6 @@ FLOORS = (
     {"__main__"},
     {"cli", "pytest"},
     {"extras"},
-    {"emulator"},
     {"run"},
     {"engine"},
     {"scenario"},
@@ -49,7 +48,7 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("settings", "purpose", "ground", "tiles", "twin", "plants", "stand", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {
@@ -152,14 +151,14 @@ def test_the_core_knows_no_forest_and_no_extra():
 
 def test_foliage_and_forest_know_no_run():
     """What is far takes from casting, a forest from worlds and from what is far; neither knows engine, runs or extras."""
-    above = {"forest", "scenario", "engine", "run", "emulator", "extras", "cli"}
+    above = {"forest", "scenario", "engine", "run", "extras", "cli"}
     for name in NAMES:
         if (room := room_of(name)) in ("foliage", "forest"):
             assert not {full.split(".")[0] for full in targets(name)} & (above - {room}), name
 
 
 def test_arrows_in_the_forest_run_down():
-    """Ground, tiles, plants, stand, given trees: a room of the forest imports from its own floor and from lower ones."""
+    """Ground, tiles, plants, stand: a room of the forest imports from its own floor and from lower ones."""
     for name in NAMES:
         if room_of(name) == "forest" and name != "forest/__init__.py":
             own = FOREST.index(name.split("/")[1].removesuffix(".py"))
@@ -235,6 +234,14 @@ def test_changes_of_all_that_a_kernel_takes_are_seen():
             left |= taken_at_once(file, trees()[file]) - needed
         module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         assert needed <= set(sources_of(frozenset({f"vlp16emu.{module}"}))), name
+
+
+def test_kernels_take_numba_as_it_is_prepared():
+    """What makes kernels takes numba from `kernels/compiler.py`, which sets the processor and the folder before any is made."""
+    for name, tree in trees().items():
+        text = (PACKAGE / name).read_text(encoding="utf-8")
+        if "njit(" in text and not name.startswith("kernels/"):
+            assert "vlp16emu.kernels.compiler.numba" in imports(tree), name
 
 
 def test_sources_of_what_is_kept_are_there():

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from woods import THIN
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.packets import DATA_BYTES
 from vlp16emu.run.options import TruthTo

@@ -12,8 +12,8 @@ import pytest
 
 from vlp16emu.cli.app import run
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.given.given_stand import read_stem_list
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.stand.given_stand import read_stem_list
 
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases"
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from listening import opened, port_of
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.extras.bench.options import Http
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from woods import THIN
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds.deskew import Trajectory, write_deskewed
 from vlp16emu.extras.clouds.points import write_points

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from woods import LINES
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
 
 pytestmark = pytest.mark.usefixtures("kept_woods")

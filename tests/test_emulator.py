@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from woods import THIN
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
 from vlp16emu.scenario import load

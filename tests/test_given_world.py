@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import GeometryError, ScenarioError
 from vlp16emu.forest.stand.forest import FIRST_FREE_INSTANCE
 from vlp16emu.packets import decode_data

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from woods import THIN
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.images.images import write_images

@@ -11,7 +11,7 @@ import pytest
 from woods import LINES
 
 import vlp16emu.engine.engine as page
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.engine import position
 from vlp16emu.engine.windows import window_of
 from vlp16emu.foliage.far import Far

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind

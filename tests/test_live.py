@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from listening import Listener
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import InputError, OutputError, TrajectoryError
 from vlp16emu.extras.bench.options import PosesIn
 from vlp16emu.extras.live.flight import PoseReceiver, pose_port

@@ -143,11 +143,11 @@ def test_nothing_is_left_behind():
         threads = [one.name for one in threading.enumerate() if not one.name.startswith(workers)]
         return len(list(Path("/proc/self/fd").iterdir())), threads
 
-    run = vlp16emu.run.run.Run.of(SCENE)
-    vlp16emu.Live(run, **QUICK).stop()
+    emulator = vlp16emu.Emulator(SCENE)
+    vlp16emu.Live(emulator, **QUICK).stop()
     before = open_now()
     for _ in range(3):
-        with vlp16emu.Live(run, **QUICK) as live:
+        with vlp16emu.Live(emulator, **QUICK) as live:
             ports = live.ports[0]
     assert open_now() == before
     for port in ports:

@@ -6,8 +6,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import GeometryError
 from vlp16emu.scenario import load
 from vlp16emu.types import Semantic

@@ -20,7 +20,7 @@ def test_nothing_heavy_is_loaded_with_the_package():
     code = """
     import sys
     import vlp16emu
-    heavy = {"numpy", "numba", "pydantic", "scipy", "dpkt", "typer", "vlp16emu.emulator", "vlp16emu.scenario"}
+    heavy = {"numpy", "numba", "pydantic", "scipy", "dpkt", "typer", "vlp16emu.run.emulator", "vlp16emu.scenario"}
     print(sorted(heavy & set(sys.modules)), set(vlp16emu.__all__) <= set(dir(vlp16emu)))
     """
     assert run(textwrap.dedent(code)) == "[] True\n"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.packets import decode_data
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import velodyne_decoder
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.replay import packets_of

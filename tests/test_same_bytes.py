@@ -37,8 +37,8 @@ ROOMS = (
 """Folders and files on the way from a scene to its packets."""
 
 ALLOWED = {
-    "forest/given/tree_model.py": "scipy",  # which corners are joined; lengths of hulls are for reports
-    "forest/given/given_stand.py": "scipy",  # finds trees at one place, to refuse them
+    "forest/stand/tree_models.py": "scipy",  # which corners are joined; lengths of hulls are for reports
+    "forest/stand/given_stand.py": "scipy",  # finds trees at one place, to refuse them
     "forest/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
     "forest/stand/inventory.py": "scipy",  # which corners span a crown
     "forest/twin.py": "**",  # colours for other programs

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from woods import LINES
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.scenario.model import Scenario
 from vlp16emu.types import Semantic

@@ -10,8 +10,8 @@ import velodyne_decoder
 from scipy.spatial.transform import Rotation
 from woods import THIN
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run as command
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vlp16emu import Emulator
 from vlp16emu import store as module
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import assemble
 from vlp16emu.foliage.tiles import STEM
 from vlp16emu.scenario import load

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
 

@@ -12,8 +12,8 @@ import pytest
 import velodyne_decoder
 from scipy.spatial.transform import Rotation, Slerp
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, OutputError, ScenarioError
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.clouds.scan import decode

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import load

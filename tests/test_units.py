@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.scenario import load
 from vlp16emu.units import seconds_to_ns

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from woods import LINES
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load

@@ -12,7 +12,7 @@ import numpy as np
 from rich.box import MARKDOWN
 from rich.table import Table
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.engine.windows import BLOCK, SEGMENT, STEPS
 from vlp16emu.packets import pack_data
 from vlp16emu.raycast.beam import LINE

@@ -6,11 +6,8 @@
 
 from importlib import import_module
 
-from vlp16emu.kernels.hook import keep_compiled
-
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
-    from vlp16emu.emulator import Emulator
     from vlp16emu.extras.bench.options import GpsIn, Http, Outlets, PosesIn
     from vlp16emu.extras.clouds.points import write_points
     from vlp16emu.extras.clouds.scan import decode
@@ -19,6 +16,7 @@ if TYPE_CHECKING:
     from vlp16emu.extras.replay import Replayed, replay
     from vlp16emu.extras.truth.truth import write_truth
     from vlp16emu.extras.verify import Finding, Verification, verify
+    from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.options import TruthTo
     from vlp16emu.run.report import Recording
     from vlp16emu.scenario import Scenario, load
@@ -50,7 +48,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "emulator": "Emulator",
+    "run.emulator": "Emulator",
     "extras.bench.options": "GpsIn Http Outlets PosesIn",
     "extras.clouds.points": "write_points",
     "extras.clouds.scan": "decode",
@@ -65,8 +63,6 @@ _MODULES = {
     "types": "Labels Scan",
 }
 _PLACES = {name: module for module, names in _MODULES.items() for name in names.split()}  # module of each public name
-
-keep_compiled()
 
 
 def __getattr__(name: str) -> object:

@@ -98,10 +98,8 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
 def door(name: str, group: str = "parts") -> Any:
     """Return the object behind a name of a group.
 
-    Raises
-    ------
-    InputError : If its part of this package is not installed, or the package that adds it cannot be loaded
-    KeyError : If the group has no such name
+    Raises InputError if its part of this package is not installed, or the package that adds it cannot be loaded;
+    KeyError if the group has no such name.
     """
     if name not in DOORS[group]:
         return _load(_added(group)[name])

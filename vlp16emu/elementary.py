@@ -13,12 +13,13 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol, cast, overload
 
-import numba
 import numba.extending
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numpy.typing import NDArray
+
+from vlp16emu.kernels.compiler import numba
 
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.floating[Any]]

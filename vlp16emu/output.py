@@ -77,12 +77,7 @@ class OutputFile:
     def keep(self) -> None:
         """Close the file and give it its name.
 
-        Raises
-        ------
-        OSError
-            If the buffered rest cannot be written.
-        RunError
-            If it cannot take its name.
+        Raises OSError if the buffered rest cannot be written; RunError if it cannot take its name.
         """
         self.file.flush()
         try:

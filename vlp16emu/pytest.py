@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _LOOK_AHEAD = 128
 """Packets that are computed before the first one leaves, 0.17 s: a hall is made several times as fast as it is sent."""
 _LONGEST_S = 7 * 86_400.0  # longest run of a scene
-_LAST = pytest.StashKey[Any]()  # the engine of the test before, whose world is used again
+_LAST = pytest.StashKey[Any]()  # the emulator of the test before, whose world is used again
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -40,15 +40,14 @@ def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
     posts, boxes and balls and a sensor without errors. It ends with the test, or where a walk does.
     """
     from vlp16emu.extras.handle import Live
-    from vlp16emu.run.run import Run
+    from vlp16emu.run.emulator import Emulator
 
     marker, config = request.node.get_closest_marker("vlp16"), request.config
     scene, settings, options = _asked(*marker.args, **marker.kwargs) if marker else _asked()
     scene = scene or config.getoption("--vlp16-scene") or config.getini("vlp16_scene")
-    run = Run.of(scene, settings, like=config.stash.get(_LAST, None))
-    config.stash[_LAST] = run.engine
-    end_s = min(run.engine.parts.motion.run_time_s, _LONGEST_S)
-    with Live(run, **{"look_ahead": _LOOK_AHEAD, "duration_s": end_s} | options) as live:
+    emulator = config.stash[_LAST] = Emulator(scene, settings, like=config.stash.get(_LAST, None))
+    end_s = min(emulator.parts.motion.run_time_s, _LONGEST_S)
+    with Live(emulator, **{"look_ahead": _LOOK_AHEAD, "duration_s": end_s} | options) as live:
         yield live
 
 

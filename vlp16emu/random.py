@@ -10,11 +10,11 @@ import math
 from enum import IntEnum
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import log_of_normal
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import in_quarter
 
 

@@ -34,12 +34,8 @@ _DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*
 def toml(text: str) -> dict[str, Any]:
     """Parse TOML.
 
-    Raises
-    ------
-    ValueError
-        If it is none, or a key has more than `DEEPEST` names
-    RecursionError
-        If lists or tables are nested much deeper still
+    Raises ValueError if it is none, or a key has more than `DEEPEST` names; RecursionError if lists or tables are
+    nested much deeper still.
     """
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1

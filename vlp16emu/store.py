@@ -40,7 +40,6 @@ MAKERS = (  # files and folders of the package that decide what worlds consist o
 _OURS = b"vlp16emu store "
 _MAGIC = (_OURS + b"2").ljust(32)
 _BEGIN = len(_MAGIC) + 32
-_MB = 1_000_000
 _DEFAULT_MB = 1_000.0
 
 
@@ -85,15 +84,15 @@ class Store:
         """Write a file; a full disk, or a folder of root's, is no error."""
         if self.own is None:
             return
-        path = self.own / name
-        aside = path.with_name(f"{name}.{os.getpid()}.part")  # programs may share the folder
+        aside = self.own / f"{name}.{os.getpid()}.part"  # programs may share the folder
         try:
             with aside.open("wb") as file:
-                self._unlooked += file.write(_begin(path, content)) + file.write(content)
-            aside.replace(path)
+                file.writelines((_begin(name, content), content))
+            aside.replace(self.own / name)
         except OSError:
             with suppress(OSError):
                 aside.unlink()
+        self._unlooked += len(content)
         if self._unlooked > self.most_bytes / 16:
             self._unlooked = 0
             files = sorted(self._files(), key=lambda file: file[1].st_mtime, reverse=True)
@@ -102,8 +101,7 @@ class Store:
 
     def keep(self, name: str, thing: object) -> None:
         """Pickle a thing into a file, soon: on a thread of its own, so nobody may change it any more."""
-        if self._writer is None:
-            self._writer = ThreadPoolExecutor(1, "keep")
+        self._writer = self._writer or ThreadPoolExecutor(1, "keep")
         with suppress(RuntimeError):  # the program ends
             self._writer.submit(lambda: self.write(name, pickle.dumps(thing, protocol=5)))
 
@@ -136,11 +134,11 @@ def read_checked(path: Path) -> memoryview | None:
         data = memoryview(path.read_bytes())
     except OSError:
         return None
-    return data[_BEGIN:] if data[:_BEGIN] == _begin(path, data[_BEGIN:]) else None
+    return data[_BEGIN:] if data[:_BEGIN] == _begin(path.name, data[_BEGIN:]) else None
 
 
-def _begin(path: Path, content: bytes | memoryview) -> bytes:
-    digest = hashlib.sha256(path.name.encode())
+def _begin(name: str, content: bytes | memoryview) -> bytes:
+    digest = hashlib.sha256(name.encode())
     digest.update(content)
     return _MAGIC + digest.digest()
 
@@ -166,17 +164,21 @@ def digest_of(sources: Iterable[str], *more: object) -> str:
     return digest.hexdigest()
 
 
+def user_folder(name: str) -> Path:
+    """Return a folder in the user's cache, where the system has it."""
+    return user_cache_path("vlp16emu", appauthor=False) / name
+
+
 @cache
 def user_store() -> Store:
     """Return the user's parts of worlds: in `VLP16EMU_CACHE_DIR`, of `VLP16EMU_CACHE_MB`, or else in the user's cache, of 1 GB."""
     try:
-        most_mb = float(os.environ.get("VLP16EMU_CACHE_MB", ""))
+        most_mb = max(float(os.environ.get("VLP16EMU_CACHE_MB", "")), 0.0)
     except ValueError:
         most_mb = _DEFAULT_MB
     chosen = os.environ.get("VLP16EMU_CACHE_DIR")
-    folder = Path(chosen) if chosen else user_cache_path("vlp16emu", appauthor=False) / "world"
-    is_off = chosen in ("", "off") or most_mb <= 0
-    return Store(None if is_off else folder, ".world", int(max(most_mb, 0.0) * _MB))
+    folder = Path(chosen) if chosen else user_folder("world")
+    return Store(None if chosen in ("", "off") or not most_mb else folder, ".world", int(most_mb * 1e6))
 
 
 def recalled(

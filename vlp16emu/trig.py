@@ -7,10 +7,10 @@ the options of the first kernel that calls them.
 import math
 from typing import cast
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import around_zero
+from vlp16emu.kernels.compiler import numba
 
 ZERO = cast("int", np.int64(0))  # a zero that is no literal: numba compiles a function once more for the literal 0
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+# Arrays by numpy's codes of what is in them
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -21,7 +22,6 @@ U1 = NDArray[np.uint8]
 U2 = NDArray[np.uint16]
 U4 = NDArray[np.uint32]
 U8 = NDArray[np.uint64]
-"""Arrays by numpy's codes of what is in them."""
 Array = F8
 IntArray = I8
 
@@ -100,10 +100,8 @@ SURFACE = np.dtype(
 )
 """One row of a window's surface table."""
 
-NO_SURFACE = np.uint32(0xFFFFFFFF)
-"""Surface of a pulse that hit nothing."""
-ShapeKey = Hashable
-"""Name of a shape: the same key always means the same bytes of geometry."""
+NO_SURFACE = np.uint32(0xFFFFFFFF)  # Surface of a pulse that hit nothing
+ShapeKey = Hashable  # Name of a shape: the same key always means the same bytes of geometry
 
 
 def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
@@ -126,12 +124,9 @@ def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
 class Poses:
     """Poses of the body at n instants; n = 1 stands for a body that never moves."""
 
-    t_ns: IntArray
-    """(n,) UTC."""
-    world_R_body: Array
-    """(n, 3, 3) rotation, body to world."""
-    world_p_body_m: Array
-    """(n, 3) origin of the body in the world."""
+    t_ns: IntArray  # (n,) UTC
+    world_R_body: Array  # (n, 3, 3) rotation, body to world
+    world_p_body_m: Array  # (n, 3) origin of the body in the world
 
     def __post_init__(self) -> None:
         n = len(self.t_ns)
@@ -143,20 +138,13 @@ class Poses:
 class Firings:
     """k firing sequences of L lasers, each pulse with its own instant, origin and direction."""
 
-    index: int
-    """Number of the first firing sequence since the run began."""
-    t_ns: IntArray
-    """(k, L) UTC of each pulse."""
-    clock_ns: IntArray
-    """(k,) what the sensor's own clock shows at the first laser, ns past its hour."""
-    azimuth_deg: Array
-    """(k, L) true rotor angle of each pulse, [0, 360)."""
-    reading_deg: Array
-    """(k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors."""
-    origin_m: Array
-    """(k, L, 3) world; the point on the spin axis from which the range is measured."""
-    direction: Array
-    """(k, L, 3) world, unit length."""
+    index: int  # Number of the first firing sequence since the run began
+    t_ns: IntArray  # (k, L) UTC of each pulse
+    clock_ns: IntArray  # (k,) what the sensor's own clock shows at the first laser, ns past its hour
+    azimuth_deg: Array  # (k, L) true rotor angle of each pulse, [0, 360)
+    reading_deg: Array  # (k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors
+    origin_m: Array  # (k, L, 3) world; the point on the spin axis from which the range is measured
+    direction: Array  # (k, L, 3) world, unit length
     beam_axis: Array | None
     """(k, L, 3) like `direction`, perpendicular to it, level in the sensor, to greater azimuths; None for pulses of one line."""
 
@@ -181,14 +169,10 @@ class Firings:
 class Hits:
     """Hits of sub-rays, pulse by pulse in order of sequence, then of laser. Those of a pulse carry equal energy."""
 
-    count: U2
-    """(k, L) sub-rays of each pulse, at least 1; n in all."""
-    range_m: F4
-    """(n,) from the pulse's origin; +inf where nothing was met."""
-    surface: U4
-    """(n,) row of the window's surface table; `NO_SURFACE` where nothing was met."""
-    cos_incidence: F4
-    """(n,) between the ray and the surface normal, 0..1; 0 where nothing was met."""
+    count: U2  # (k, L) sub-rays of each pulse, at least 1; n in all
+    range_m: F4  # (n,) from the pulse's origin; +inf where nothing was met
+    surface: U4  # (n,) row of the window's surface table; `NO_SURFACE` where nothing was met
+    cos_incidence: F4  # (n,) between the ray and the surface normal, 0..1; 0 where nothing was met
 
     def __post_init__(self) -> None:
         n = len(self.range_m)
@@ -208,18 +192,12 @@ class Returns:
     """Returns of the detector. Last axis: strongest, last, second strongest."""
 
     firings: Firings
-    distance_m: F4
-    """(k, L, 3) not yet on the 2 mm grid; 0 where there is no such return."""
-    reflectivity: U1
-    """(k, L, 3) 0..100 diffuse, 101..255 retroreflective."""
-    surface: U4 | None = None
-    """(k, L, 3) truth, only when asked for, as all that follows."""
-    surfaces: NDArray[np.void] | None = None
-    """(m,) `SURFACE`, the table that `surface` points into."""
-    range_m: F4 | None = None
-    """(k, L, 3) before errors of range; 0 where there is no such return."""
-    share: F4 | None = None
-    """(k, L, 3) of the footprint that met the surface, wherever."""
+    distance_m: F4  # (k, L, 3) not yet on the 2 mm grid; 0 where there is no such return
+    reflectivity: U1  # (k, L, 3) 0..100 diffuse, 101..255 retroreflective
+    surface: U4 | None = None  # (k, L, 3) truth, only when asked for, as all that follows
+    surfaces: NDArray[np.void] | None = None  # (m,) `SURFACE`, the table that `surface` points into
+    range_m: F4 | None = None  # (k, L, 3) before errors of range; 0 where there is no such return
+    share: F4 | None = None  # (k, L, 3) of the footprint that met the surface, wherever
 
     def __post_init__(self) -> None:
         shape = *self.firings.t_ns.shape, 3
@@ -235,11 +213,9 @@ class Packet:
     """Bytes and the instant at which a real sensor would have sent them."""
 
     kind: PacketKind
-    due_ns: int
-    """UTC at which the last byte has been produced and the datagram leaves."""
+    due_ns: int  # UTC at which the last byte has been produced and the datagram leaves
     payload: bytes
-    unit: int = 0
-    """Place in the rig of the sensor that sends it, from 0."""
+    unit: int = 0  # Place in the rig of the sensor that sends it, from 0
     fired_ns: int | None = None  # UTC of the first pulse in a data packet of ours
     number: int = 0  # of a position packet: how many its unit could have sent before; the frame carries it
     slots: NDArray[np.void] | None = None  # (384,) of a data packet: what is behind each record, only when asked for
@@ -249,16 +225,11 @@ class Packet:
 class Labels:
     """Ground truth of n points: the surface that each was reflected by."""
 
-    semantic: U1
-    """(n,) `Semantic`."""
-    part: U1
-    """(n,) `PlantPart`."""
-    instance: U4
-    """(n,) unique per plant, stone or object; 0 none."""
-    species: U2
-    """(n,) number in the species table; 0 none."""
-    range_m: F4
-    """(n,) distance without range errors."""
+    semantic: U1  # (n,) `Semantic`
+    part: U1  # (n,) `PlantPart`
+    instance: U4  # (n,) unique per plant, stone or object; 0 none
+    species: U2  # (n,) number in the species table; 0 none
+    range_m: F4  # (n,) distance without range errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,50 +244,39 @@ class Scan:
     `Emulator.world_T_sensor(scan.t_ns)`.
     """
 
-    start_ns: int
-    """UTC of the revolution's first pulse, whether or not it has a return."""
+    start_ns: int  # UTC of the revolution's first pulse, whether or not it has a return
     t_ns: I8
     """(n,) UTC of the pulse. Of a capture: by the clock that is chosen for `decode`, in whole microseconds for each packet."""
-    xyz_m: F4
-    """(n, 3) in the sensor: x forward at azimuth 0, y left, z up."""
-    distance_m: F4
-    """(n,) from the centre of the sensor."""
-    azimuth_deg: F8
-    """(n,) at the instant of the pulse, [0, 360)."""
-    ring: U2
-    """(n,) by elevation, 0 the lowest."""
-    reflectivity: U1
-    """(n,) 0..100 diffuse, 101..255 retroreflective."""
+    xyz_m: F4  # (n, 3) in the sensor: x forward at azimuth 0, y left, z up
+    distance_m: F4  # (n,) from the centre of the sensor
+    azimuth_deg: F8  # (n,) at the instant of the pulse, [0, 360)
+    ring: U2  # (n,) by elevation, 0 the lowest
+    reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
     is_last: NDArray[np.bool_]
     """(n,) a last return; else the strongest, or in dual return, where that is the last, the second strongest."""
     world_T_sensor: F8 | None = None
     """(4, 4) takes `xyz_m` to the world (local east, north, up), at `start_ns`; None for a capture."""
-    labels: Labels | None = None
-    """Where the truth was asked for."""
+    labels: Labels | None = None  # Where the truth was asked for
 
 
 @dataclass(frozen=True, slots=True)
 class GnssFix:
     """Fix of a GNSS receiver at one whole UTC second."""
 
-    t_ns: int
-    """UTC, a whole second."""
+    t_ns: int  # UTC, a whole second
     valid: bool
     latitude_deg: float
     longitude_deg: float
     speed_m_s: float
-    course_deg: float
-    """Over ground, clockwise from north, [0, 360)."""
+    course_deg: float  # Over ground, clockwise from north, [0, 360)
 
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
     """Faces of one surface, in the coordinates of the shape they belong to."""
 
-    vertices_m: F4
-    """(v, 3)."""
-    faces: U4
-    """(f, 3) triangles or (f, 4) planar quads, counter-clockwise seen from outside."""
+    vertices_m: F4  # (v, 3)
+    faces: U4  # (f, 3) triangles or (f, 4) planar quads, counter-clockwise seen from outside
 
     def __post_init__(self) -> None:
         _check(self, "f4", vertices_m=(None, 3))
@@ -327,16 +287,11 @@ class Mesh:
 class Sway:
     """Motion of m placements of a window: sheared, a point h over a foot by h times `shear`, linear between knots."""
 
-    start_ns: int
-    """UTC of the first knot."""
-    step_ns: int
-    """Time from knot to knot."""
-    placement: IntArray
-    """(m,) in the window, ascending."""
-    foot_z_m: Array
-    """(m,) height of each one's foot in the world."""
-    shear: Array
-    """(k, m, 2) at each knot, towards x and y; at least two knots."""
+    start_ns: int  # UTC of the first knot
+    step_ns: int  # Time from knot to knot
+    placement: IntArray  # (m,) in the window, ascending
+    foot_z_m: Array  # (m,) height of each one's foot in the world
+    shear: Array  # (k, m, 2) at each knot, towards x and y; at least two knots
 
     def __post_init__(self) -> None:
         m = len(self.placement)
@@ -351,19 +306,13 @@ class Window:
     A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] + j`.
     """
 
-    origin_m: Array
-    """(3,) world; geometry is handed to the caster relative to it."""
+    origin_m: Array  # (3,) world; geometry is handed to the caster relative to it
     shapes: tuple[ShapeKey, ...]
-    shape: I4
-    """(n,) index into `shapes`."""
-    world_T_shape: Array
-    """(n, 3, 4) affine; rigid, or scaled for crowns."""
-    first_surface: U4
-    """(n,) row of `surfaces` of the placement's first mesh."""
-    surfaces: NDArray[np.void]
-    """(m,) `SURFACE`."""
-    sway: Sway | None = None
-    """Motion over the time of the window; None if nothing moves."""
+    shape: I4  # (n,) index into `shapes`
+    world_T_shape: Array  # (n, 3, 4) affine; rigid, or scaled for crowns
+    first_surface: U4  # (n,) row of `surfaces` of the placement's first mesh
+    surfaces: NDArray[np.void]  # (m,) `SURFACE`
+    sway: Sway | None = None  # Motion over the time of the window; None if nothing moves
 
     def __post_init__(self) -> None:
         n = len(self.shape)
@@ -376,8 +325,7 @@ class Window:
         return {}
 
 
-HeightField = Callable[[Array, Array], Array]
-"""Ground height in metres over arrays of x and y in metres."""
+HeightField = Callable[[Array, Array], Array]  # Ground height in metres over arrays of x and y in metres
 
 
 class World(Protocol):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-HEAVY = {"numpy", "numba", "scipy", "pydantic", "dpkt", "rich", "vlp16emu.emulator", "vlp16emu.scenario"}
+HEAVY = {"numpy", "numba", "scipy", "pydantic", "dpkt", "rich", "vlp16emu.run.emulator", "vlp16emu.scenario"}
 VERBS = ["record", "stream", "decode", "points", "truth", "verify", "scenes", "schema"]
 
 

@@ -9,7 +9,7 @@ import tty
 import pytest
 from listening import opened, port_of, waiting
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.options import GpsIn
 from vlp16emu.packets import decode_position

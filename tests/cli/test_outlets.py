@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from listening import opened, port_of
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.imu_frame import decode_imu
 from vlp16emu.motion.geodesy import to_geodetic

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from woods import LINES, WORDS
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 

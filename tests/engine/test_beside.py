@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.imu_frame import decode_imu
 from vlp16emu.extras.bench.outlets import PULSE_NS, Beside

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.engine import Job, scan
 from vlp16emu.engine.timeline import Packer
 from vlp16emu.packets import decode_position

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.extras import keep_up
 from vlp16emu.extras.keep_up import LADDER, choose, settings_that_keep_up
 from vlp16emu.scenario import load

@@ -14,6 +14,7 @@ from vlp16emu.types import NO_SURFACE, PlantPart
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 STATIC = "motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}"
+REACH_M = 35.0
 AGAIN = 390_625
 """Firing sequences after which a rotor at 600 rpm stands where it stood: 216 revolutions, 21.6 s."""
 
@@ -21,7 +22,7 @@ AGAIN = 390_625
 @pytest.fixture(scope="module")
 def forest():
     """Parts of a thin birch stand with a sensor that stands still, without noise."""
-    settings = [STATIC, "seed=5", "world.stems_per_ha=300", "sensor.max_range_m=50.0"]
+    settings = [STATIC, "seed=5", "world.stems_per_ha=300", f"sensor.max_range_m={REACH_M}"]
     return assemble(load("birch_walk", settings, ideal=True))
 
 
@@ -39,7 +40,7 @@ def test_a_static_sensor_sees_the_same_in_every_revolution(forest, workers):
     assert np.abs(first.direction - again.direction).max() < 1e-12
     window = forest.world.window(first.origin_m[:1, 0])
     scene = caster(forest.world, workers).open(window)
-    ours, other = (scene.cast(f, unit.head.beams.near_m, 50.0) for f in (first, again))
+    ours, other = (scene.cast(f, unit.head.beams.near_m, REACH_M) for f in (first, again))
     alike = (first.direction.astype("f4") == again.direction.astype("f4")).all(axis=-1).reshape(-1)
     assert alike.mean() > 0.99
     for name in ("range_m", "surface", "cos_incidence"):
@@ -50,14 +51,14 @@ def test_a_static_sensor_sees_the_same_in_every_revolution(forest, workers):
 
 
 def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
-    """From windows 4 m apart, of two casters, what is met up to 50 m is the same thing at the same range to 0.1 mm."""
+    """From windows 4 m apart, of two casters, what is met up to 35 m is the same thing at the same range to 0.1 mm."""
     unit = forest.units[0]
     firings = unit.head.aim(0, 1920, unit.motion.poses_at, beam_axis=True)
     at_m = firings.origin_m[:1, 0]
     tracks = [np.concatenate([at_m, at_m + [[dx, 1.0, 0.0]]]) for dx in (8.0, -8.0)]
     windows = [forest.world.window(track) for track in tracks]
     assert np.linalg.norm(windows[0].origin_m - windows[1].origin_m) > 4
-    hits = [caster(forest.world, workers).open(w).cast(firings, unit.head.beams.near_m, 50.0) for w in windows]
+    hits = [caster(forest.world, workers).open(w).cast(firings, unit.head.beams.near_m, REACH_M) for w in windows]
     (ours, _), (other, part) = (met(*pair) for pair in zip(windows, hits, strict=True))
     hit = np.isfinite(hits[0].range_m) & np.isfinite(hits[1].range_m)
     same = (ours == other) & (np.isfinite(hits[0].range_m) == np.isfinite(hits[1].range_m))
@@ -67,7 +68,7 @@ def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
     assert (part[beyond] == PlantPart.LEAF).sum() > 300
     # What differs is met within rounding of an edge: float32 has another place for it in each window.
     assert same.mean() > 0.998
-    assert same[beyond].mean() > 0.998
+    assert same[beyond].mean() > 0.995
 
 
 def test_a_far_hit_shows_what_stands_there(forest, workers):
@@ -75,7 +76,7 @@ def test_a_far_hit_shows_what_stands_there(forest, workers):
     unit, world = forest.units[0], forest.world
     firings = unit.head.aim(0, 128, unit.motion.poses_at, beam_axis=True)
     window = world.window(firings.origin_m[:1, 0])
-    hits = caster(world, workers).open(window).cast(firings, unit.head.beams.near_m, 50.0)
+    hits = caster(world, workers).open(window).cast(firings, unit.head.beams.near_m, REACH_M)
     far = np.flatnonzero((hits.range_m > world.near_m) & np.isfinite(hits.range_m))
     place_m = firings.origin_m.reshape(-1, 3) + hits.range_m[:, None] * firings.direction.reshape(-1, 3)
     first, shape = window.first_surface.astype(np.int64), cache(world.shape)

@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.forest import settings
 from vlp16emu.forest.ground.terrain import TerrainHeights
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.world.polyline import Corridor

@@ -15,7 +15,7 @@ from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
 
 from vlp16emu import store
-from vlp16emu.kernels import cache, hook
+from vlp16emu.kernels import cache, compiler
 from vlp16emu.kernels.cache import KernelCache, user_kernels
 from vlp16emu.kernels.compiler import KernelDispatcher
 
@@ -246,13 +246,13 @@ def test_a_kernel_in_a_file_serves_another_one(folder):
 
 def test_the_target_is_fixed(monkeypatch):
     """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is named."""
-    assert cpu_target.target_context.codegen().magic_tuple()[1:] == hook._target()
-    has = dict.fromkeys([feature for needs in hook._TARGETS.values() for feature in needs], True)
+    assert cpu_target.target_context.codegen().magic_tuple()[1:] == compiler._target()
+    has = dict.fromkeys([feature for needs in compiler._TARGETS.values() for feature in needs], True)
     monkeypatch.setattr(binding, "get_host_cpu_features", lambda: has)
-    assert hook._target() == ("x86-64-v3", "")
+    assert compiler._target() == ("x86-64-v3", "")
     has["fma"] = False
-    assert hook._target() == ("x86-64-v2", "")
+    assert compiler._target() == ("x86-64-v2", "")
     has.clear()
-    assert hook._target() == ("generic", "")
+    assert compiler._target() == ("generic", "")
     monkeypatch.setenv("VLP16EMU_TARGET", "x86-64")
-    assert hook._target() == ("x86-64", "")
+    assert compiler._target() == ("x86-64", "")

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.packets import DATA_BYTES, data_fields, decode_data
 from vlp16emu.scenario import load
 from vlp16emu.scenario.find import scene_files
 from vlp16emu.types import PacketKind
+from vlp16emu.units import S_NS
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -32,14 +33,28 @@ def test_the_plot_is_where_its_receiver_is():
 
 
 @pytest.mark.parametrize("path", SCENES, ids=NAMES)
+def test_a_walk_is_as_long_as_its_scene(path):
+    """Packets may be asked for to the end of a scene, and at each second of it the first sensor is somewhere."""
+    emulator = Emulator(load(str(path)))
+    emulator.packets(0.0, emulator.scenario.duration_s)
+    t_ns = emulator.scenario.start_ns + np.arange(0, int(emulator.scenario.duration_s)) * S_NS
+    assert np.isfinite(emulator.world_T_sensor(t_ns)).all()
+
+
+FEW = ("stems_per_ha=60", "regeneration.stems_per_ha=0", "shrubs.per_ha=0", "storeys=[]")
+"""Of a stand: how dense each is, `test_presets.py` looks at without a ray."""
+
+
+@pytest.mark.parametrize("path", SCENES, ids=NAMES)
 def test_a_scene_gives_valid_packets(path):
-    """Data packets of a scene's first revolution decode, in the scene's mode, with returns within the sensor's range; its walk is as long as the scene."""
-    near = [] if load(str(path)).world.kind == "hall" else ["world.near_m=8"]
-    scenario = load(str(path), ["sensor.max_range_m=8.0", *near])  # a small window, all of faces, is enough
-    emulator = Emulator(scenario)
-    emulator.packets(0.0, scenario.duration_s)
+    """Data packets of a revolution in a scene's world, with few trees, decode, in the scene's mode and with returns in the sensor's range."""
+    settings, kind = ["sensor.max_range_m=8.0"], load(str(path)).world.kind
+    if kind != "hall":  # a small window, all of faces, is enough
+        settings += ["world.near_m=8", "motion={kind='static', x_m=10.0, y_m=10.0, height_m=1.5}"]
+        settings += [f"world.{one}" for one in FEW] if kind == "forest" else []
+    scenario = load(str(path), settings)
     # A whole revolution: a single packet may look at the sky, or between stems.
-    sent = [packet.payload for packet in emulator.packets(0.0, 0.1) if packet.kind is PacketKind.DATA]
+    sent = [packet.payload for packet in Emulator(scenario).packets(0.0, 0.1) if packet.kind is PacketKind.DATA]
     payload = np.frombuffer(b"".join(sent), np.uint8).reshape(-1, DATA_BYTES)
     modes = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
     assert set(data_fields(payload)["return_mode"].tolist()) == {modes[scenario.sensor.return_mode]}

@@ -8,8 +8,8 @@ import pytest
 from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD, SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS, ATTITUDE, STAMP
-from vlp16emu.forest.given.given_stand import _COLUMNS
-from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.plants.species import flora
+from vlp16emu.forest.stand.given_stand import _COLUMNS
 from vlp16emu.forest.stand.inventory import INVENTORY
 from vlp16emu.scenario.find import scene_files
 from vlp16emu.tables import LARGEST

@@ -7,7 +7,7 @@ import pytest
 
 from vlp16emu.engine import assemble
 from vlp16emu.errors import ScenarioError
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.settings import presets
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.scenario import load

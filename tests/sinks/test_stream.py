@@ -246,3 +246,15 @@ def test_the_timer_slack_is_put_back():
     with prompt():
         assert slack_ns.read_text() == "1\n"
     assert slack_ns.read_text() == before
+
+
+def test_streams_that_overlap_leave_the_switch_interval_as_it_was():
+    """It stays short until the last of two streams ends, whichever begins first, and is then as before both."""
+    before_s, first, second = sys.getswitchinterval(), prompt(), prompt()
+    first.__enter__()
+    short_s = sys.getswitchinterval()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert sys.getswitchinterval() == short_s < before_s
+    second.__exit__(None, None, None)
+    assert sys.getswitchinterval() == before_s

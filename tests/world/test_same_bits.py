@@ -12,7 +12,7 @@ from scipy import special
 from scipy.spatial import ConvexHull
 
 import vlp16emu
-from vlp16emu.forest.plants.crown import CrownKey, crown_meshes
+from vlp16emu.forest.plants.prototypes import CrownKey, crown_meshes
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import FloorKey, FloorKind, _icosphere, _outline_m2, floor_meshes
 from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA, normal_quantile

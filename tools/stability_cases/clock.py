@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from stability_cases.row import Row
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.packets import STAMP_LEAD_NS, data_fields, decode_position
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import Packet, PacketKind

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stability_cases.row import Row, refused
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.motion.path import Path as WalkedPath
 from vlp16emu.packets import data_fields
 from vlp16emu.scenario import load

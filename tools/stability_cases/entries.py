@@ -12,8 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from stability_cases.row import Row, refused
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.scenario.schema import schema
 

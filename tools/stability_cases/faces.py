@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from stability_cases.lab import PULSES, beam, box, cast, detected, faces, opened, pulses, unit_of, wall
 from stability_cases.row import Row
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import Firings
 

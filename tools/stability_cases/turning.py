@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stability_cases.row import Row, refused
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.motion import Harness
 from vlp16emu.motion.harness import KNOTS_PER_S, Pack
 from vlp16emu.packets import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, DATA_BYTES, DISTANCE_LSB_M, LASERS, decode_data

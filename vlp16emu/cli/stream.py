@@ -20,10 +20,10 @@ from vlp16emu.options import Option
 from vlp16emu.run.options import ReplayOptions, stream_options
 
 if TYPE_CHECKING:
-    from vlp16emu.emulator import Emulator
     from vlp16emu.engine import Unit
     from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
     from vlp16emu.extras.replay import Replay, Replayed
+    from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind

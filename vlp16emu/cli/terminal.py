@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 from vlp16emu.run.options import Span
 
 if TYPE_CHECKING:
-    from vlp16emu.emulator import Emulator
+    from vlp16emu.run.emulator import Emulator
 
 ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP  # signals that end a run
 was_stopped = threading.Event()  # set once a signal has ended a run that goes on to its report
@@ -135,7 +135,7 @@ def make_emulator(
 
     scenario = load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
     compile_first(scenario.world.kind)
-    from vlp16emu.emulator import Emulator
+    from vlp16emu.run.emulator import Emulator
 
     return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
 

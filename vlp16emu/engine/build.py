@@ -44,8 +44,7 @@ class GpsInput:
     """A receiver to which the sensor has been locked since before the run, or none at all; times are UTC in ns."""
 
     connected: bool
-    sentence_delay_ns: int
-    """From the second's edge to the arrival of the sentence that names it."""
+    sentence_delay_ns: int  # From the second's edge to the arrival of the sentence that names it
 
     def pps_at(self, t_ns: int) -> PpsState:  # noqa: ARG002  # the same at all times, unless events happen
         """State of the pulse as the sensor reports it.
@@ -76,22 +75,16 @@ class GpsInput:
 class Unit:
     """One sensor on the carrier, with all that is its own."""
 
-    number: int
-    """Place in the rig, from 0."""
+    number: int  # Place in the rig, from 0
     section: Sensor | FreeSensor
-    mount: Mount
-    """Mount on the carrier."""
-    seed: int
-    """Seed of all that is random in it."""
+    mount: Mount  # Mount on the carrier
+    seed: int  # Seed of all that is random in it
     head: Head
-    motion: Motion
-    """Motion of the sensor's frame."""
+    motion: Motion  # Motion of the sensor's frame
     beam: Footprint
     detector: UnitDetector
-    timeline: Timeline
-    """Which pulses are sent, and in which packets; nothing of a sensor without packets."""
-    gps: GpsInput
-    """What it gets of the GPS receiver."""
+    timeline: Timeline  # Which pulses are sent, and in which packets; nothing of a sensor without packets
+    gps: GpsInput  # What it gets of the GPS receiver
     optics: Any = None
     """Dirt and dead lasers that events bring, which dim its light; an object with `dimmed` and `received`, or None."""
 
@@ -99,9 +92,7 @@ class Unit:
     def link(self) -> Link:
         """Addresses, ports and counters of its frames.
 
-        Raises
-        ------
-        ScenarioError : If it has no packets
+        Raises ScenarioError if it has no packets.
         """
         section, counters = on_the_wire(self.section), counters_of(self.section, self.seed, self.number)
         return replace(
@@ -131,23 +122,15 @@ class Unit:
 class Parts:
     """Parts of an emulator: sensors, carrier and world."""
 
-    units: tuple[Unit, ...]
-    """At least one."""
-    carrier: Motion
-    """Motion of the body that carries the devices."""
+    units: tuple[Unit, ...]  # At least one
+    carrier: Motion  # Motion of the body that carries the devices
     imu: ImuSampler | None
-    imu_mount: Mount
-    """True mount of the inertial unit, if there is one."""
-    ground_m: HeightField
-    """Height of the ground over places."""
-    world: World
-    """At rest."""
-    wind: Sway | None
-    """What moves its trees."""
-    people: Any
-    """People beside the carrier, an `extras.people.People`; None without them."""
-    gps: GpsInput
-    """What the receiver sends; what each unit gets of it is the unit's."""
+    imu_mount: Mount  # True mount of the inertial unit, if there is one
+    ground_m: HeightField  # Height of the ground over places
+    world: World  # At rest
+    wind: Sway | None  # What moves its trees
+    people: Any  # People beside the carrier, an `extras.people.People`; None without them
+    gps: GpsInput  # What the receiver sends; what each unit gets of it is the unit's
 
     @property
     def head(self) -> Head:
@@ -183,9 +166,7 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     ----------
     like : another run; if both are in one world, carrier and world are those of the other
 
-    Raises
-    ------
-    InputError : If a part cannot be made of what its section says
+    Raises InputError if a part cannot be made of what its section says.
     """
     if like and in_one_world(scenario, like.scenario):
         carrier, ground_m, world, wind = like.parts.carrier, like.parts.ground_m, like.parts.world, like.parts.wind

@@ -33,15 +33,11 @@ class Job:
     """Blocks of one unit that are scanned together, under constant settings."""
 
     unit: Unit
-    detector: UnitDetector
-    """For the return mode of the stretch."""
-    blocks: range
-    """Numbers of the blocks, within one window of the world."""
-    block: int
-    """Firing sequences per block."""
+    detector: UnitDetector  # For the return mode of the stretch
+    blocks: range  # Numbers of the blocks, within one window of the world
+    block: int  # Firing sequences per block
     texture_seed: int
-    truth: bool = False
-    """Whether returns carry the surfaces that they are from."""
+    truth: bool = False  # Whether returns carry the surfaces that they are from
 
 
 Tap = Callable[[Job, Firings, Hits, Geometry], None]
@@ -69,19 +65,16 @@ class Engine:
     and shares world, windows and receiver.
     """
 
-    scenario: Scenario
-    """Decides every byte."""
+    scenario: Scenario  # Decides every byte
     parts: Parts
     batching: Batching
     windows: Windows[Geometry]
     receiver: Receiver
-    threads: int
-    """Workers; they change the speed only."""
+    threads: int  # Workers; they change the speed only
     taps: tuple[Tap, ...] = ()
     prompt: bool = False
     """Whether blocks are cast one by one, so that what is set anew shows soon; it changes the speed only."""
-    truth_of: TruthOf | None = None
-    """Ground truth that data packets carry behind their records."""
+    truth_of: TruthOf | None = None  # Ground truth that data packets carry behind their records
 
     @classmethod
     def of(
@@ -94,9 +87,7 @@ class Engine:
         threads : workers, 0 for one per core
         like : another engine, whose world is used again if it is the same
 
-        Raises
-        ------
-        InputError : If a part of the scenario cannot be made
+        Raises InputError if a part of the scenario cannot be made.
         """
         parts, threads = assemble(scenario, like), threads or os.cpu_count() or 1
         batching = Batching.of(parts.head.beams)
@@ -107,10 +98,8 @@ class Engine:
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Return the packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
-        Raises
-        ------
-        ScenarioError : If the sensor has no packets
-        TrajectoryError : If the span begins before the first pulse, or the walk ends before the span does
+        Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
+        the walk ends before the span does.
         """
         on_the_wire(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
@@ -143,9 +132,8 @@ class Engine:
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span of the run and convert it to nanoseconds since the first pulse; without an end it is the scene's.
 
-        Raises
-        ------
-        TrajectoryError : If it begins before the first pulse, ends after the motion, or no poses arrive in a live scene
+        Raises TrajectoryError if it begins before the first pulse, ends after the motion, or no poses arrive in a live
+        scene.
         """
         if isinstance(self.parts.carrier, OwnWindows):
             self.parts.carrier.require_open()

@@ -26,13 +26,10 @@ _BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "d
 class Stretch:
     """A part of a run in which the settings of packets stay as they are."""
 
-    first: int
-    """Firing sequence, at which a packet begins."""
-    stop: int | None
-    """Firing sequence after the last; None for a span without end."""
+    first: int  # Firing sequence, at which a packet begins
+    stop: int | None  # Firing sequence after the last; None for a span without end
     mode: ReturnMode
-    fov_deg: tuple[int, int] | None
-    """First and last azimuth that is sent, in whole degrees; None for all around."""
+    fov_deg: tuple[int, int] | None  # First and last azimuth that is sent, in whole degrees; None for all around
 
     @property
     def per_packet(self) -> int:
@@ -50,8 +47,7 @@ class Timeline:
     """Transmission of a unit over a run."""
 
     head: Head
-    spans: tuple[Stretch, ...]
-    """In order of time, without overlap."""
+    spans: tuple[Stretch, ...]  # In order of time, without overlap
     silences_ns: tuple[tuple[int, int], ...] = ()
     """Spans of time since the first pulse in which no packet of any kind leaves."""
 

@@ -19,8 +19,8 @@ from vlp16emu.extras.clouds.scan import Chunk, chunk_of, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
 from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.run.emulator import Emulator, Scene
 from vlp16emu.run.report import Streamed
-from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, Pacer, PacketSink
 from vlp16emu.types import Packet, PacketKind, Scan
@@ -60,7 +60,7 @@ def stream(
     >>> scan.labels.semantic.shape == scan.t_ns.shape
     True
     """
-    return Live(Run.of(scene, settings, ideal=ideal, threads=threads), truth=truth, **options)
+    return Live(Emulator(scene, settings, ideal=ideal, threads=threads), truth=truth, **options)
 
 
 class _Lane:
@@ -85,15 +85,17 @@ class Live(PacketSink):
 
     Parameters
     ----------
-    run : the scene
+    emulator : of the scene
     truth : whether packets carry their ground truth
     look_ahead : packets of a sensor that are computed before the first one leaves
     options : fields of `StreamOptions`, with the defaults of `stream`
     """
 
-    def __init__(self, run: Run, *, truth: bool = True, look_ahead: int = LOOK_AHEAD_PACKETS, **options: Any) -> None:
-        engine = replace(run.engine, truth_of=door("truth_of_records")) if truth else run.engine
-        self.run = replace(run, engine=engine)
+    def __init__(
+        self, emulator: Emulator, *, truth: bool = True, look_ahead: int = LOOK_AHEAD_PACKETS, **options: Any
+    ) -> None:
+        engine = replace(emulator.engine, truth_of=door("truth_of_records")) if truth else emulator.engine
+        self._emulator = emulator.with_engine(engine)
         self.ports = list[tuple[int, int]]()  # ports of data and position packets of each sensor
         self.http: str | None = None  # URL of the web interface of the first sensor; None without one
         self._stop, self._changed, self._over = Event(), Condition(), False
@@ -186,7 +188,7 @@ class Live(PacketSink):
         rows = np.zeros(len(slots), RECORD_TRUTH)
         for name in SLOT.names or ():
             rows[name] = slots[name]
-        rows["world_T_sensor"] = self.run.engine.parts.units[unit - 1].world_T_sensor(rows["t_ns"])
+        rows["world_T_sensor"] = self._emulator.parts.units[unit - 1].world_T_sensor(rows["t_ns"])
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
@@ -197,7 +199,7 @@ class Live(PacketSink):
 
         Raises InputError if there is no such unit; others as of the stream.
         """
-        lane, of = self._lane(unit, "data"), self.run.engine.parts.units[unit - 1]
+        lane, of = self._lane(unit, "data"), self._emulator.parts.units[unit - 1]
         return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
@@ -249,7 +251,7 @@ class Live(PacketSink):
     def _work(self, look_ahead: int) -> None:
         try:
             hooks: dict[str, Any] = {"watched": self._watches, "opened": self._opens, "stop": self._stop}
-            self._result = stream_run(self.run, self._asked, look_ahead=look_ahead, **hooks)
+            self._result = stream_run(self._emulator, self._asked, look_ahead=look_ahead, **hooks)
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that waits, which raises it
             self._error = error
         with self._changed:
@@ -268,7 +270,7 @@ class Live(PacketSink):
     def _lane(self, unit: int, kind: str) -> _Lane:
         if kind not in ("data", "position"):
             raise InputError("kind", f"found {kind}", "data or position")
-        return self._lanes[self.run.number(unit), PacketKind(kind)]
+        return self._lanes[self._emulator.number(unit), PacketKind(kind)]
 
     def _next_of(self, lane: _Lane) -> int:
         """Return the number of the packet that is to be taken next: held still, and not due before the last change."""

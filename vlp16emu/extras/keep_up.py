@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from vlp16emu.run.run import Run
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import FellBehind
 
@@ -145,30 +145,30 @@ class KeptUp:
         return line if self.rung is None and self.enough else f"{line}; as it is with {self.cores_as_it_is} cores"
 
 
-def keep_up(run: Run, speed: float) -> tuple[Run, KeptUp]:
-    """Measure this machine for some seconds, and return the run on the rung that `choose` takes.
+def keep_up(emulator: Emulator, speed: float) -> tuple[Emulator, KeptUp]:
+    """Measure this machine for some seconds, and return the emulator on the rung that `choose` takes.
 
-    A run on a rung has the bytes of a recording with its settings.
+    On a rung it has the bytes of a recording with its settings.
 
     Parameters
     ----------
-    run : with the settings of the user
+    emulator : with the settings of the user
     speed : simulated seconds per second asked for
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    on: dict[Rung | None, Run] = {}
+    on: dict[Rung | None, Emulator] = {}
 
     def measured(rung: Rung | None) -> float:
-        on[rung] = run.changed(rung.settings) if rung else run
+        on[rung] = emulator.changed(rung.settings) if rung else emulator
         return _speed(on[rung])
 
-    rung, reached, own = choose(run.scenario, speed, measured)
+    rung, reached, own = choose(emulator.scenario, speed, measured)
     needed = speed / (1 - _FREE)
     return on[rung], KeptUp(rung, reached, reached >= needed, cores, math.ceil(cores * needed / own))
 
 
-def _speed(run: Run) -> float:
-    engine, (_, stop_s) = replace(run.engine, taps=()), run.scenario.span_s(0.0, None)
+def _speed(emulator: Emulator) -> float:
+    engine, (_, stop_s) = replace(emulator.engine, taps=()), emulator.scenario.span_s(0.0, None)
     deque(engine.packets(0.0, min(_WARM_S, stop_s)), 0)
     stop_s, began_s = min(_MEASURED_S, stop_s), time.perf_counter()
     deque(engine.packets(0.0, stop_s), 0)

@@ -14,10 +14,10 @@ from vlp16emu.extras.free_ports import free_ports
 from vlp16emu.output import STDOUT
 from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, Link, units_in
 from vlp16emu.packets.frames import POSITION_PORT
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import RecordOptions, ReplayOptions, StreamOptions
 from vlp16emu.run.record import record
 from vlp16emu.run.report import OfUnits, UnitSent
-from vlp16emu.run.run import Run
 from vlp16emu.scenario.model import CaptureClock
 from vlp16emu.sinks import FellBehind, Late, Pacer, StreamReport, UdpSink, check_ending, stream
 from vlp16emu.types import Packet, PacketKind
@@ -167,7 +167,7 @@ def replay(
     return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), report)
 
 
-def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
+def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
     """Record a whole run into the file `prepare` of the options, and yield its packets as `packets_of` does.
 
     Raises OutputError if the place cannot be read again, or has the ending of another format; and others as
@@ -178,10 +178,10 @@ def prepared(run: Run, options: StreamOptions, **hooks: Any) -> Iterator[Packet]
         raise OutputError(str(path), "no file that can be read again", "the name of a file")
     check_ending(path)
     # Packets leave when they are due: the clock of a host that records has no part in it.
-    scenario = run.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
+    scenario = emulator.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
     asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
-    record(replace(run, engine=replace(run.engine, scenario=scenario)), path, asked, **hooks)
-    return packets_of([unit.link for unit in run.engine.parts.units], path)
+    record(emulator.with_engine(replace(emulator.engine, scenario=scenario)), path, asked, **hooks)
+    return packets_of([unit.link for unit in emulator.engine.parts.units], path)
 
 
 def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, log, norm
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
 
 TILTS = 64

@@ -3,7 +3,6 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import power
@@ -20,6 +19,7 @@ from vlp16emu.foliage.voxel import (
     TILE_BIT,
     VOXEL_M,
 )
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 

@@ -2,11 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 
 from vlp16emu.foliage.lanes import Ground, Pulse
 from vlp16emu.foliage.voxel import BRICK, FINER, VOXEL_M
+from vlp16emu.kernels.compiler import numba
 
 f4 = np.float32
 _Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]

@@ -6,9 +6,9 @@ Ground is a grid, stems are cones, and foliage is bricks of voxels.
 from typing import Any, NamedTuple
 
 import llvmlite.ir
-import numba
 import numpy as np
 
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
 from vlp16emu.types import F4, F8, U4, U8
 

@@ -8,13 +8,13 @@ mirrored, and how a share between two whole numbers is rounded follow from hashi
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from llvmlite import ir
 
 from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, Pulse, lowest
 from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast.kernel import LANES
 from vlp16emu.types import F4, U1, U8
 

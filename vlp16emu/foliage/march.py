@@ -8,7 +8,6 @@ foliage there is in it (`vlp16emu.foliage.leaves`), and whether ground may be me
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from vlp16emu.foliage.ground import meet_ground
@@ -16,6 +15,7 @@ from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, Pulse, lowest, ones
 from vlp16emu.foliage.leaves import Weights, lit_lanes, meet_leaves, weights_of
 from vlp16emu.foliage.stems import Seen, meet_stems, see_stems
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast.beam import FARTHEST
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, RANGE, Cast, go_on
 from vlp16emu.types import F4, U8

@@ -8,12 +8,12 @@ goes through foliage.
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
 from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Pulse, Stems, lowest
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4
 

@@ -4,14 +4,14 @@ import hashlib
 import logging
 import math
 from pathlib import Path
+from typing import Any
 
-from vlp16emu.forest.given.given_stand import GivenStand, stems_in_the_way
-from vlp16emu.forest.given.tree_model import TreeModels
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.ground.terrain import TerrainHeights
-from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.settings import Forest, Plot, Woods
 from vlp16emu.forest.stand.forest import ForestWorld
+from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.types import Array, World
@@ -66,38 +66,29 @@ class ForestSite:
                 *(path.clearance_m, reach_m),
             )
         blows = wind if wind is not None and wind.speed_m_s > 0 else None
-        # A sensor that sees no farther than `near_m` meets no medium: then none is made.
-        near_m = section.near_m if section.near_m < farthest_m else math.inf
-        bare = self._forest(path, reach_m, near_m=near_m, loose_stems=blows is not None)
-        sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
-        return furnished(bare, section.meshes, path_xy_m, reach_m), sway
-
-    def _forest(self, path: Corridor, reach_m: float, *, near_m: float, loose_stems: bool) -> ForestWorld:
-        section, seed, height_m = self._section, self._seed, self.height_m
-        plants = flora(section.species_file)
-        trails = self._ground.trails if isinstance(self._ground, TerrainHeights) else None
+        plants, trails = flora(section.species_file), ground.trails if isinstance(ground, TerrainHeights) else None
+        common: dict[str, Any] = {"seed": self._seed, "height_m": self.height_m, "path": path, "plants": plants}
         stems: Stand | GivenStand
         if isinstance(section, Plot):
-            stems = GivenStand(section, seed=seed, height_m=height_m, path=path, plants=plants)
+            stems = GivenStand(section, **common)
             stems.check(path, reach_m)
         else:
             assert isinstance(section, Forest)  # there is no third kind
-            stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants, trails=trails)
-        return ForestWorld(
+            stems = Stand(section, trails=trails, **common)
+        bare = ForestWorld(
             section,
             stems,
-            seed=seed,
-            height_m=height_m,
-            path=path,
             reach_m=reach_m,
-            plants=plants,
             trails=trails,
-            models=TreeModels(section.tree_models, plants, section.season),
-            loose_stems=loose_stems,
-            near_m=near_m,
-            name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
+            loose_stems=blows is not None,
+            # A sensor that sees no farther than `near_m` meets no medium: then none is made.
+            near_m=section.near_m if section.near_m < farthest_m else math.inf,
+            name=_name(section, self._seed, path, reach_m, loose_stems=blows is not None),
             plants_name=_content(section.species_file),
+            **common,
         )
+        sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
+        return furnished(bare, section.meshes, path_xy_m, reach_m), sway
 
 
 def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:

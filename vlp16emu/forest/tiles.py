@@ -1,13 +1,141 @@
-"""The plane cut into square tiles: which are near a line, and their ground."""
+"""The plane cut into square tiles: which are near a line, and their ground as triangles, large where it is even, small where it bends.
+
+Right triangles are cut in two from the middle of their longest side to the tip, again and again, wherever the ground lies
+off that middle (Evans, Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A cut is
+made in both triangles at a side, and with it the coarser ones that it rests on, so that no vertex lies on a side of another.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vlp16emu.forest.ground.triangles import ground_triangles
 from vlp16emu.types import Array, HeightField, IntArray, Mesh
 from vlp16emu.world.polyline import Polyline
+
+Mask = NDArray[np.bool_]
+_CELL_M = 0.5  # edge of the squares from which cutting begins, as many as are even ground
+_FINEST = 16  # steps of the finest grid along such an edge, 31 mm each
+_LOOKED_AT = (16, 8, 4, 2)
+"""Edges, in such steps, of squares at whose middle and sides the ground is compared: the largest everywhere, others where it lies
+off those of the square around them, or of one beside that. A hollow may lie even between points that are as far apart as it is
+wide, but not beside itself."""
+_CUTS = 8  # of a half square, one after the other, down to halves of the finest squares
+_OFF_M = 0.004
+"""How far the ground may lie off the middle of a side that is not cut; elsewhere on a triangle it is off by little more."""
+_APRON = 2
+"""Squares around those that are asked for whose cuts are worked out too: cuts reach into the square beside, no farther."""
+
+
+def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[Array, IntArray]:
+    """Triangulate the ground of a square so that those of neighbouring squares have the same vertices along their border.
+
+    The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices (n, 3) in the world,
+    by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.
+    """
+    cells = round(edge_m / _CELL_M)
+    ground = _Ground(corner_m, (cells + 2 * _APRON) * _FINEST + 1, height_m)
+    own = np.arange(_APRON, _APRON + cells) * _FINEST
+    faces = _bisected(_halves(own, ground.side), _supported(_cuts(ground)).ravel())
+    used, which = np.unique(faces, return_inverse=True)
+    return ground.points_m(used), which.reshape(-1, 3)
+
+
+class _Ground:
+    """Heights on the finest grid, where somebody has asked for them."""
+
+    def __init__(self, corner_m: tuple[float, float], side: int, height_m: HeightField) -> None:
+        self.side, self._height_m = side, height_m
+        self._first_m = np.array(corner_m) - _APRON * _CELL_M
+        self.z_m = np.full((side, side), np.nan)
+
+    def ask(self, wanted: Mask) -> None:
+        """Look up heights where (side, side) is set and none is known."""
+        self.points_m(np.flatnonzero(wanted & np.isnan(self.z_m)))
+
+    def points_m(self, which: IntArray) -> Array:
+        """Points (n, 3) of the grid by number, along rows and row by row."""
+        row, column = np.divmod(which, self.side)
+        xy_m = self._first_m[:, None] + np.array([column, row]) * (_CELL_M / _FINEST)
+        z_m = self.z_m.reshape(-1)
+        new = np.isnan(z_m[which])
+        z_m[which[new]] = self._height_m(*xy_m[:, new])
+        return np.column_stack([*xy_m, z_m[which]])
+
+
+def _cuts(ground: _Ground) -> Mask:
+    """Vertices (side, side) at which the ground lies off the side that they would cut."""
+    cut = np.zeros(ground.z_m.shape, np.bool_)
+    off_m = np.full((ground.side // (2 * _FINEST),) * 2, np.inf)
+    for step in _LOOKED_AT:
+        ground.ask(_around(off_m > _OFF_M, 2 * step))
+        half, z = step // 2, ground.z_m
+        corner, is_anti = z[::step, ::step], _is_anti(ground.side, step)
+        main, anti = (corner[:-1, :-1] + corner[1:, 1:]) / 2, (corner[:-1, 1:] + corner[1:, :-1]) / 2
+        middle = np.abs(z[half::step, half::step] - np.where(is_anti, anti, main))
+        across = np.abs(z[::step, half::step] - (corner[:, :-1] + corner[:, 1:]) / 2)
+        up = np.abs(z[half::step, ::step] - (corner[:-1] + corner[1:]) / 2)
+        cut[half::step, half::step] = middle > _OFF_M
+        cut[::step, half::step], cut[half::step, ::step] = across > _OFF_M, up > _OFF_M
+        off_m = np.fmax.reduce([middle, across[:-1], across[1:], up[:, :-1], up[:, 1:]])
+    return cut
+
+
+def _around(squares: Mask, edge: int) -> Mask:
+    """Points (side, side) in squares and those beside them, five along each edge."""
+    side, fine = len(squares) * edge + 1, edge // 4
+    beside = np.lib.stride_tricks.sliding_window_view(np.pad(squares, 1), (3, 3))
+    near = np.asarray(beside.any(axis=(2, 3)))
+    points = np.zeros((side, side), np.bool_)
+    within = np.pad(near.repeat(4, axis=0).repeat(4, axis=1), 1)
+    points[::fine, ::fine] = within[1:, 1:] | within[:-1, 1:] | within[1:, :-1] | within[:-1, :-1]
+    return points
+
+
+def _is_anti(side: int, step: int) -> Mask:
+    """Return whether a square of `step` is cut from south-east to north-west: those that meet in the middle of a larger one in turn."""
+    n = np.arange(side // step)
+    return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
+
+
+def _supported(cut: Mask) -> Mask:
+    for step in reversed(_LOOKED_AT):
+        half, corner = step // 2, cut[::step, ::step]
+        across, up, middle = cut[::step, half::step], cut[half::step, ::step], cut[half::step, half::step]
+        middle |= across[:-1] | across[1:] | up[:, :-1] | up[:, 1:]
+        if step < _FINEST:
+            is_anti = _is_anti(len(cut), step)
+            for one, rows, columns in (
+                (middle & is_anti, slice(None, -1), slice(None, -1)),
+                (middle & is_anti, slice(1, None), slice(1, None)),
+                (middle & ~is_anti, slice(None, -1), slice(1, None)),
+                (middle & ~is_anti, slice(1, None), slice(None, -1)),
+            ):
+                corner[rows, columns] |= one
+    return cut
+
+
+def _halves(first: IntArray, side: int) -> IntArray:
+    """Both halves (n, 3) of squares whose south-west corners are at these rows and columns: tip, and ends of the longest side."""
+    corner = (first[:, None] * side + first).ravel()
+    east, north = corner + _FINEST, corner + _FINEST * side
+    opposite = north + _FINEST
+    return np.concatenate([np.column_stack(t) for t in ((east, opposite, corner), (north, corner, opposite))])
+
+
+def _bisected(triangles: IntArray, cut: Mask) -> IntArray:
+    """Cut triangles (n, 3) until none has a cut in the middle of its longest side."""
+    whole = []
+    for _ in range(_CUTS):
+        tip, one, other = triangles.T
+        middle = (one + other) // 2
+        is_cut = cut[middle]
+        whole.append(triangles[~is_cut])
+        tip, one, other, middle = (corner[is_cut] for corner in (tip, one, other, middle))
+        triangles = np.concatenate([np.column_stack([middle, tip, one]), np.column_stack([middle, other, tip])])
+    return np.concatenate([*whole, triangles])
+
 
 TILE_M = 20.0  # edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y.
 _HALF_DIAGONAL_M = TILE_M / 2 * np.sqrt(2.0)

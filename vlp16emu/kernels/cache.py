@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vlp16emu.store import PACKAGE, Store, read_checked
+from vlp16emu.store import PACKAGE, Store, read_checked, user_folder
 
 _IMPORT = re.compile(r"^ *from vlp16emu([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _SUFFIX = ".kernel"
@@ -72,12 +72,9 @@ class KernelCache:
 
 @cache
 def user_kernels() -> Store:
-    """Folder of the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
-    from platformdirs import user_cache_path
-
+    """Return the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    ours = user_cache_path("vlp16emu", appauthor=False)
-    folder = Path(chosen).absolute() / "vlp16emu-kernels" if chosen else ours / "kernels"
+    folder = Path(chosen).absolute() / "vlp16emu-kernels" if chosen else user_folder("kernels")
     return Store(folder, _SUFFIX, _MOST_BYTES)
 
 

@@ -1,4 +1,6 @@
-"""Compilation of kernels: what numba does for functions that may be called from anywhere is left out, and a process per core.
+"""Compilation of kernels: for a fixed processor, without what numba adds for functions that may be called from anywhere.
+
+Modules with kernels take `numba` from here, as it is prepared before the first kernel is made.
 
 A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python or from C,
 no machine code of its own and no file. If Python calls it one day, it is compiled again, as a whole.
@@ -10,23 +12,31 @@ costliest first. It may lag behind the program: a kernel that it lacks is compil
 import json
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import numba
+from llvmlite import binding
 from numba import types
 from numba.core import sigutils
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
+from numba.np import linalg
 
 from vlp16emu.kernels.cache import KernelCache, user_kernels
 
+_TARGETS = {  # targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first
+    "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
+    "x86-64-v2": ("popcnt", "sse4.1", "sse4.2", "ssse3"),
+}
 _TABLE = Path(__file__).with_name("table.json")
 
 
@@ -91,6 +101,41 @@ class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
 
+def _target() -> tuple[str, str]:
+    """Name the processor to compile for, and what it has beyond its name.
+
+    `VLP16EMU_TARGET` names another one, for tests; `host` is the one that this runs on.
+    """
+    chosen, has = os.environ.get("VLP16EMU_TARGET"), binding.get_host_cpu_features()
+    if chosen == "host":
+        return binding.get_host_cpu_name(), has.flatten()
+    best = next((name for name, needs in _TARGETS.items() if all(map(has.get, needs))), "generic")
+    return chosen or best, ""
+
+
+def _prepare() -> None:
+    """Set the target of all kernels, and take over those of this package."""
+    # In the environment: numba reads it again whenever a variable of its own has changed.
+    os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
+    numba.config.reload_config()
+    if "numba.np.arraymath" not in sys.modules:
+        # It would load scipy.linalg for 0.1 s only to see whether that is there; a kernel that takes it asks once more.
+        ensure_blas = linalg.ensure_blas
+        linalg.ensure_blas = lambda: setattr(linalg, "ensure_blas", ensure_blas)
+    enable_caching = Dispatcher.enable_caching
+
+    def enable_our_caching(dispatcher: CPUDispatcher) -> None:
+        """Take over a kernel of this package; leave those of a program that calls us to numba."""
+        if dispatcher.py_func.__module__.partition(".")[0] == "vlp16emu":
+            KernelDispatcher.take_over(dispatcher)
+        else:
+            enable_caching(dispatcher)
+
+    Dispatcher.enable_caching = enable_our_caching  # type: ignore[method-assign, assignment]
+
+
+_prepare()
+
 _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
@@ -111,6 +156,8 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     if not missing:
         return
     yield 0, len(missing)
+    from multiprocessing import get_context  # here: most runs find all on disk
+
     # Children are forks, so that they need not load numba again; with other threads that would not be safe.
     if user_kernels().own is None or threading.active_count() > 1:
         return
@@ -118,10 +165,11 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     files: dict[str, list[dict[str, Any]]] = {}
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     # A child that a signal meets before `_leave_signals` would end as this process does.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
     try:
-        pool = get_context("fork").Pool(min(_cores(), len(files)), _leave_signals)
+        pool = get_context("fork").Pool(min(cores, len(files)), _leave_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     with pool:
@@ -177,7 +225,3 @@ def _leave_signals() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # once the parent is gone, a result has no taker
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import exp, power
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.settings import Gait
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.trig import cos_sin

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import atan2, exp, hypot, tanh
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps

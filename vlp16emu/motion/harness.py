@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable
 from functools import lru_cache
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.settings import Harness
 from vlp16emu.types import Array

@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import exp, matmul, matvec, norm
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Motion, rotations
 from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair, uniform

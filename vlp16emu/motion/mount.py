@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import matmul, matvec, norm
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.settings import Mount
 from vlp16emu.random import Purpose, normal

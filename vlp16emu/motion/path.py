@@ -4,11 +4,11 @@ import hashlib
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.splines import Spline, interpolant, polynomial
 from vlp16emu.store import recalled
 from vlp16emu.types import Array, HeightField, IntArray

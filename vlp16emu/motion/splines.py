@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import Array, IntArray
 
 _WRAPPED = 64

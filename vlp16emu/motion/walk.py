@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from functools import lru_cache
 
-import numba
 import numpy as np
 
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.gait import AXES, Trunk
 from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack
 from vlp16emu.motion.pose import Kinematics, body_rate, fill_rotation, rotate

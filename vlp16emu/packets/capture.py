@@ -48,12 +48,9 @@ _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 class Frame(NamedTuple):
     """A captured frame."""
 
-    stamp_ns: int
-    """UTC; 0 in simple packet blocks of pcapng, which have no stamp."""
-    link_type: int
-    """LINKTYPE_ value of tcpdump.org."""
-    wire_bytes: int
-    """Length of the frame on the wire."""
+    stamp_ns: int  # UTC; 0 in simple packet blocks of pcapng, which have no stamp
+    link_type: int  # LINKTYPE_ value of tcpdump.org
+    wire_bytes: int  # Length of the frame on the wire
     content: bytes
 
 
@@ -62,22 +59,15 @@ class Datagram(NamedTuple):
 
     number: int
     """Number of its frame (of its last fragment) in the file, from 1, as Wireshark counts; files of one capture count on."""
-    stamp_ns: int
-    """UTC."""
-    captured_bytes: int
-    """Length of the frame in the file."""
-    wire_bytes: int
-    """Length of the frame on the wire."""
-    ip_offset: int
-    """Offset of the IP header in `header`; 14 on Ethernet without VLAN tag."""
+    stamp_ns: int  # UTC
+    captured_bytes: int  # Length of the frame in the file
+    wire_bytes: int  # Length of the frame on the wire
+    ip_offset: int  # Offset of the IP header in `header`; 14 on Ethernet without VLAN tag
     source_port: int
     destination_port: int
-    header: bytes
-    """Headers of link, IP and UDP."""
-    payload: bytes
-    """Payload as long as the UDP header says, or shorter if the frame was captured in part."""
-    link_type: int
-    """LINKTYPE_ value of tcpdump.org; 1 is Ethernet."""
+    header: bytes  # Headers of link, IP and UDP
+    payload: bytes  # Payload as long as the UDP header says, or shorter if the frame was captured in part
+    link_type: int  # LINKTYPE_ value of tcpdump.org; 1 is Ethernet
 
     @property
     def source(self) -> bytes:
@@ -123,19 +113,14 @@ class Capture:
     path : the file; a pattern with `*` or `?` in its name stands for the files of one walk, read in order of their first stamps
     repeats : also yield packets that come again
 
-    Raises
-    ------
-    CaptureError : If a file cannot be read, or is no capture; while iterating, if a record is damaged.
+    Raises CaptureError if a file cannot be read, or is no capture; while iterating, if a record is damaged.
     """
 
     def __init__(self, path: Path, *, repeats: bool = False) -> None:
         self.path, self._keeps_repeats = path, repeats
-        self.frames = 0
-        """Frames read so far, whatever they hold."""
-        self.cut = False
-        """True if a file ended in the middle of a record; what came before it is whole."""
-        self.repeated = 0
-        """Packets left out as they came before."""
+        self.frames = 0  # Frames read so far, whatever they hold
+        self.cut = False  # True if a file ended in the middle of a record; what came before it is whole
+        self.repeated = 0  # Packets left out as they came before
         self._files = _files(path)
         self._unwrapper: Any = None  # made for the first frame that is not plain
         self._cut_short = 0
@@ -242,9 +227,7 @@ def _files(path: Path) -> list[Path]:
 def _frames_in(path: Path) -> Iterator[Frame | None]:
     """Yield the frames of a file; None at its end if that is in the middle of a record.
 
-    Raises
-    ------
-    CaptureError : If it cannot be read, is no capture, or a record is damaged.
+    Raises CaptureError if it cannot be read, is no capture, or a record is damaged.
     """
     try:
         with path.open("rb") as file:
@@ -305,13 +288,10 @@ def no_capture(path: Path, head: bytes) -> CaptureError:
 class CapturedUnit(NamedTuple):
     """A sensor, known by its address and the port of its data packets; if two share these, by its MAC address too."""
 
-    source: bytes
-    """IP address, 4 bytes, or 16 of IPv6."""
+    source: bytes  # IP address, 4 bytes, or 16 of IPv6
     data_port: int
-    position_ports: tuple[int, ...]
-    """Ports of its position packets; none if none were captured."""
-    mac: bytes = b""
-    """6 bytes; empty if address and port are enough."""
+    position_ports: tuple[int, ...]  # Ports of its position packets; none if none were captured
+    mac: bytes = b""  # 6 bytes; empty if address and port are enough
 
     def __str__(self) -> str:
         return f"{ip_address(self.source)}:{self.data_port}{'@' + self.mac.hex(':') if self.mac else ''}"
@@ -329,8 +309,7 @@ class _Stream:
 
     first: int
     last: int = 0
-    packets: int = 0
-    """Those that begin as data packets of Velodyne do."""
+    packets: int = 0  # Those that begin as data packets of Velodyne do
 
 
 def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
@@ -339,9 +318,7 @@ def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
     Of two that share an address, as behind a router, the one with the lower data port has the lower
     position port.
 
-    Raises
-    ------
-    CaptureError : If the file is no capture, or is damaged, or there is no sensor in it and one is required.
+    Raises CaptureError if the file is no capture, or is damaged, or there is no sensor in it and one is required.
     """
     return _units_and_others(path, required=required)[0]
 
@@ -354,10 +331,8 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
     unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
     where : the option's name in error lines
 
-    Raises
-    ------
-    CaptureError : If the file is no capture, or is damaged.
-    InputError : If there is no such unit, or there are several and none is named.
+    Raises CaptureError if the file is no capture, or is damaged; InputError if there is no such unit, or there are
+    several and none is named.
     """
     units, others = ([], False) if path.is_fifo() else _units_and_others(path)  # a pipe can be read only once
     if not units or (unit is None and len(units) == 1):

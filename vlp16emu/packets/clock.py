@@ -28,10 +28,8 @@ _PERIOD_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQ
 class Clock(StrEnum):
     """Source of the time of packets."""
 
-    SENSOR = "sensor"
-    """The sensor's clock, in the hour that is nearest to the capture's stamp."""
-    GPS = "gps"
-    """The sensor's clock, in the hour that the first valid sentence of the GPS receiver names."""
+    SENSOR = "sensor"  # The sensor's clock, in the hour that is nearest to the capture's stamp
+    GPS = "gps"  # The sensor's clock, in the hour that the first valid sentence of the GPS receiver names
     HOST = "host"
     """The capture's stamp, less the time in which a packet fills: as a ROS driver without `gps_time` sees it."""
 
@@ -78,13 +76,10 @@ class PacketClock:
 class UnitClock(NamedTuple):
     """Clock of a unit, by its first packets."""
 
-    clock: Clock
-    """The chosen one, or the default: the sensor's if it is locked, else the host's."""
-    locked: bool | None
-    """State of the pulse per second in the first position packet; None without one."""
+    clock: Clock  # The chosen one, or the default: the sensor's if it is locked, else the host's
+    locked: bool | None  # State of the pulse per second in the first position packet; None without one
     host_behind_ns: int
-    first_ns: int
-    """UTC of the first data packet by the clock."""
+    first_ns: int  # UTC of the first data packet by the clock
 
     def make(self) -> PacketClock:
         """Return a clock for the unit's packets, from the first on."""
@@ -103,10 +98,7 @@ def unit_clocks(
         packets and is within a second of the host; else the host's, in which everything else of a recording is stamped
     where : how error lines call the choice
 
-    Raises
-    ------
-    CaptureError : the file is no capture
-    InputError : there is no such clock, or no valid sentence for "gps"
+    Raises CaptureError if the file is no capture; InputError if there is no such clock, or no valid sentence for "gps".
     """
     if name not in (None, *Clock):
         raise InputError(where, f"found {name}", ", ".join(Clock))

@@ -35,9 +35,7 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
     list of k / 24 (k / 12) packets. `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first
     pulse, or 663.552 us in dual return, where no sequence is left out.
 
-    Raises
-    ------
-    InputError : as `data_payloads`
+    Raises InputError as `data_payloads`.
     """
     payloads = data_payloads(returns, mode, model)
     sequences = SEQUENCES_PER_PACKET[mode]
@@ -70,10 +68,7 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     -------
     (n, 1206) uint8, one payload per row
 
-    Raises
-    ------
-    InputError : no 16 lasers, no whole number of packets, an angle or a distance that is negative or
-        not a number
+    Raises InputError unless there are 16 lasers, whole packets, and angles and distances that are finite and not negative.
     """
     _check(returns, mode)
     firings = returns.firings

@@ -34,24 +34,20 @@ _MAX_STEP_CDEG = 100
 
 _FASTEST_DEG_PER_NS = 1.5 * 1200 * 6 / S_NS
 """1200 rpm (63-9243 Rev D, section 8.3, p. 50), with a margin for units that run too fast."""
-JUMP_NS = S_NS // 4
-"""A longer step of the clock ends a revolution: the slowest, at 300 rpm, takes 0.2 s."""
+JUMP_NS = S_NS // 4  # A longer step of the clock ends a revolution: the slowest, at 300 rpm, takes 0.2 s
 
 
 class PointFrame(StrEnum):
     """Axes of points in a sensor."""
 
-    SENSOR = "sensor"
-    """x forward at azimuth 0, y left, z up (REP 103), as ROS drivers have it."""
-    MANUAL = "manual"
-    """x right, y forward at azimuth 0, z up (63-9243 Rev D, section 9.1)."""
+    SENSOR = "sensor"  # x forward at azimuth 0, y left, z up (REP 103), as ROS drivers have it
+    MANUAL = "manual"  # x right, y forward at azimuth 0, z up (63-9243 Rev D, section 9.1)
 
 
 class Fault(NamedTuple):
     """Why a data packet is not a VLP-16's."""
 
-    packet: int
-    """Row of the payload."""
+    packet: int  # Row of the payload
     what: str
     found: str
     expected: str
@@ -61,24 +57,15 @@ class Fault(NamedTuple):
 class Points:
     """n records in the order of their pulses; in dual return the even block's record comes first."""
 
-    packet: I8
-    """(n,) row of the payload."""
-    slot: I8
-    """(n,) place of the record in its packet: 32 times the block, and the channel."""
-    time_ns: I8
-    """(n,) of the pulse, on the sensor's clock, ns past its hour."""
-    laser: U1
-    """(n,) 0..15 in firing order."""
-    ring: U1
-    """(n,) 0..15 by elevation, lowest first."""
-    azimuth_deg: F8
-    """(n,) at the instant of the pulse, [0, 360)."""
-    distance_m: F4
-    """(n,) from the centre of the sensor; 0 without return."""
-    xyz_m: F4
-    """(n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN without return."""
-    reflectivity: U1
-    """(n,) 0..100 diffuse, 101..255 retroreflective."""
+    packet: I8  # (n,) row of the payload
+    slot: I8  # (n,) place of the record in its packet: 32 times the block, and the channel
+    time_ns: I8  # (n,) of the pulse, on the sensor's clock, ns past its hour
+    laser: U1  # (n,) 0..15 in firing order
+    ring: U1  # (n,) 0..15 by elevation, lowest first
+    azimuth_deg: F8  # (n,) at the instant of the pulse, [0, 360)
+    distance_m: F4  # (n,) from the centre of the sensor; 0 without return
+    xyz_m: F4  # (n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN without return
+    reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
     is_last: NDArray[np.bool_]
     """(n,) a last return. Else the strongest, or in dual return, where the strongest is the last too,
     the second strongest or the same return again."""
@@ -88,19 +75,15 @@ class Points:
 class PositionFields:
     """Fields of a position packet."""
 
-    time_ns: int
-    """The sensor's clock, ns past its hour, whole microseconds."""
+    time_ns: int  # The sensor's clock, ns past its hour, whole microseconds
     pps: PpsState
-    sentence: bytes
-    """Sentence with CR LF; empty if none ever came."""
+    sentence: bytes  # Sentence with CR LF; empty if none ever came
 
 
 def data_fields(payloads: U1) -> NDArray[np.void]:
     """View payloads, (n, 1206) uint8, by their fields, (n,) `DATA_PAYLOAD`.
 
-    Raises
-    ------
-    PacketError : another shape or dtype
+    Raises PacketError for another shape or dtype.
     """
     if payloads.dtype != np.uint8 or payloads.shape[1:] != (layout.DATA_BYTES,):
         raise PacketError("data packets", f"{payloads.shape} {payloads.dtype}", "(n, 1206) uint8")
@@ -121,9 +104,7 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
     Points, each packet's without regard to the others. A pulse's azimuth is that of its block and what the
     rotor turns until its own instant, at the packet's mean speed (63-9243 Rev D, section 9.5, p. 65).
 
-    Raises
-    ------
-    PacketError : no data packet of a VLP-16 or Puck Hi-Res, or packets of two models
+    Raises PacketError for packets of other sensors than VLP-16 and Puck Hi-Res, or of two models.
     """
     fields = data_fields(payloads)
     beams = BEAM_TABLES[_model(fields, model)]
@@ -212,9 +193,7 @@ def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
 def frame_named(name: str, *, where: str = "frame") -> PointFrame:
     """Find the frame of points by its name; `where` is what error lines call the choice.
 
-    Raises
-    ------
-    InputError : If there is none of that name
+    Raises InputError if there is none of that name.
     """
     if name not in tuple(PointFrame):
         raise InputError(where, f"found {name}", " or ".join(PointFrame))
@@ -224,9 +203,7 @@ def frame_named(name: str, *, where: str = "frame") -> PointFrame:
 def decode_position(payload: bytes) -> PositionFields:
     """Read one position packet.
 
-    Raises
-    ------
-    PacketError : no 512 bytes, or a pulse-per-second state other than 0..3
+    Raises PacketError for another length than 512 bytes, or a pulse-per-second state other than 0..3.
     """
     if len(payload) != layout.POSITION_BYTES:
         raise PacketError("position packet", f"{len(payload)} bytes", f"{layout.POSITION_BYTES}")

@@ -15,12 +15,9 @@ from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 
 DATA_PORT = 2368
 """UDP port of data packets, source and, unless set otherwise, destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
-POSITION_PORT = 8308
-"""UDP port of position packets, likewise. Source: 63-9243 Rev D, section 9.3.3, p. 60."""
-DATA_TTL = 255
-"""Time to live of data frames, measured."""
-POSITION_TTL = 64
-"""Time to live of position frames, measured."""
+POSITION_PORT = 8308  # UDP port of position packets, likewise. Source: 63-9243 Rev D, section 9.3.3, p. 60.
+DATA_TTL = 255  # Time to live of data frames, measured
+POSITION_TTL = 64  # Time to live of position frames, measured
 
 _IP_HEADER_BYTES = 20
 _UDP_HEADER_BYTES = 8
@@ -36,20 +33,13 @@ _IPV4, _VERSION_AND_LENGTH, _DONT_FRAGMENT, _UDP = 0x0800, 0x45, 0x4000, 17
 class Link:
     """Addresses and ports of a sensor's frames."""
 
-    source_mac: bytes
-    """6 bytes."""
-    destination_mac: bytes
-    """6 bytes."""
-    source: str
-    """IPv4 address, dotted."""
-    destination: str
-    """IPv4 address, dotted."""
-    data_port: int = DATA_PORT
-    """UDP port of data packets at the destination."""
-    position_port: int = POSITION_PORT
-    """UDP port of position packets at the destination."""
-    identification: int = 0
-    """Of the first position frame; it counts on."""
+    source_mac: bytes  # 6 bytes
+    destination_mac: bytes  # 6 bytes
+    source: str  # IPv4 address, dotted
+    destination: str  # IPv4 address, dotted
+    data_port: int = DATA_PORT  # UDP port of data packets at the destination
+    position_port: int = POSITION_PORT  # UDP port of position packets at the destination
+    identification: int = 0  # Of the first position frame; it counts on
 
 
 FACTORY_LINK = Link(
@@ -81,9 +71,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
     payload : 512 bytes, fewer of a packet that is cut
     number : position packets before it, by which the identification is greater than the first one; of both the low 16 bits
 
-    Raises
-    ------
-    PacketError : If the payload is longer than 512 bytes.
+    Raises PacketError if the payload is longer than 512 bytes.
     """
     if len(payload) > POSITION_BYTES:
         raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"at most {POSITION_BYTES}")

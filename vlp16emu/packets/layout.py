@@ -18,36 +18,28 @@ import numpy as np
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode, SensorModel
 
-LASERS = 16
-"""Records of one firing sequence, in firing order. Source: 63-9243 Rev D, table 9-1, p. 53."""
-SEQUENCES_PER_BLOCK = 2
-"""Source: 63-9243 Rev D, section 9.3.2, p. 56."""
-BLOCKS_PER_PACKET = 12
-"""Source: 63-9243 Rev D, section 9.3.2, p. 56."""
-RECORDS_PER_PACKET = BLOCKS_PER_PACKET * SEQUENCES_PER_BLOCK * LASERS
-"""Distances in a packet."""
+LASERS = 16  # Records of one firing sequence, in firing order. Source: 63-9243 Rev D, table 9-1, p. 53.
+SEQUENCES_PER_BLOCK = 2  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
+BLOCKS_PER_PACKET = 12  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
+RECORDS_PER_PACKET = BLOCKS_PER_PACKET * SEQUENCES_PER_BLOCK * LASERS  # Distances in a packet
 SEQUENCES_PER_PACKET = MappingProxyType({ReturnMode.STRONGEST: 24, ReturnMode.LAST: 24, ReturnMode.DUAL: 12})
 """In dual return two blocks share their firing sequences. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
 
 BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_NS
 """Time between the azimuths of two blocks, without the twin block of dual return."""
 
-DISTANCE_LSB_M = 0.002
-"""Source: 63-9243 Rev D, section 9.3.1."""
+DISTANCE_LSB_M = 0.002  # Source: 63-9243 Rev D, section 9.3.1
 MIN_DISTANCE_LSB = 250
 """Smallest distance code but 0, which means no return: 0.5 m on three real units with firmware 3.0."""
-AZIMUTH_CODES = 36_000
-"""Hundredths of a degree, 0 .. 35999. Source: 63-9243 Rev D, section 9.3.1.4."""
+AZIMUTH_CODES = 36_000  # Hundredths of a degree, 0 .. 35999. Source: 63-9243 Rev D, section 9.3.1.4.
 
-BLOCK_FLAG = 0xEEFF
-"""Bytes FF EE in this order. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
+BLOCK_FLAG = 0xEEFF  # Bytes FF EE in this order. Source: 63-9243 Rev D, section 9.3.2, p. 56.
 RETURN_MODE_BYTE = MappingProxyType({ReturnMode.STRONGEST: 0x37, ReturnMode.LAST: 0x38, ReturnMode.DUAL: 0x39})
 """First factory byte. Source: 63-9243 Rev D, table 9-2, p. 56."""
 FACTORY_BYTE = MappingProxyType({SensorModel.VLP_16: 0x22, SensorModel.PUCK_LITE: 0x22, SensorModel.PUCK_HI_RES: 0x24})
 """Second factory byte, the product. Source: 63-9243 Rev D, table 9-2, p. 56."""
 
-RECORD = np.dtype([("distance_lsb", "<u2"), ("reflectivity", "u1")])
-"""One laser's return, 3 bytes."""
+RECORD = np.dtype([("distance_lsb", "<u2"), ("reflectivity", "u1")])  # One laser's return, 3 bytes
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth_cdeg", "<u2"), ("records", RECORD, (SEQUENCES_PER_BLOCK, LASERS))])
 """Two firing sequences, 100 bytes; the azimuth belongs to the first pulse of the first one."""
 DATA_PAYLOAD = np.dtype(

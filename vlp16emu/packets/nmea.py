@@ -11,8 +11,7 @@ from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS, US_NS
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-KNOT_M_S = 1852 / 3600
-"""A nautical mile per hour, exact by definition."""
+KNOT_M_S = 1852 / 3600  # A nautical mile per hour, exact by definition
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, which no receiver passes (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
 _MINUTE_DECIMALS = 7  # decimals that real units echo; 0.2 mm on the ground
@@ -30,9 +29,7 @@ def rmc(fix: GnssFix) -> bytes:
     ASCII with checksum, CR and LF; 13 comma-separated fields, NMEA 0183 version 2.3
     (63-9243 Rev D, section 7.4)
 
-    Raises
-    ------
-    InputError : NaN, a place outside the globe, a negative speed, or a time that is no whole second
+    Raises InputError for NaN, a place outside the globe, a negative speed, or a time that is no whole second.
     """
     import pynmea2  # here, since a sensor without a receiver does without it
 
@@ -61,9 +58,7 @@ def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
 
     The second is None where a receiver that has just been switched on does not know it.
 
-    Raises
-    ------
-    PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or no time, date and status where they belong
+    Raises PacketError if it lacks `$GPRMC`, CR LF, a right checksum, or time, date and status where they belong.
     """
     fields = fields_of(sentence)
     try:

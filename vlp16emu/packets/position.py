@@ -113,9 +113,7 @@ def pack_position(clock_ns: int, pps: PpsState, sentence: bytes) -> bytes:
     -------
     512 bytes; what the firmware of 2016 leaves zero is zero
 
-    Raises
-    ------
-    InputError : a sentence longer than 128 bytes, not ASCII, or without CR LF at its end
+    Raises InputError for a sentence longer than 128 bytes, not ASCII, or without CR LF at its end.
     """
     if len(sentence) > SENTENCE_BYTES:
         raise InputError("pack_position: sentence", f"{len(sentence)} bytes", f"at most {SENTENCE_BYTES}")

@@ -44,18 +44,12 @@ _BLOCK_RECORDS = 32
 class PacketChunk(NamedTuple):
     """Data packets decoded at once."""
 
-    points: Points
-    """Without no-returns."""
-    clock_ns: I8
-    """(n,) of the points: the sensor's clock, from the full hour before the capture, on past the next one."""
-    packet_ns: I8
-    """(p,) the same of the packets' first pulses."""
-    utc_ns: I8
-    """(p,) UTC of the packets' first pulses, by the clock of the reader."""
-    fields: NDArray[np.void]
-    """(p,) `DATA_PAYLOAD`, the packets themselves."""
-    number: I8
-    """(p,) of their frames in the file, from 1."""
+    points: Points  # Without no-returns
+    clock_ns: I8  # (n,) of the points: the sensor's clock, from the full hour before the capture, on past the next one
+    packet_ns: I8  # (p,) the same of the packets' first pulses
+    utc_ns: I8  # (p,) UTC of the packets' first pulses, by the clock of the reader
+    fields: NDArray[np.void]  # (p,) `DATA_PAYLOAD`, the packets themselves
+    number: I8  # (p,) of their frames in the file, from 1
 
     @property
     def t_ns(self) -> I8:
@@ -77,31 +71,20 @@ class Summary:
     position_packets: int
     other_datagrams: int
     model: SensorModel
-    return_mode: str
-    """One mode, or several with commas if it changes."""
+    return_mode: str  # One mode, or several with commas if it changes
     points: int
     no_returns: int
-    scans: int
-    """Turns of the head, begun ones at both ends included."""
-    records_per_scan: int | None
-    """Median of the whole turns, no-returns counted; None without a whole turn."""
+    scans: int  # Turns of the head, begun ones at both ends included
+    records_per_scan: int | None  # Median of the whole turns, no-returns counted; None without a whole turn
     rpm: float
-    first_stamp_ns: int
-    """UTC, of the capture, at the first data packet."""
-    duration_s: float
-    """From the first data packet to the last, by the sensor's clock."""
-    clock: Clock
-    """Where UTC comes from."""
-    host_ahead_s: float
-    """Capture stamps less the sensor's clock, in the hour nearest to them, at the first data packet."""
-    range_m: tuple[float, float, float] | None
-    """Minimum, median and maximum of the returns; None without returns."""
-    gps: PositionFields | None
-    """The last position packet."""
-    cut: bool
-    """The file ends in the middle of a packet."""
-    repeats: int
-    """Packets left out as the capture has them before."""
+    first_stamp_ns: int  # UTC, of the capture, at the first data packet
+    duration_s: float  # From the first data packet to the last, by the sensor's clock
+    clock: Clock  # Where UTC comes from
+    host_ahead_s: float  # Capture stamps less the sensor's clock, in the hour nearest to them, at the first data packet
+    range_m: tuple[float, float, float] | None  # Minimum, median and maximum of the returns; None without returns
+    gps: PositionFields | None  # The last position packet
+    cut: bool  # The file ends in the middle of a packet
+    repeats: int  # Packets left out as the capture has them before
 
 
 class CaptureReader:
@@ -116,9 +99,7 @@ class CaptureReader:
     clock : of the unit's packets, for their UTC
     passes_over : whether packets at fault are passed over; else the first one ends the reading
 
-    Raises
-    ------
-    CaptureError : If it is none
+    Raises CaptureError if it is none.
     """
 
     def __init__(
@@ -140,8 +121,7 @@ class CaptureReader:
         self._factory: int | None = None
         self._positions = self._others = self._zero_ns = 0
         self._gps: PositionFields | None = None
-        self.first_stamp_ns = 0
-        """UTC, of the capture, at the first data packet; 0 before one has been read."""
+        self.first_stamp_ns = 0  # UTC, of the capture, at the first data packet; 0 before one has been read
 
     def __enter__(self) -> Self:
         return self
@@ -152,10 +132,7 @@ class CaptureReader:
     def points(self) -> Iterator[PacketChunk]:
         """Read chunk by chunk; all points before a packet or record at fault come before the error is raised.
 
-        Raises
-        ------
-        CaptureError : where a record is damaged, or no packet is a data packet
-        PacketError : where a packet is not a VLP-16's
+        Raises CaptureError if a record is damaged, or no packet is a data packet; PacketError if a packet is not a VLP-16's.
         """
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)

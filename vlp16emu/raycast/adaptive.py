@@ -11,10 +11,10 @@ than the receiver's own noise does, another round settles what would be lost or 
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import exp
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, NO_SURFACE, U4
 
 _NONE = np.uint32(NO_SURFACE)

@@ -17,10 +17,10 @@ fair draw from the profile, so that means over them have no bias, whatever their
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import cos, log, sin
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
 from vlp16emu.raycast.settings import Beam

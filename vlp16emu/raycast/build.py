@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.pieces import Faces, faces_of, in_pieces
 from vlp16emu.types import F4, F8, I8, U4, U8, Mesh, Window

@@ -7,10 +7,10 @@ A packet has no place for more than the distance of the displaced point; point c
 
 import math
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import power
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.trig import cos_sin

@@ -8,10 +8,10 @@ loops take arrays out of tuples first: a twentieth of the time.
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter

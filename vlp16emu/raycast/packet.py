@@ -13,11 +13,11 @@ import math
 from typing import Any, NamedTuple
 
 import llvmlite.ir
-import numba
 import numpy as np
 from numba import types
 
 from vlp16emu.elementary import sin
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.raycast.build import knot_at
 from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER
 from vlp16emu.types import F4, F8, I4, I8, U4, U8

@@ -7,9 +7,9 @@ ground, and crowns are cut level into slabs, each as wide as the crown is there.
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, I8, U4, Mesh
 
 Faces = tuple[F4, U4]

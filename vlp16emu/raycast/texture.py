@@ -3,11 +3,11 @@
 import math
 from dataclasses import replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart

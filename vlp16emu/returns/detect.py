@@ -5,10 +5,10 @@ Kernels make no arrays of their own, so numba need not count references (`_nrt=F
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, box_muller, normal_pair, normal_pairs, uniform_pair
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.echoes import (

@@ -20,10 +20,10 @@ callers (`forceinline`): a call hands over each array as seven numbers, which ta
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import exp
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO

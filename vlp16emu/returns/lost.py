@@ -11,10 +11,10 @@ clutter of offices, these lose 0.02 to 0.08 of the records; a step between two s
 and one of brightness, by 8 or more, up to 0.95.
 """
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import power
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, uniform, uniform_pair
 from vlp16emu.returns.echoes import SubRays
 from vlp16emu.returns.settings import LossRates

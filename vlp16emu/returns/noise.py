@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import cos, exp, log, power
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.types import F8, U1

@@ -2,9 +2,8 @@
 
 import math
 
-import numba
-
 from vlp16emu.elementary import log1p, power
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.types import F4

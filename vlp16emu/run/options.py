@@ -153,9 +153,7 @@ class SendOptions(Options):
     def receiver(self) -> tuple[str, int | None]:
         """Host, and port of data packets if one is given.
 
-        Raises
-        ------
-        InputError : If the port is none, or is given twice
+        Raises InputError if the port is none, or is given twice.
         """
         to = self.to or ("127.0.0.1" if self.interface is None else "255.255.255.255")
         host, colon, port = to.partition(":")
@@ -199,13 +197,6 @@ class StreamOptions(SendOptions):
     poses: Any = None
     outlets: Any = None
     gps_in: Any = None
-
-    @property
-    def settings(self) -> dict[str, object]:
-        """Settings of the scene that the ports change; a port of 0 stands for a free one."""
-        _, data_port = self.receiver
-        ports = {"sensor.data_port": data_port, "sensor.position_port": self.position_port}
-        return {key: port for key, port in ports.items() if port is not None}
 
 
 def stream_options() -> type[StreamOptions]:

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from vlp16emu.doors import door
 from vlp16emu.elementary import exp, log
@@ -19,11 +19,13 @@ from vlp16emu.packets import Link, returns_in
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.run.options import RecordOptions, TruthTo
 from vlp16emu.run.report import About, Recording, UnitSent
-from vlp16emu.run.run import Run
 from vlp16emu.scenario.model import CaptureClock
 from vlp16emu.sinks import PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
+
+if TYPE_CHECKING:
+    from vlp16emu.run.emulator import Emulator
 
 _LONGEST_US = 4_500.0  # later than any host that keeps up: `verify` takes 5 ms for a delay of the network
 _LANES_PER_UNIT = 8
@@ -32,7 +34,7 @@ _MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0
 
 
 def record(
-    run: Run,
+    emulator: "Emulator",
     path: str | Path,
     options: RecordOptions,
     *,
@@ -40,22 +42,22 @@ def record(
     stop: Event | None = None,
 ) -> Recording:
     """Write the packets of a run into a file; parameters and errors as `Emulator.record`."""
-    units, truth = run.engine.parts.units, TruthTo.of(options.truth)
+    units, truth = emulator.parts.units, TruthTo.of(options.truth)
     paths = _paths_of_units(Path(path), len(units)) if options.split else [Path(path)]
     for one in paths:
-        spare(run.files, one)  # an input of the scene is never written over
-    files = _files(run, path, paths, truth, options)
-    run, scenario, stop = run.with_truth_in(truth), run.scenario, stop or Event()
+        spare(emulator.files, one)  # an input of the scene is never written over
+    files = _files(emulator, path, paths, truth, options)
+    emulator, scenario, stop = emulator.with_truth_in(truth), emulator.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
     host = HostClock(scenario.capture, scenario.seed, scenario.start_ns)
-    packets = run.engine.packets(*span_s)  # checks the span before a file is touched
+    packets = emulator.engine.packets(*span_s)  # checks the span before a file is touched
     began_s, simulated_s = time.perf_counter(), 0.0
     sent, returns = [Counter[PacketKind]() for _ in units], [0] * len(units)
     begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
     with (
-        run.engine.windows.stopped_by(stop),
+        emulator.engine.windows.stopped_by(stop),
         files as sinks,
-        run.truth(truth, span_s, of=run) as writer,
+        emulator.truth(truth, span_s) as writer,
         suppress(CancelledError),
     ):
         for packet in writer.beside(packets) if writer else packets:
@@ -68,18 +70,18 @@ def record(
             progress(simulated_s)
     interrupted = stop.is_set()
     simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
-    written, run_s = [sink.result for sink in sinks], run.engine.parts.motion.run_time_s
+    written, run_s = [sink.result for sink in sinks], emulator.parts.motion.run_time_s
     counts = zip(units, sent, returns, strict=True)
     return Recording(
         file=", ".join(map(str, paths)),
-        about=About.of(run.name, scenario),
+        about=About.of(emulator.name, scenario),
         units=tuple(UnitSent.of(unit, of, simulated_s, echoes) for unit, of, echoes in counts),
         bytes=sum(file.bytes for file in written),
         sha256=", ".join(file.sha256 for file in written),
         simulated_s=simulated_s,
         walk_share=None if math.isinf(run_s) else simulated_s / run_s,
         wall_s=time.perf_counter() - began_s,
-        audit=run.finding,
+        audit=emulator.finding,
         interrupted=interrupted,
         messages=written[0].messages,
     )
@@ -93,7 +95,7 @@ def _paths_of_units(path: Path, units: int) -> list[Path]:
 
 
 def _files(
-    run: Run, name: str | Path, paths: Sequence[Path], truth: TruthTo | None, options: RecordOptions
+    emulator: "Emulator", name: str | Path, paths: Sequence[Path], truth: TruthTo | None, options: RecordOptions
 ) -> AbstractContextManager[Sequence[Any]]:
     """Return the files of a run, which are opened when they are entered: captures, or a bag."""
     is_bag = paths[0].suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
@@ -103,11 +105,11 @@ def _files(
             raise InputError(
                 "--for and --tf", f"found the capture {paths[0]}", "a bag: .mcap, .bag or a slash at the end"
             )
-        return _captures(paths, [unit.link for unit in run.engine.parts.units])
+        return _captures(paths, [unit.link for unit in emulator.parts.units])
     if options.split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")
     rate_hz = (truth or TruthTo(paths[0])).rate_hz
-    bag: AbstractContextManager[Sequence[Any]] = door("bag")(paths[0], run.engine, rate_hz, options.bag)
+    bag: AbstractContextManager[Sequence[Any]] = door("bag")(paths[0], emulator.engine, rate_hz, options.bag)
     return bag
 
 

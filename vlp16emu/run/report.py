@@ -16,13 +16,11 @@ from vlp16emu.types import PacketKind
 class About:
     """The scene of a run, with its active models in words."""
 
-    scene: str
-    """Name, path or title."""
+    scene: str  # Name, path or title
     seed: int
     beam: str
     noise: str
-    weather: str | None
-    """None for clear air."""
+    weather: str | None  # None for clear air
 
     @classmethod
     def of(cls, name: str, scenario: Scenario) -> Self:
@@ -34,19 +32,15 @@ class About:
 class UnitSent:
     """Packets that one sensor sent, and its revolutions."""
 
-    unit: int
-    """From 1."""
+    unit: int  # From 1
     name: str
     address: str
     data_port: int
     position_port: int
-    packets: int
-    """Data packets."""
+    packets: int  # Data packets
     position_packets: int
-    returns: int | None = None
-    """None if they were not counted, as in a stream."""
-    turn: Turn | None = None
-    """None for a capture."""
+    returns: int | None = None  # None if they were not counted, as in a stream
+    turn: Turn | None = None  # None for a capture
 
     @classmethod
     def of(cls, unit: Unit, sent: Mapping[PacketKind, int], simulated_s: float, returns: int | None = None) -> Self:
@@ -81,18 +75,13 @@ class Recording(OfUnits):
     about: About
     units: tuple[UnitSent, ...]
     bytes: int
-    sha256: str
-    """Of the whole file; of several in their order."""
+    sha256: str  # Of the whole file; of several in their order
     simulated_s: float
-    walk_share: float | None
-    """Share of the whole motion, in time; None if that has no end."""
+    walk_share: float | None  # Share of the whole motion, in time; None if that has no end
     wall_s: float
-    audit: Any
-    """`AuditFinding` of `extras.accuracy.audit`; None without an audit."""
-    interrupted: bool
-    """True if the stop event ended it."""
-    messages: Mapping[str, int] | None
-    """Messages of a bag by topic; None for a capture."""
+    audit: Any  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
+    interrupted: bool  # True if the stop event ended it
+    messages: Mapping[str, int] | None  # Messages of a bag by topic; None for a capture
 
     @property
     def returns(self) -> int:
@@ -111,25 +100,18 @@ class Streamed(OfUnits):
 
     about: About
     to: str
-    speed: float
-    """Simulated seconds per second that were asked for."""
-    late: str
-    """What happened to late packets, `pace` or `skip`."""
+    speed: float  # Simulated seconds per second that were asked for
+    late: str  # What happened to late packets, `pace` or `skip`
     units: tuple[UnitSent, ...]
     sent: StreamReport
     """When packets left; `moved_s` leads from the time of the scene, which truth has, to that of stamps and sentences."""
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` with which the engine would keep up, each enough by itself."""
-    audit: Any
-    """`AuditFinding` of `extras.accuracy.audit`; None without an audit."""
-    live: Any | None
-    """`LiveReport` of a run whose poses came in; else None."""
-    gps_in: Any | None
-    """`GpsInResult` of a real receiver; None without one."""
-    gps_out: Any | None
-    """`OutletResult` of the sentences and pulses of the receiver; None unless asked for."""
-    imu_out: Any | None
-    """`OutletResult` of the samples of the inertial unit; None unless asked for."""
+    audit: Any  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
+    live: Any | None  # `LiveReport` of a run whose poses came in; else None
+    gps_in: Any | None  # `GpsInResult` of a real receiver; None without one
+    gps_out: Any | None  # `OutletResult` of the sentences and pulses of the receiver; None unless asked for
+    imu_out: Any | None  # `OutletResult` of the samples of the inertial unit; None unless asked for
 
     @property
     def interrupted(self) -> bool:

@@ -1,12 +1,12 @@
 """A scene over UDP in real time."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import asdict, replace
 from threading import Event, Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Unit
@@ -16,14 +16,16 @@ from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import write_json
 from vlp16emu.run.options import StreamOptions, TruthTo
 from vlp16emu.run.report import About, Streamed, UnitSent
-from vlp16emu.run.run import Run
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, FellBehind, Late, Pacer, PacketSink, StreamReport, UdpSink, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
+if TYPE_CHECKING:
+    from vlp16emu.run.emulator import Emulator
+
 
 def stream_run(
-    run: Run,
+    emulator: "Emulator",
     options: StreamOptions,
     *,
     watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink,
@@ -46,39 +48,39 @@ def stream_run(
     notify : called each time that the stream falls behind
     stop : ends the stream from another thread
     """
-    (host, _), truth = options.receiver, TruthTo.of(options.truth)
-    http, poses, outlets, gps_in = options.http, options.poses, options.outlets, options.gps_in
+    (host, _), truth, pacer = options.receiver, TruthTo.of(options.truth), Pacer(options.speed)
+    http, outlets, gps_in, stop = options.http, options.outlets, options.gps_in, stop or Event()
     _check(options, truth)
-    pacer, policy, stop = Pacer(options.speed), Late(options.late), stop or Event()
     with ExitStack() as stack:
-        run = stack.enter_context(_on_ports(run.with_truth_in(truth), options))  # frames have the ports in them
-        scenario, units = run.scenario, run.engine.parts.units
+        enter = stack.enter_context
+        emulator = enter(_on_ports(emulator.with_truth_in(truth), options))  # frames have the ports in them
+        scenario, units = emulator.scenario, emulator.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
-        stack.enter_context(run.engine.windows.stopped_by(stop))
-        is_live = takes_poses(scenario.motion) or poses is not None
-        flight = stack.enter_context(door("live")(run, poses)) if is_live else None
-        policy = flight.prepare(stop, pacer) if flight else policy  # waits for the first pose
-        outlets = stack.enter_context(door("outlets")(outlets)) if outlets else None
-        engine = replace(run.engine, prompt=http is not None)  # what is set there should show soon
-        feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
-        udp = stack.enter_context(_udp(run, options, host, progress))  # a wrong address fails before any casting
+        enter(emulator.engine.windows.stopped_by(stop))
+        is_live = takes_poses(scenario.motion) or options.poses is not None
+        flight = enter(door("live")(emulator, options.poses)) if is_live else None
+        policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
+        outlets = enter(door("outlets")(outlets)) if outlets else None
+        engine = replace(emulator.engine, prompt=http is not None)  # what is set there should show soon
+        feed = enter(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
+        udp = enter(_udp(emulator, options, host, progress))  # a wrong address fails before any casting
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
         if options.prepare:
-            packets: Iterable[Packet] = door("prepared")(run, options, progress=preparing, stop=stop)
+            packets: Iterable[Packet] = door("prepared")(emulator, options, progress=preparing, stop=stop)
         else:
-            writer = stack.enter_context(run.truth(truth, span_s, of=feed))
+            writer = enter(emulator.truth(truth, span_s, of=feed))
             packets = writer.beside(feed) if writer else feed
         way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
         gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
-        way = stack.enter_context(gps_in).sink(way) if gps_in else way  # outside: who watches sees what leaves
+        way = enter(gps_in).sink(way) if gps_in else way  # outside: who watches sees what leaves
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
         report = stream(
             packets,
             way,
             pacer,
-            begun=lambda now: http and stack.enter_context(door("web")(feed, udp, now, http)),
+            begun=lambda now: http and enter(door("web")(feed, udp, now, http)),
             late=policy,
             notify=notify,
             go_on_from=None if options.prepare else flight.going_on(feed.go_on_from) if flight else feed.go_on_from,
@@ -89,44 +91,58 @@ def stream_run(
         live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
     report = replace(report, skipped=report.skipped + feed.skipped)
     sent = outlets.results(report.skipped) if outlets else (None, None)
-    asked = replace(options, to=host, late=policy, truth=truth)
-    return _streamed(run, asked, report, udp, live, gps_in and gps_in.result, *sent)
+    asked = replace(options, to=host, late=policy)
+    return _streamed(emulator, asked, report, udp, live, gps_in and gps_in.result, *sent)
+
+
+def _streamed(
+    emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any
+) -> Streamed:
+    """Return the result of a stream, `beside` are its last fields, and write when it began to its ground truth."""
+    scenario, speed = emulator.scenario, options.speed
+    if (truth := TruthTo.of(options.truth)) and report.first:  # so that live results can be compared with the truth
+        times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
+        write_json(truth.folder / "time.json", times)
+    is_known = report.behind and has_door("keeps_up_with")
+    enough = door("keeps_up_with")(report.behind, scenario, speed) if is_known else ()
+    units = (UnitSent.of(*each, report.simulated_s) for each in zip(emulator.parts.units, udp.sent, strict=True))
+    asked = str(options.to), speed, options.late, tuple(units)
+    return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *beside)
 
 
 def _check(options: StreamOptions, truth: TruthTo | None) -> None:
     """Refuse options that exclude each other."""
-    http, outlets, gps_in = options.http, options.outlets, options.gps_in
-    beside = outlets and (outlets.gps_out or outlets.imu_out)
-    _exclude(options.prepare, "--prepare", {"--http": http, "--gps-out or --imu-out": beside})
-    _exclude(options.now, "--now", {"--gps-in": gps_in})
-    fine = truth and (truth.per_packet or truth.per_return)
-    _exclude(http, "--http", {"--truth-packets or --truth-returns": fine})
-
-
-def _exclude(given: object, option: str, others: Mapping[str, object]) -> None:
-    for other, value in others.items():
-        if given and value:
+    http, outlets, fine = options.http, options.outlets, truth and (truth.per_packet or truth.per_return)
+    for given, option, other, excluded in (
+        (options.prepare, "--prepare", "--http", http),
+        (options.prepare, "--prepare", "--gps-out or --imu-out", outlets and (outlets.gps_out or outlets.imu_out)),
+        (options.now, "--now", "--gps-in", options.gps_in),
+        (http, "--http", "--truth-packets or --truth-returns", fine),
+    ):
+        if given and excluded:
             raise InputError(other, f"found beside {option}", "one of both")
 
 
 @contextmanager
-def _on_ports(run: Run, options: StreamOptions) -> Iterator[Run]:
-    """Yield the run with the ports of the options; those of 0 are free ones, one for each sensor, which are reserved meanwhile."""
-    settings, rig = options.settings, run.scenario.rig
-    free = [key for key, port in settings.items() if port == 0]
-    with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as ports:
-        given = iter(ports)
+def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulator"]:
+    """Yield the emulator with the ports of the options; those of 0 are free ones, one for each sensor, which are reserved meanwhile."""
+    _, data_port = options.receiver
+    ports = {"sensor.data_port": data_port, "sensor.position_port": options.position_port}
+    settings: dict[str, object] = {key: port for key, port in ports.items() if port is not None}
+    free, rig = [key for key, port in settings.items() if port == 0], emulator.scenario.rig
+    with door("free_ports")(len(free) * (1 + len(rig))) if free else nullcontext([]) as found:
+        given = iter(found)
         settings |= {key: next(given) for key in free}
         if free and rig:
             own = [{key.removeprefix("sensor."): next(given) for key in free} for _ in rig]
             tables = (unit.model_dump(mode="json", exclude_none=True) for unit in rig)
             settings["rig"] = [table | keys for table, keys in zip(tables, own, strict=True)]
-        yield run.changed(settings)
+        yield emulator.changed(settings)
 
 
-def _udp(run: Run, options: StreamOptions, host: str, progress: Callable[[float], None]) -> UdpSink:
+def _udp(emulator: "Emulator", options: StreamOptions, host: str, progress: Callable[[float], None]) -> UdpSink:
     """Return the sockets of all sensors."""
-    links, start_ns = [unit.link for unit in run.engine.parts.units], run.scenario.start_ns
+    links, start_ns = [unit.link for unit in emulator.parts.units], emulator.scenario.start_ns
     return UdpSink(
         links,
         host,
@@ -134,20 +150,6 @@ def _udp(run: Run, options: StreamOptions, host: str, progress: Callable[[float]
         interface=options.interface,
         sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
     )
-
-
-def _streamed(run: Run, options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any) -> Streamed:
-    """Return the result of a stream, `beside` are its last fields, and write when it began to its ground truth."""
-    truth, sent = TruthTo.of(options.truth), zip(run.engine.parts.units, udp.sent, strict=True)
-    if truth is not None and report.first is not None:  # so that live results can be compared with the truth
-        times = {"moved_s": report.moved_s, "speed": options.speed, "packet_0": asdict(report.first)}
-        write_json(truth.folder / "time.json", times)
-    enough: Sequence[str] = ()
-    if report.behind and has_door("keeps_up_with"):
-        enough = door("keeps_up_with")(report.behind, run.scenario, options.speed)
-    units = tuple(UnitSent.of(unit, of, report.simulated_s) for unit, of in sent)
-    asked = str(options.to), options.speed, options.late
-    return Streamed(About.of(run.name, run.scenario), *asked, units, report, tuple(enough), run.finding, *beside)
 
 
 class PacketFeed:
@@ -159,21 +161,17 @@ class PacketFeed:
     start_s, stop_s : span of the run, since the first pulse
     also : kinds that are sent beside the packets of the sensors
 
-    Raises
-    ------
-    InputError : If the engine has no such span, or the scene no device that `also` asks for
+    Raises InputError if the engine has no such span, or the scene no device that `also` asks for.
     """
 
     def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:
-        self.engine, self._stop_s = engine, stop_s
-        """Makes the packets from here on."""
+        self.engine, self._stop_s = engine, stop_s  # Makes the packets from here on
         self._beside = door("beside")(engine, also) if also else None
         self._packets = self._from(start_s)
         self._reached_ns = engine.scenario.start_ns
         self._at_reached = set[tuple[int, PacketKind]]()
         self._from_ns: int | None = None
-        self.skipped = Counter[PacketKind]()
-        """Packets that were skipped, by kind."""
+        self.skipped = Counter[PacketKind]()  # Packets that were skipped, by kind
 
     def __iter__(self) -> Iterator[Packet]:
         return self

@@ -43,9 +43,7 @@ def _scenes_in(folders: Iterable[Path]) -> dict[str, Path]:
 def find(scene: str) -> Path:
     """Return the path of a scene given by name, with _ or - in it, or by path; whether a path exists is not checked.
 
-    Raises
-    ------
-    ScenarioError : If there is no scene of that name
+    Raises ScenarioError if there is no scene of that name.
     """
     path = Path(scene)
     if path.suffix in (".toml", ".json") or path.parent != Path():

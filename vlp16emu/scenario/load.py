@@ -29,20 +29,16 @@ class _Setting(NamedTuple):
 
     key: str
     value: object
-    where: str
-    """Its name in errors."""
+    where: str  # Its name in errors
 
 
 class _Source(NamedTuple):
     """A scene as a tree, before it is checked."""
 
-    where: str
-    """Its name in errors."""
+    where: str  # Its name in errors
     tree: dict[str, Any]
-    folder: Path
-    """From which its files are found."""
-    is_json: bool
-    """JSON has no dates, so they are read from text there."""
+    folder: Path  # From which its files are found
+    is_json: bool  # JSON has no dates, so they are read from text there
 
 
 def load(
@@ -63,9 +59,7 @@ def load(
     ideal : light without width, in clear air, and sensors without errors, as far as no setting wants otherwise
     folder : from which the files that a dictionary names are found; the current one if not given
 
-    Raises
-    ------
-    ScenarioError : If the file or a setting is no scene
+    Raises ScenarioError if the file or a setting is no scene.
     """
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene

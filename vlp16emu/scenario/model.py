@@ -256,9 +256,8 @@ class Scenario(Section):
     def span_s(self, start_s: float, duration_s: float | None, *, where: str = "start_s") -> tuple[float, float]:
         """Return begin and end of a run, in seconds since the first pulse; without a duration it ends with the scene.
 
-        Raises
-        ------
-        InputError : If the run would begin after the end of the scene; `where` is the name of its begin in the error
+        Raises InputError if the run would begin after the end of the scene; `where` is the name of its begin in the
+        error.
         """
         if duration_s is not None:
             return start_s, start_s + duration_s

@@ -3,11 +3,11 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array, Firings, IntArray, Poses

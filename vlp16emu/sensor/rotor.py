@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import cos, sin
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.trig import cos_sin

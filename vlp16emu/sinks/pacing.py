@@ -6,6 +6,7 @@ Sleeps end on time, and each time that a stream fell behind is on record.
 import ctypes
 import math
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -26,6 +27,8 @@ _FINEST_NS = 1  # 0 would restore the default of 50 us
 _SWITCH_INTERVAL_S = 0.000_2
 """Longest time for which the thread that computes may keep the interpreter from the one that sends. Python's own
 5 ms would be four packets late."""
+_lock, _before_s = threading.Lock(), list[float]()
+"""Interval before each of the streams under way: the interpreter has one for all, and the last to end restores the first."""
 
 
 @contextmanager
@@ -35,17 +38,22 @@ def prompt() -> Iterator[None]:
     The timer slack of Linux joins wake-ups to save power, up to 50 us later. Elsewhere sleeps are as late as the system makes
     them, and the report of a stream says so.
     """
-    prctl, before_s, before_ns = None, sys.getswitchinterval(), 0
+    prctl, before_ns = None, 0
     if sys.platform == "linux":
         prctl = ctypes.CDLL(None).prctl
         # The arguments are unsigned longs, and prctl is variadic: a plain int would leave half a register undefined.
         before_ns = prctl(_PR_GET_TIMERSLACK, *[ctypes.c_ulong(0)] * 4)
         prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(_FINEST_NS), *[ctypes.c_ulong(0)] * 3)
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    with _lock:
+        _before_s.append(sys.getswitchinterval())
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
         yield
     finally:
-        sys.setswitchinterval(before_s)
+        with _lock:
+            before_s = _before_s.pop()
+            if not _before_s:
+                sys.setswitchinterval(before_s)
         if prctl is not None:
             prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(max(before_ns, 0)), *[ctypes.c_ulong(0)] * 3)
 
@@ -58,26 +66,21 @@ other programs want the same cores; the usual receive buffer of Linux, 208 KiB, 
 class Late(StrEnum):
     """Treatment of a packet that is late by more than the tolerance."""
 
-    PACE = "pace"
-    """It leaves, and the deadlines of all later ones move by as much: the delay stays."""
-    SKIP = "skip"
-    """It is dropped."""
+    PACE = "pace"  # It leaves, and the deadlines of all later ones move by as much: the delay stays
+    SKIP = "skip"  # It is dropped
 
 
 @dataclass(slots=True)
 class FellBehind:
     """One time that a stream fell behind; grows while it lasts."""
 
-    at_s: float
-    """Deadline of the first packet that was too late, from the start of the stream."""
-    behind_s: float
-    """Lateness of that packet."""
+    at_s: float  # Deadline of the first packet that was too late, from the start of the stream
+    behind_s: float  # Lateness of that packet
     engine: bool
     """The packet was not computed in time; else it was ready, and the process stood still or could not send."""
     engine_speed: float | None
     """Simulated seconds per second that the engine computed since it was last ahead; None where that is unknown."""
-    total_s: float = 0.0
-    """Delay that came of it so far, with `pace`; greatest lateness, with `skip`."""
+    total_s: float = 0.0  # Delay that came of it so far, with `pace`; greatest lateness, with `skip`
 
     @property
     def cause(self) -> str:
@@ -150,9 +153,7 @@ class Pacer:
     clock_ns : monotonic clock
     sleep : suspends the thread for some seconds
 
-    Raises
-    ------
-    InputError : If the speed is not a finite number above 0.
+    Raises InputError if the speed is not a finite number above 0.
     """
 
     def __init__(
@@ -165,18 +166,13 @@ class Pacer:
         if not (math.isfinite(speed) and speed > 0):
             raise InputError("speed", f"{speed}", "a finite number above 0")
         self.speed, self.now_ns, self._sleep = speed, clock_ns, sleep
-        self.first_due_ns: int | None = None
-        """Due time of the first packet; None before it."""
-        self.start_ns = 0
-        """Instant on the pacer's clock at which it was to leave."""
+        self.first_due_ns: int | None = None  # Due time of the first packet; None before it
+        self.start_ns = 0  # Instant on the pacer's clock at which it was to leave
         self._planned_ns = 0
         self._last = dict[tuple[int, PacketKind], tuple[int, int]]()
-        self.delay_ns = 0
-        """Time by which all deadlines to come have been moved."""
-        self.late_ns = 0
-        """Lateness of the packet that was waited for last."""
-        self.elapsed_ns = (0, 0)
-        """Simulated time and clock time from the first packet that left to the last one."""
+        self.delay_ns = 0  # Time by which all deadlines to come have been moved
+        self.late_ns = 0  # Lateness of the packet that was waited for last
+        self.elapsed_ns = (0, 0)  # Simulated time and clock time from the first packet that left to the last one
 
     def begin(self, due_ns: int, ago_ns: int = 0) -> None:
         """Start the clock: what is due at a time leaves some time ago, or in some time where that is negative."""

@@ -33,12 +33,9 @@ class PcapResult:
 
     data_packets: int
     position_packets: int
-    bytes: int
-    """Size of the file."""
-    sha256: str
-    """SHA-256 of the whole file, hexadecimal."""
-    messages: Mapping[str, int] | None = None
-    """Messages of a bag by topic."""
+    bytes: int  # Size of the file
+    sha256: str  # SHA-256 of the whole file, hexadecimal
+    messages: Mapping[str, int] | None = None  # Messages of a bag by topic
 
 
 class PcapSink(PacketSink):
@@ -53,10 +50,8 @@ class PcapSink(PacketSink):
     path : as for `OutputFile`; an existing file is replaced when this one is whole
     links : addresses and ports of each unit
 
-    Raises
-    ------
-    OutputError : If the file cannot be opened, or another run writes it.
-    RunError : If it cannot be written: here, or later in `send`.
+    Raises OutputError if the file cannot be opened, or another run writes it; RunError if it cannot be written: here,
+    or later in `send`.
     """
 
     def __init__(self, path: Path, links: Sequence[Link] = (FACTORY_LINK,)) -> None:
@@ -88,10 +83,8 @@ class PcapSink(PacketSink):
     def send(self, packet: Packet) -> None:
         """Append one packet.
 
-        Raises
-        ------
-        RunError : If the disk is full or the device gone; it names the file with the packets before this one.
-        ValueError : If the packet is NMEA, which travels by serial line and not by Ethernet.
+        Raises RunError if the disk is full or the device gone; it names the file with the packets before this one;
+        ValueError if the packet is NMEA, which travels by serial line and not by Ethernet.
         """
         frame = self._frame(packet)
         seconds, rest_ns = divmod(packet.due_ns, S_NS)

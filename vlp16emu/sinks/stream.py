@@ -16,8 +16,7 @@ from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-LOOK_AHEAD_PACKETS = 2048
-"""About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
+LOOK_AHEAD_PACKETS = 2048  # About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB
 
 _SPACING_NS = 1_327_104
 """Spacing of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
@@ -212,36 +211,24 @@ class UnderWay:
 class FirstPacket:
     """Times at which the first packet of a stream left, by each clock in UTC ns since 1970."""
 
-    truth_ns: int
-    """Time in the scene or the capture: the time of the ground truth."""
-    sensor_ns: int | None
-    """Time by the sensor's clock, as moved into the present; None if it was not moved."""
-    host_ns: int
-    """Time by the clock of this system, read as soon as it had left."""
+    truth_ns: int  # Time in the scene or the capture: the time of the ground truth
+    sensor_ns: int | None  # Time by the sensor's clock, as moved into the present; None if it was not moved
+    host_ns: int  # Time by the clock of this system, read as soon as it had left
 
 
 @dataclass(frozen=True, slots=True)
 class StreamReport:
     """Punctuality and extent of a stream."""
 
-    lateness: Lateness
-    """Against deadlines as they were when each packet came to its turn."""
-    simulated_s: float
-    """Time that the packets span."""
-    wall_s: float
-    """Time from sending the first to sending the last."""
-    behind: tuple[FellBehind, ...]
-    """Each time that packets were late by more than the tolerance, whatever the cause."""
-    delay_s: float
-    """Time by which deadlines have been moved in all; 0 where late packets are skipped."""
-    skipped: Counter[PacketKind]
-    """Packets dropped because they were late."""
-    moved_s: int
-    """Whole seconds by which packets were moved into the present; 0 where they were not."""
-    first: FirstPacket | None
-    """None if no packet left."""
-    interrupted: bool
-    """Ended by Ctrl-C or the stop event, not by the last packet."""
+    lateness: Lateness  # Against deadlines as they were when each packet came to its turn
+    simulated_s: float  # Time that the packets span
+    wall_s: float  # Time from sending the first to sending the last
+    behind: tuple[FellBehind, ...]  # Each time that packets were late by more than the tolerance, whatever the cause
+    delay_s: float  # Time by which deadlines have been moved in all; 0 where late packets are skipped
+    skipped: Counter[PacketKind]  # Packets dropped because they were late
+    moved_s: int  # Whole seconds by which packets were moved into the present; 0 where they were not
+    first: FirstPacket | None  # None if no packet left
+    interrupted: bool  # Ended by Ctrl-C or the stop event, not by the last packet
 
     @property
     def real_time_factor(self) -> float:
@@ -279,10 +266,7 @@ def stream(
     stop : ends the stream from another thread
     look_ahead_packets : size of the buffer
 
-    Raises
-    ------
-    InputError : If the present is wanted at another speed than its own.
-    RunError : If the sink cannot send.
+    Raises InputError if the present is wanted at another speed than its own; RunError if the sink cannot send.
     """
     if now and pacer.speed != 1.0:
         raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, which is that of the clock")

@@ -12,8 +12,7 @@ from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, FACTORY_LINK, POSITION_
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 
-LOOPBACK = "127.0.0.1"
-"""Default destination of packets: this machine."""
+LOOPBACK = "127.0.0.1"  # Default destination of packets: this machine
 
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
 _SO_NO_CHECK, _IP_MTU_DISCOVER = 11, 10
@@ -52,10 +51,8 @@ class UdpSink(PacketSink):
     interface : by which all leaves; None for that which the system's routes give
     sent : called after each packet with its due time, UTC ns
 
-    Raises
-    ------
-    OutputError
-        If the host is unknown or out of reach, or the interface, address or port to send from is not to be had.
+    Raises OutputError if the host is unknown or out of reach, or the interface, address or port to send from is not to
+    be had.
     """
 
     def __init__(
@@ -67,8 +64,7 @@ class UdpSink(PacketSink):
         interface: str | None = None,
         sent: Callable[[int], None] = lambda _: None,
     ) -> None:
-        self.sent = [Counter[PacketKind]() for _ in links]
-        """Packets that each unit has sent so far, by kind."""
+        self.sent = [Counter[PacketKind]() for _ in links]  # Packets that each unit has sent so far, by kind
         self.latest_position = [b""] * len(links)
         """Payload of the position packet that each unit has sent last; empty before the first."""
         self._after, self._interface = sent, interface
@@ -94,9 +90,7 @@ class UdpSink(PacketSink):
     def redirect(self, unit: int, host: str, data_port: int, position_port: int) -> None:
         """Send the packets of a unit to another receiver from now on; from any thread.
 
-        Raises
-        ------
-        OutputError : If the host is unknown or out of reach; then all stays as it is.
+        Raises OutputError if the host is unknown or out of reach; then all stays as it is.
         """
         address = resolve(host)
         if _is_broadcast(address, self._sources[unit], self._interface):
@@ -108,10 +102,8 @@ class UdpSink(PacketSink):
     def send(self, packet: Packet) -> None:
         """Send one packet.
 
-        Raises
-        ------
-        RunError : If the system cannot send any more, for instance because the link is gone.
-        ValueError : If the packet is NMEA, which travels by serial line and not by Ethernet.
+        Raises RunError if the system cannot send any more, for instance because the link is gone; ValueError if the
+        packet is NMEA, which travels by serial line and not by Ethernet.
         """
         unit, kind = packet.unit, packet.kind
         if kind not in _PORTS:

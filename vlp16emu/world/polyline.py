@@ -1,9 +1,9 @@
 """Distance in the plane from points to a path."""
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import hypot
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import Array
 
 _PIECE = 32  # segments that share a bounding box

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -58,7 +59,7 @@ def test_settings_that_cast_the_same_rays_are_one_row():
 
 def test_sub_rays_converge_to_the_answer():
     """More sub-rays, less error; and the answer is surer than all of them."""
-    found = measured(pulses=1024)
+    found = measured(pulses=512)
     fixed = [row for row in found.rows if row.kind is Kind.FIXED]
     assert fixed[-1].errors.mean_error_m < 0.4 * fixed[0].errors.mean_error_m
     assert found.answer_rmse_m < fixed[-1].errors.range_rmse_m
@@ -107,23 +108,24 @@ SMALL = (
     "motion={kind='static',x_m=0.0,y_m=0.0}",
     "seed=5",
     "world.stems_per_ha=150",
-    "sensor.max_range_m=25",
+    "sensor.max_range_m=22",
     "sensor.eccentricity_deg=0.0",
     "sensor.azimuth_noise_deg=0.0",
     "duration_s=1",
 )
 
 
-def test_worlds_are_compared_by_means():
+def test_worlds_are_compared_by_means(monkeypatch):
     """Each distance, that of the scene among them, is a setting; beyond the reach nothing departs, and the explicit one is last."""
-    found = measure_foliage(load("birch_walk", [*SMALL, "world.near_m=12.5"]), pulses=512)
-    names = [f"world.near_m={near_m}" for near_m in ("10", "12.5", "15", "20", "30", "inf")]
+    monkeypatch.setattr("vlp16emu.extras.accuracy.sweep._NEAR_M", (10.0, 30.0, math.inf))
+    found = measure_foliage(load("birch_walk", [*SMALL, "world.near_m=12.5"]), pulses=256)
+    names = [f"world.near_m={near_m}" for near_m in ("10", "12.5", "30", "inf")]
     assert [level.name for level in found] == names
     assert [level.name for level in found if level.in_use] == ["world.near_m=12.5"]
     assert load("birch_walk", [names[1]]).world.near_m == 12.5
     assert all(level.us_per_pulse > 0 for level in found)
-    assert found[4].means == found[5].means
-    seen = found[5].means["with a return, %"]
+    assert found[2].means == found[3].means
+    seen = found[3].means["with a return, %"]
     assert 0 < seen.value < 100
     assert (seen.off, seen.half, seen.departs) == (0, 0, False)
     assert any(mean.off != 0 for mean in found[0].means.values())
@@ -185,8 +187,8 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
 
 
 def test_audits_estimate_the_error_that_accuracy_measures(hall):
-    """Ten audits with different seeds together find the RMSE that is found on pulses of accuracy's own."""
-    audits, scenes = [Audit.of(hall) for _ in range(10)], []
+    """Six audits with different seeds together find the RMSE that is found on pulses of accuracy's own."""
+    audits, scenes = [Audit.of(hall) for _ in range(6)], []
 
     def look(job, firings, hits, scene):
         scenes.append(scene)
@@ -194,17 +196,17 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
             audit(replace(job, unit=replace(job.unit, seed=seed)), firings, hits, scene)
 
     emulator = Engine.of(hall, taps=[look])
-    list(emulator.returns(0.0, 60 * BLOCK_S))
+    list(emulator.returns(0.0, 20 * BLOCK_S))
     unit = emulator.parts.units[0]
     bench, poses_at = Bench(unit, 128), unit.motion.poses_at
-    ((_, groups),) = draw_groups(Batching(16, 55_296), 60, 16_384, 1, moves=False)
+    ((_, groups),) = draw_groups(Batching(16, 55_296), 20, 8_192, 1, moves=False)
     aimed = [bench.aimed(group, poses_at) for group in groups]
     answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
     returns = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
     measured_m = errors_of(compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m
     squares_um2, matched = (sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched"))
-    assert 1e-6 * np.sqrt(squares_um2 / matched) == pytest.approx(measured_m, rel=0.15)
-    assert len({audit.tally.range_rmse_m for audit in audits}) == 10, "audits draw pulses of their own"
+    assert 1e-6 * np.sqrt(squares_um2 / matched) == pytest.approx(measured_m, rel=0.3)
+    assert len({audit.tally.range_rmse_m for audit in audits}) == 6, "audits draw pulses of their own"
 
 
 RESOLUTION_M = 1.0
@@ -255,11 +257,11 @@ def test_last_returns_and_nothing_are_judged_as_such():
     assert np.isnan([found.range_rmse_m, found.mean_error_m, found.lost, found.invented]).all()
 
 
-@pytest.mark.parametrize(("sigma", "least"), [(0.5, 0.90), (0.8, 0.86)])
+@pytest.mark.parametrize(("sigma", "least"), [(0.5, 0.86), (0.8, 0.80)])
 def test_the_interval_holds_the_true_rmse_as_often_as_it_says(sigma, least):
     """Some 95 % of intervals hold the RMSE of errors that are alike within clusters, 92 % where tails are heavy; here 3 sigma less."""
     rng = np.random.default_rng(2)
-    held, trials, size, clusters = 0, 100, 12, 60
+    held, trials, size, clusters = 0, 50, 12, 60
     true_m = np.sqrt(np.exp(2 * -4.0 + 2 * sigma**2) / 2)  # E[x^2] of lognormal scale times half of uniform's
     answer = detections_of(*[30.0] * size)
     for _ in range(trials):
@@ -269,7 +271,7 @@ def test_the_interval_holds_the_true_rmse_as_often_as_it_says(sigma, least):
             tally.add(compare(answer, detections_of(*(30.0 + off_m)), RESOLUTION_M))
         interval = tally.range_rmse_interval_m
         held += interval[0] <= true_m <= interval[1]
-    assert least <= held / trials <= 0.99
+    assert least <= held / trials < 1
 
 
 def test_a_tally_says_what_errors_of_all_pulses_say():

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.extras.bench import control as module
 from vlp16emu.extras.bench.control import Control
 from vlp16emu.extras.bench.gps_in import GpsReader

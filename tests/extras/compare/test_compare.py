@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.compare import compared, fitted, read_sequences, statistics_of
 from vlp16emu.packets import DATA_PAYLOAD

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from vlp16emu import Emulator
 from vlp16emu.cli import app
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.score.card import ScoreCard, limits_of

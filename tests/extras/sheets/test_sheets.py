@@ -21,7 +21,7 @@ from vlp16emu.extras.sheets.survey import (
     tables_of_returns,
 )
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.extras.bench.faults import arriving
 from vlp16emu.extras.verify import Rule, verify
 from vlp16emu.scenario import load

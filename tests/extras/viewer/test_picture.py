@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
+from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.emulator import Emulator
 from vlp16emu.extras.camera import Orthographic
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.viewer.picture import Canvas, laser_rows

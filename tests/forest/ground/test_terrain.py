@@ -8,9 +8,9 @@ from pydantic import ValidationError
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.terrain import TerrainHeights, Trails
-from vlp16emu.forest.ground.triangles import ground_triangles
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Terrain
+from vlp16emu.forest.tiles import ground_triangles
 from vlp16emu.random import philox4x32
 
 

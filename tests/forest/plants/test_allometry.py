@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.flora import species_table, tapers
+from vlp16emu.forest.plants.species import species_table, tapers
 from vlp16emu.forest.stand.stand import TREE
 
 TABLE = species_table()

@@ -11,9 +11,9 @@ from scipy.sparse.csgraph import connected_components
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.branches import Branches, bole_branches
-from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
-from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
+from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
+from vlp16emu.forest.plants.species import species_table
 from vlp16emu.types import PlantPart
 
 

@@ -5,9 +5,9 @@ import pytest
 from forest.quads import areas_m2, corners
 from scipy import stats
 
-from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
-from vlp16emu.forest.plants.stem_rings import axis_m, stem_forms, stem_rings
+from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.stem import axis_m, stem_forms, stem_rings
 from vlp16emu.forest.settings import Ivy
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey

@@ -7,17 +7,24 @@ import pytest
 from forest.quads import areas_m2, corners, zeniths
 from scipy import stats
 
-from vlp16emu.forest.plants.crown import CrownKey, crown_meshes
-from vlp16emu.forest.plants.flora import shrub_table, species_table
-from vlp16emu.forest.plants.undergrowth import SHRUB_PARTS, SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
+from vlp16emu.forest.plants.prototypes import (
+    SHRUB_PARTS,
+    CrownKey,
+    SaplingKey,
+    ShrubKey,
+    crown_meshes,
+    sapling_meshes,
+    shrub_meshes,
+)
+from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.types import PlantPart
 
-PLANTS = {**species_table(), **shrub_table()}
+PLANTS = {**species_table(), **flora().shrubs}
 CROWNS = [CrownKey(name, 0, 0.24, 21.0, 9.0, 4.5, 90.0) for name, one in species_table().items() if one.foliage]
 SAPLINGS = [SaplingKey(name, 1, 3.0, "leaf_on") for name in ("european_beech", "norway_spruce")]
 SHRUBS = [
     ShrubKey(name, 1, 0.7 * one.height_m[1], 0.7 * one.height_m[1] * one.width_share, "leaf_on")
-    for name, one in shrub_table().items()
+    for name, one in flora().shrubs.items()
 ]
 
 
@@ -92,7 +99,7 @@ def test_stems_come_out_of_the_ground_side_by_side():
     for key in SHRUBS:
         assert SHRUB_PARTS == (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF), key.species
         stems = shrub_meshes(9, key)[0].vertices_m.reshape(-1, 49, 3)
-        assert len(stems) == shrub_table()[key.species].stems, key.species
+        assert len(stems) == flora().shrubs[key.species].stems, key.species
         foot = stems[:, :6].mean(axis=1)
         assert (np.hypot(foot[:, 0], foot[:, 1]) < 0.1 * key.width_m).all(), key.species
         assert (foot[:, 2] < 0).all(), key.species

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.plants.flora import shrub_table, species_table, tapers
+from vlp16emu.forest.plants.species import flora, species_table, tapers
 from vlp16emu.forest.stand.stand import TREE
 
 TEXT = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
@@ -45,7 +45,7 @@ def test_numbers_are_unique_and_never_change():
         "black_walnut": 11,
         "snag": 12,
     }
-    assert {name: shrub.number for name, shrub in shrub_table().items()} == {
+    assert {name: shrub.number for name, shrub in flora().shrubs.items()} == {
         "hazel": 101,
         "elder": 102,
         "hawthorn": 103,
@@ -73,7 +73,7 @@ def test_a_users_plants_come_after_our_own(write):
     table = species_table(path)
     assert list(table) == [*species_table(), "holm_oak"]
     assert table["holm_oak"].taper == species_table()["english_oak"].taper
-    assert list(shrub_table(path)) == [*shrub_table(), "filbert"]
+    assert list(flora(path).shrubs) == [*flora().shrubs, "filbert"]
     trees = np.zeros(2, TREE)
     trees["species"] = [1000, 1]
     assert tapers(trees, table=table).shape == (2, 13)

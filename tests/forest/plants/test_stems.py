@@ -9,19 +9,23 @@ from scipy import stats
 from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_branches, crown_meshes, crown_placements
-from vlp16emu.forest.plants.flora import species_table, tapers
-from vlp16emu.forest.plants.species import StemForm
+from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_branches, crown_meshes, crown_placements
+from vlp16emu.forest.plants.species import StemForm, species_table, tapers
 from vlp16emu.forest.plants.stem import (
     ROOT_RINGS,
     ROOT_SIDES,
     STEM_PARTS,
+    axis_m,
     lean_rotation,
+    polygon_m2,
     root_points,
+    second_leaders,
+    stem_forms,
     stem_meshes,
+    stem_rings,
+    tape_m,
     vertex_angles,
 )
-from vlp16emu.forest.plants.stem_rings import axis_m, polygon_m2, second_leaders, stem_forms, stem_rings, tape_m
 from vlp16emu.forest.stand.inventory import branch_circles, far_stems
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import PlantPart

@@ -7,7 +7,7 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.make import ForestSite
-from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey
+from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey
 from vlp16emu.forest.settings import SpeciesShare
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.stand import REGENERATION

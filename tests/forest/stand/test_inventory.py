@@ -8,10 +8,9 @@ import trimesh
 from forest.quads import areas_m2, corners
 from scipy.spatial import ConvexHull
 
-from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
-from vlp16emu.forest.plants.flora import species_table
-from vlp16emu.forest.plants.stem import lean_rotation, stem_meshes
-from vlp16emu.forest.plants.stem_rings import axis_m, stem_forms
+from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
+from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.stem import axis_m, lean_rotation, stem_forms, stem_meshes
 from vlp16emu.forest.settings import Forest, SpeciesShare
 from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
 from vlp16emu.forest.stand.stand import TREE, Stand

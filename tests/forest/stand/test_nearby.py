@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vlp16emu.forest.plants.flora import shrub_table, species_table
+from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.stand.nearby import cut_out, things_near
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.tiles import TileKey
@@ -127,7 +127,7 @@ def test_a_piece_can_be_without_any_thing(full_forest, window):
 
 
 TWIN_M = 6.0
-SPECIES = {plant.number: plant.name for plant in (*species_table().values(), *shrub_table().values())}
+SPECIES = {plant.number: plant.name for plant in (*species_table().values(), *flora().shrubs.values())}
 
 
 @pytest.fixture(scope="module")

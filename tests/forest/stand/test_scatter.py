@@ -11,8 +11,8 @@ from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest import settings
-from vlp16emu.forest.plants.flora import shrub_table, species_table
-from vlp16emu.forest.plants.undergrowth import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
+from vlp16emu.forest.plants.prototypes import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
+from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.forest.stand.placed import Site
 from vlp16emu.forest.stand.scatter import layer_of
@@ -113,7 +113,7 @@ def test_shrub_heights_are_those_of_their_kind():
         heights += (scale * [tile.keys[i].height_m for i in tile.shape]).tolist()
         kinds += [tile.keys[i].species for i in tile.shape]
     for name in BUSHES:
-        low, high = shrub_table()[name].height_m
+        low, high = flora().shrubs[name].height_m
         own = np.array(heights)[np.array(kinds) == name]
         assert len(own) > 200
         # Large bushes keep farther from the path, so a few of them are missing.
@@ -153,7 +153,7 @@ def test_labels_name_class_parts_and_species(kind, semantic, parts):
         assert (tile.surfaces["semantic"] == semantic).all()
         assert (tile.surfaces["part"] == parts).all()
         for i, rows in zip(tile.shape, tile.surfaces, strict=True):
-            plant = {**species_table(), **shrub_table()}[tile.keys[i].species]
+            plant = {**species_table(), **flora().shrubs}[tile.keys[i].species]
             assert (rows["species"] == plant.number).all()
             middle = np.where(rows["part"] == PlantPart.LEAF, plant.leaf_reflectance, plant.bark_reflectance)
             assert np.abs(rows["reflectance"] - middle).max() < 0.08 + 1e-6
@@ -239,8 +239,8 @@ def size_m(world_T):
 
 
 def test_stones_cover_the_share_that_was_asked_for():
-    """Of vertical rays on 2.6 hectares of flat ground one in twenty meets a stone, within 6 %."""
-    at_m = np.random.default_rng(2).uniform(2, 158, (100_000, 2))
+    """Of vertical rays on 2.6 hectares of flat ground one in twenty meets a stone, within 6 %, three sigma."""
+    at_m = np.random.default_rng(2).uniform(2, 158, (50_000, 2))
     tree, rays = KDTree(at_m), {}
     for tile in TILES:
         placed = STONES.place(plot(*tile, height_m=lambda x, y: np.zeros(np.shape(x))))
@@ -314,11 +314,11 @@ def test_grass_grows_beside_the_path_alone():
 
 @COVERS
 def test_plants_cover_the_share_that_was_asked_for(section, reach_m):
-    """Of the ground beside the path, up to their reach, outlines cover the share of the scene, within 6 %; heights are even in their range."""
-    at_m = np.random.default_rng(1).uniform(2, 158, (100_000, 2))
+    """Of the ground beside the path, up to their reach, outlines cover the share of the scene, within 10 %; heights are even in their range."""
+    at_m = np.random.default_rng(1).uniform(2, 158, (30_000, 2))
     away = distance_m(at_m, NEAR)
     at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
-    for seed in range(6, 36):
+    for seed in range(6, 16):
         placed = world_T(layer_of(section, seed=seed), path=NEAR, height_m=lambda x, y: 0 * x)
         wide, _, high = size_m(placed).T
         assert reach_m - 0.5 < distance_m(placed[:, :2, 3], NEAR).max() < reach_m
@@ -326,7 +326,7 @@ def test_plants_cover_the_share_that_was_asked_for(section, reach_m):
         assert stats.kstest(high, stats.uniform(low_m, high_m - low_m).cdf).pvalue > 0.01
         within = KDTree(at_m).query_ball_point(placed[:, :2, 3], wide / 2)
         shares.append(len(set().union(*within)) / len(at_m))
-    assert np.mean(shares) == pytest.approx(section.cover, rel=0.06)
+    assert np.mean(shares) == pytest.approx(section.cover, rel=0.1)
 
 
 def test_plants_stand_in_patches_and_moss_and_litter_do_not():
@@ -343,7 +343,7 @@ def test_plants_stand_in_patches_and_moss_and_litter_do_not():
         (settings.Litter(cover=0.3), None),
     ):
         counts = []
-        for seed in range(6, 12):
+        for seed in range(6, 9):
             pattern = layer_of(section, seed=seed).pattern
             xy_m = np.concatenate([pattern.points(*tile) for tile in TILES])
             counts.append(np.histogram2d(*xy_m.T, bins=80, range=[(0, 160)] * 2)[0])

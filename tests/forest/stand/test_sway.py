@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from vlp16emu.forest.plants.crown import CrownKey
-from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.plants.prototypes import CrownKey
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.forest.stand.wind import ACROSS, ALONG, KNOT_NS, Trees, TreeSway, gust_lines, mechanics, swings

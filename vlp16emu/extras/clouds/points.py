@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import points_of
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
@@ -67,18 +67,18 @@ def write_points(
     library for a format is not there; OutputError if file or folder cannot be written, or are an input of the scene;
     TrajectoryError if the walk ends before the span does; RunError if the disk is full; the file is not complete.
     """
-    run, path, began_s, asked = emulator.run, Path(path), time.perf_counter(), PointOptions(**options)
-    number, scenario, stop = run.number(asked.unit), run.scenario, stop or Event()
+    path, began_s, asked = Path(path), time.perf_counter(), PointOptions(**options)
+    number, scenario, stop = emulator.number(asked.unit), emulator.scenario, stop or Event()
     scheme, truth = (cloud.label_scheme(asked.labels) if asked.labels else None), asked.truth or bool(asked.labels)
     begin_s, _ = span_s = scenario.span_s(asked.start_s, asked.duration_s)
-    blocks = _blocks(run.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
+    blocks = _blocks(emulator.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
     columns = cloud.SCENE_COLUMNS + cloud.TRUTH_COLUMNS * truth + cloud.LABEL_COLUMNS * bool(scheme)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
-    file = cloud.point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=run.files)
+    file = cloud.point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=emulator.files)
     with (
-        run.engine.windows.stopped_by(stop),
+        emulator.engine.windows.stopped_by(stop),
         file as writer,
-        run.truth(asked.truth_to, span_s, of=run) as folder,
+        emulator.truth(asked.truth_to, span_s) as folder,
         suppress(CancelledError),
     ):
         for block, end_ns in blocks:
@@ -90,11 +90,11 @@ def write_points(
             progress(simulated_s)
             if stop.is_set():
                 break
-    sensor, wall_s = run.engine.parts.units[number], time.perf_counter() - began_s
+    sensor, wall_s = emulator.parts.units[number], time.perf_counter() - began_s
     beams = sensor.head.beams
     return PointCloud(
         file=str(path),
-        scene=run.name,
+        scene=emulator.name,
         seed=scenario.seed,
         unit=asked.unit,
         sensor=sensor.section.model,

@@ -25,7 +25,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import in_one_world
 from vlp16emu.errors import OutputError, RunError, ScenarioError, readable
 from vlp16emu.explain import explain
@@ -34,6 +33,7 @@ from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import OutputFile, lock
 from vlp16emu.random import Purpose, generator
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.scenario.find import find
 from vlp16emu.sensor.settings import on_the_wire

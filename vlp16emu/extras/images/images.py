@@ -13,7 +13,6 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Unit, workers
 from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
@@ -25,6 +24,7 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.output import write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F4, SURFACE, U1, PlantPart, Poses, Semantic, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.furnished import Furnished
@@ -164,7 +164,7 @@ def write_images(
     """
     asked = ImageOptions(**options)
     engine, stop, camera = emulator.engine, stop or Event(), Camera.of(asked.kind, asked.size, asked.fov_deg)
-    scenario, of = engine.scenario, engine.parts.units[emulator.run.number(asked.unit)]
+    scenario, of = engine.scenario, engine.parts.units[emulator.number(asked.unit)]
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
     windows, species = engine.windows, species_of(engine.parts.world)
     pictures = PictureFolder(Path(folder), _cameras(camera, species))

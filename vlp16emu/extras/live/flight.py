@@ -23,7 +23,7 @@ from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.extras.live.pose_packet import POSE_BYTES, is_pose, unpack_pose
 from vlp16emu.output import OutputFile, spare
-from vlp16emu.run.run import Run
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -128,7 +128,7 @@ class Flight(PacketSink):
 
     Parameters
     ----------
-    run : of a live scene
+    emulator : of a live scene
     poses : where they come in; `where` as `PoseReceiver` takes it
     clock_ns : monotonic
 
@@ -138,8 +138,10 @@ class Flight(PacketSink):
 
     look_ahead = 8  # packets of a unit that are computed before the first leaves: two steps, or one of dual return
 
-    def __init__(self, run: Run, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        engine, poses = run.engine, poses or PosesIn()
+    def __init__(
+        self, emulator: Emulator, poses: PosesIn | None, *, clock_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        engine, poses = emulator.engine, poses or PosesIn()
         motion, windows = engine.parts.carrier, engine.windows
         if not isinstance(motion, LiveMotion):
             option = "--flown" if poses.where is None else "--pose-in"
@@ -147,7 +149,7 @@ class Flight(PacketSink):
             raise InputError(option, found, 'motion.kind = "live", without motion.flown')
         assert isinstance(windows, LiveWindows)
         if poses.flown is not None:
-            spare(run.files, poses.flown)
+            spare(emulator.files, poses.flown)
         self._engine, self._motion, self._windows, self._news = engine, motion, windows, poses.news
         self._clock_ns, self._latency = clock_ns, LatenessHistogram()
         self._sink: PacketSink

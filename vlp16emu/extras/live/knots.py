@@ -2,12 +2,12 @@
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp
 from vlp16emu.extras.recorded.motion import Pieces
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import cos_sin
 from vlp16emu.units import S_NS
 

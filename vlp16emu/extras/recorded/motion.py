@@ -2,13 +2,13 @@
 
 import math
 
-import numba
 import numpy as np
 
 from vlp16emu.elementary import acos, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.settings import Recorded
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.motion.splines import interpolant
 from vlp16emu.types import Array, IntArray, Poses

@@ -17,7 +17,7 @@ from vlp16emu.extras.camera import Orthographic, look
 from vlp16emu.extras.plots import colour_of_kind, colour_of_species, plotted, surface_colours
 from vlp16emu.extras.sheets.survey import Survey, subtitle_of, summary_of, survey
 from vlp16emu.forest.ground.dem import write_ascii
-from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
+from vlp16emu.forest.plants.stem import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import write_csv
 from vlp16emu.forest.stand.nearby import AllNear, Grow, cut_out
 from vlp16emu.forest.twin import write_glb

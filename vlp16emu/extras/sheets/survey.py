@@ -13,13 +13,14 @@ from scipy.spatial import KDTree
 from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.forest.plants.crown import CrownKey
-from vlp16emu.forest.plants.flora import Flora, Table, Trees, flora
-from vlp16emu.forest.plants.stem_rings import StemForms, axis_m, stem_circles, stem_forms
+from vlp16emu.forest.plants.prototypes import CrownKey
+from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
+from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.inventory import INVENTORY, Models, branch_circles, inventory
+from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
 from vlp16emu.forest.stand.nearby import Thing, things_near
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
+from vlp16emu.forest.stand.tree_models import TreeModels
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F8, I8, U4, HeightField, PlantPart, Semantic, Window, World
@@ -139,9 +140,9 @@ class Survey:
         return self.bare.plants if isinstance(self.bare, ForestWorld) else flora()
 
     @property
-    def models(self) -> Models:
+    def models(self) -> TreeModels:
         """Trees of the user's own models."""
-        return self.bare.models if isinstance(self.bare, ForestWorld) else Models()
+        return self.bare.models if isinstance(self.bare, ForestWorld) else TreeModels()
 
     @property
     def species(self) -> dict[int, str]:

@@ -14,7 +14,6 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
 from vlp16emu.engine.position import number_at, positions_due
 from vlp16emu.errors import RunError
@@ -28,8 +27,8 @@ from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler, Inertial
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import TruthPlace, TruthTo
-from vlp16emu.run.run import Run
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
@@ -174,7 +173,7 @@ class Truth:
     packets are wanted of a sensor that has none; RunError if it cannot be written: here, or later.
     """
 
-    def __init__(self, to: TruthTo, of: Run | PacketFeed, span_s: tuple[float, float]) -> None:
+    def __init__(self, to: TruthTo, of: Emulator | PacketFeed, span_s: tuple[float, float]) -> None:
         engine = of.engine
         scenario, parts = engine.scenario, engine.parts
         self._of = of
@@ -460,11 +459,11 @@ def write_truth(
     packets are wanted of a sensor that has none; TrajectoryError if the walk ends before the span does; RunError if the
     disk is full; the lines before are kept.
     """
-    run = emulator.run.with_truth_in(TruthTo.of(to))
-    begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
-    run.engine.span_ns(*span_s)  # checks the span before the folder is touched
+    emulator = emulator.with_truth_in(TruthTo.of(to))
+    begin_s, stop_s = span_s = emulator.scenario.span_s(start_s, duration_s)
+    emulator.engine.span_ns(*span_s)  # checks the span before the folder is touched
     done_s, stop = 0.0, stop or threading.Event()
-    with run.truth(to, span_s, of=run) as truth:
+    with emulator.truth(to, span_s) as truth:
         while truth and done_s < stop_s - begin_s and not stop.is_set():
             done_s = min(done_s + 1.0, stop_s - begin_s)
             truth.up_to(begin_s + done_s)

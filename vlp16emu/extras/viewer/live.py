@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError, PacketError, RunError
 from vlp16emu.extras.sheets.survey import survey
 from vlp16emu.extras.viewer.guard import guarded_server
@@ -24,6 +23,7 @@ from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
 from vlp16emu.motion.settings import Live, takes_poses
 from vlp16emu.packets import DATA_BYTES, decode_data
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import F8, I8, Packet, PacketKind, Scan
 from vlp16emu.units import S_NS

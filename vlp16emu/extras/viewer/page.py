@@ -13,7 +13,6 @@ import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.extras.sheets.survey import survey, way_m
 from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.layers import boxed, coloured, layers_of_scan, legend_of
@@ -21,6 +20,7 @@ from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import SceneSweeps, Sweep, Sweeps
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.motion.settings import Walk
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8
 
 _MOST_KEPT = 50  # sweeps drawn together: 1.2 million points

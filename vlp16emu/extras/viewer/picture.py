@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.clouds.deskew import Trajectory
@@ -24,6 +23,7 @@ from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, l
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.packets.layout import LASERS
+from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
 from vlp16emu.types import F8, U1
 
@@ -160,7 +160,7 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
     t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
     way_m, rings = parts.motion.poses_at(t_ns).world_p_body_m, len(parts.units[0].head.beams.elevation_deg)
     sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
-    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.run.files)
+    return Source(sweeps, way_m, rings, species_of(parts.world), emulator.files)
 
 
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numba
 import numpy as np
 
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
 from vlp16emu.forest.settings import Dem
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import distance_m
 

@@ -9,7 +9,6 @@ shoulders of the soil that they were pressed out of, deep and shallow by turns.
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +16,7 @@ from vlp16emu.elementary import atan2, cos, power, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Terrain
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import generator, philox4x32
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array

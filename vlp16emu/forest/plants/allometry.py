@@ -6,11 +6,11 @@ Inside the equations diameters are in cm and heights in m, or inches and feet, a
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import numba
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, expm1, log, log1p, power
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.settings import Section
 from vlp16emu.types import Array
 
@@ -49,26 +49,9 @@ def _curtis_arney_height_m(
     Below 3 inches, where the equation does not hold, a straight line leads to breast height.
     """
     p2, p3, p4 = coefficients
-
-    def above_breast_ft(dbh_in: Array) -> Array:
-        whole: Array = p2 * exp(-p3 * power(np.maximum(dbh_in, 3.0), p4))
-        return whole * np.minimum(dbh_in / 3.0, 1.0)
-
-    mean_ft = above_breast_ft(np.array([mean_dbh_cm / _INCH_CM]))[0]
-    share = above_breast_ft(dbh_cm / _INCH_CM) / mean_ft
-    return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * share
-
-
-def _linear_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
-    """Straight line, Doebbeler et al. (2002); c0, c1."""
-    c0, c1 = coefficients
-    return c0 + c1 * dbh_cm
-
-
-def _saturating_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
-    """Straight line that thin trees fall short of, Doebbeler et al. (2002); c0, c1, c2, c3."""
-    c0, c1, c2, c3 = coefficients
-    return (c0 + c1 * dbh_cm) * -expm1(-power(dbh_cm / c2, c3))
+    dbh_in = np.append(dbh_cm, mean_dbh_cm) / _INCH_CM
+    above_breast_ft = p2 * exp(-p3 * power(np.maximum(dbh_in, 3.0), p4)) * np.minimum(dbh_in / 3.0, 1.0)
+    return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * (above_breast_ft[:-1] / above_breast_ft[-1])
 
 
 def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
@@ -89,23 +72,6 @@ def _logistic_crown_base(
     a, b1, b2, b3, c1, c2 = coefficients
     size = a + b1 * 100 * height_m / dbh_cm + b2 * height_m + b3 * np.square(dbh_cm)
     return size + c1 * larger_m2_per_ha + c2 * log(np.maximum(ccf_percent, 1.0))
-
-
-def _ratio_crown_base(coefficients: Coefficients, dbh_cm: Array, *_: Array) -> Array:
-    """Logit of the crown base's relative height of crowns of the same share of every tree's height; the crown ratio."""
-    return np.broadcast_to(log(1 / coefficients[0] - 1), np.shape(dbh_cm))
-
-
-def _log_biomass_kg(coefficients: Coefficients, dbh_cm: Array, *_: Array) -> Array:
-    """Dry mass above ground as exp(b0 + b1 ln d), Jenkins et al. (2003), Forest Science 49(1), table 4."""
-    b0, b1 = coefficients
-    return exp(b0 + b1 * log(dbh_cm))
-
-
-def _power_biomass_kg(coefficients: Coefficients, dbh_cm: Array, height_m: Array, *_: Array) -> Array:
-    """Dry mass above ground as b0 d^b1 h^b2, the form of Smith et al. (2014)."""
-    b0, b1, b2 = coefficients
-    return b0 * power(dbh_cm, b1) * power(height_m, b2)
 
 
 def _component_biomass_kg(
@@ -156,8 +122,9 @@ class CrownWidth(Equation):
     """Crown width of forest-grown trees over their diameter in cm."""
 
     known: ClassVar = {
-        "linear": (2, _linear_crown_width_m),
-        "saturating": (4, _saturating_crown_width_m),
+        # c0, c1 and c0, c1, c2, c3 of Doebbeler et al. (2002): a straight line, and one that thin trees fall short of.
+        "linear": (2, lambda c, dbh_cm: c[0] + c[1] * dbh_cm),
+        "saturating": (4, lambda c, dbh_cm: (c[0] + c[1] * dbh_cm) * -expm1(-power(dbh_cm / c[2], c[3]))),
         "bechtold": (5, _bechtold_crown_width_m),
     }
     model: Literal["linear", "saturating", "bechtold"]
@@ -170,7 +137,11 @@ class CrownBase(Equation):
     projections that all trees would have if open-grown, over the ground.
     """
 
-    known: ClassVar = {"logistic": (6, _logistic_crown_base), "ratio": (1, _ratio_crown_base)}
+    known: ClassVar = {
+        "logistic": (6, _logistic_crown_base),
+        # The crown ratio, if crowns have the same share of every tree's height.
+        "ratio": (1, lambda c, dbh_cm, *_: np.broadcast_to(log(1 / c[0] - 1), np.shape(dbh_cm))),
+    }
     model: Literal["logistic", "ratio"]
 
 
@@ -178,20 +149,18 @@ class Biomass(Equation):
     """Dry mass above ground, of diameters in cm, heights, diameters at 0.3 of the height, and heights of crown bases."""
 
     known: ClassVar = {
-        "log_diameter": (2, _log_biomass_kg),
-        "power": (3, _power_biomass_kg),
+        # b0, b1: Jenkins et al. (2003), Forest Science 49(1), table 4; b0, b1, b2: the form of Smith et al. (2014).
+        "log_diameter": (2, lambda b, dbh_cm, *_: exp(b[0] + b[1] * log(dbh_cm))),
+        "power": (3, lambda b, dbh_cm, height_m, *_: b[0] * power(dbh_cm, b[1]) * power(height_m, b[2])),
         "components": (6 * _COMPONENT_TERMS, _component_biomass_kg),
     }
     model: Literal["log_diameter", "power", "components"]
 
 
-_TAPER_COEFFICIENTS = 8
-
-
 class Taper(Equation):
     """Taper of a stem."""
 
-    known: ClassVar = {"laasasenaho": (_TAPER_COEFFICIENTS, None), "brink": (3, None)}  # see `_form`
+    known: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
     """Extra radius at the ground over the radius there, and the height in m over which it dies away by e."""
@@ -201,7 +170,7 @@ class Taper(Equation):
     @property
     def row(self) -> Array:
         """(13,) as `taper_radius_m` wants it; the last is 0, no tree's own."""
-        row = np.zeros(5 + _TAPER_COEFFICIENTS)
+        row = np.zeros(13)
         row[:4] = self.model == "brink", self.top_share, *self.flare
         row[4 : 4 + len(self.coefficients)] = self.coefficients
         return row

@@ -7,14 +7,52 @@ living branches below it are no contradiction.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.elementary import asin, atan2, cos, exp, hypot, norm, power, sin
-from vlp16emu.forest.plants.meshes import pipe_faces
-from vlp16emu.forest.plants.species import Habit, Twigs
+from vlp16emu.forest.plants.species import Habit, Shrub, Twigs
 from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.vectors import unit
+
+
+def quads(corners: Array) -> Mesh:
+    """Quads of corners (..., 4, 3), each with vertices of its own."""
+    vertices = corners.reshape(-1, 3).astype(np.float32)
+    return Mesh(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4))
+
+
+NO_LEAVES = quads(np.zeros((0, 4, 3)))  # in the place of leaves that have fallen
+
+
+def merged(*parts: Mesh) -> Mesh:
+    """Triangle meshes as one, in order."""
+    if len(parts) == 1:
+        return parts[0]
+    first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
+    faces = [part.faces + np.uint32(start) for part, start in zip(parts, first[:-1], strict=True)]
+    return Mesh(np.concatenate([part.vertices_m for part in parts]), np.concatenate(faces))
+
+
+@cache
+def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True) -> NDArray[np.uint32]:
+    """Triangles, not to be written to, of a pipe whose first vertex is the middle of its bottom and whose last is its tip, if it has them."""
+    here = np.arange(sides)
+    after = np.roll(here, -1)
+    low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
+    high, last = low + sides, int(bottom) + (rings - 1) * sides
+    walls = [(low + here, low + after, high + after), (low + here, high + after, high + here)]
+    triangles = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in walls]
+    if bottom:
+        triangles.insert(0, np.column_stack([after + 1, here + 1, np.zeros(sides, np.int64)]))
+    if top:
+        triangles.append(np.column_stack([last + here, last + after, np.full(sides, last + sides)]))
+    faces = np.concatenate(triangles).astype(np.uint32)
+    faces.flags.writeable = False
+    return faces
+
 
 _NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that saplings can do with every other
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -105,22 +143,9 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
     return Branches(nodes, azimuth, length, np.maximum(radius, THINNEST_M))
 
 
-def ground_stems(
-    rng: np.random.Generator,
-    size_m: tuple[float, float],
-    stems: int,
-    rise_deg: tuple[float, float],
-    bend_deg: tuple[float, float],
-    slenderness: float,
-) -> Branches:
-    """Stems of a shrub of a height and width, that come out of the ground close together.
-
-    Parameters
-    ----------
-    rise_deg : elevation at the ground of the outermost and the innermost stem
-    bend_deg : how much it falls towards the tip, and one sigma of the crooks on the way
-    """
-    height_m, width_m = size_m
+def ground_stems(rng: np.random.Generator, shrub: Shrub, height_m: float, width_m: float) -> Branches:
+    """Stems of a shrub of a height and width, that come out of the ground close together."""
+    stems, rise_deg = shrub.stems, shrub.rise_deg
     inward = (np.arange(stems) + rng.random(stems)) / stems
     azimuth = GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
     base = np.zeros((stems, 3))
@@ -128,8 +153,8 @@ def ground_stems(
     base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
     way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
-    elevation = np.radians(rise[:, None] - bend_deg[0] * way)
-    unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), bend_deg[1])
+    elevation = np.radians(rise[:, None] - shrub.droop_deg * way)
+    unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), shrub.crook_deg)
     # As long as height or width allow, whichever binds first.
     up = unit[:, :, 2].max(axis=1) / height_m
     out = hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
@@ -137,7 +162,7 @@ def ground_stems(
     # Below the ground as far as a slope may fall away under the foot.
     base[:, 2] = -0.03 * width_m
     nodes = base[:, None] + unit * length_m[:, None, None]
-    return Branches(nodes, azimuth, length_m, length_m / slenderness / 2 + THINNEST_M)
+    return Branches(nodes, azimuth, length_m, length_m / shrub.slenderness / 2 + THINNEST_M)
 
 
 def volume_m3(branches: Branches) -> float:
@@ -184,13 +209,6 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32))
 
 
-def _envelope(habit: Habit, relative: Array) -> Array:
-    below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
-    above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
-    radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (1 - power(above, habit.top_power))
-    return np.maximum(radius, 0.05)
-
-
 def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: Array) -> Array:
     """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3)."""
     length_m, width_m = size_m
@@ -198,10 +216,14 @@ def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: A
     rows, outermost = np.arange(len(unit)), away.argmax(axis=1)
     away, up = away[rows, outermost], unit[rows, outermost, 2]
     low, high = np.zeros(len(unit)), np.full(len(unit), length_m + width_m)
+    least = habit.base_fraction
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         relative = np.clip((base_m + up * middle) / length_m, 0.0, 1.0)
-        inside = away * middle < width_m / 2 * _envelope(habit, relative)
+        below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
+        above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
+        radius = (least + (1 - least) * below) * (1 - power(above, habit.top_power))
+        inside = away * middle < width_m / 2 * np.maximum(radius, 0.05)
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return low
 

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vlp16emu.elementary import cos, exp, power, sin
-from vlp16emu.forest.plants.branches import Branches, points_along
-from vlp16emu.forest.plants.flora import Table, Trees
-from vlp16emu.forest.plants.meshes import quads
-from vlp16emu.forest.plants.species import Foliage
-from vlp16emu.forest.plants.stem_rings import axis_m, stem_rings
+from vlp16emu.forest.plants.branches import Branches, points_along, quads
+from vlp16emu.forest.plants.species import Foliage, Table, Trees
+from vlp16emu.forest.plants.stem import axis_m, stem_rings
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import generator, uniform
@@ -41,7 +39,8 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     length, width = foliage.length_m * size[:, None], foliage.width_m * size[:, None]
     if foliage.kind == "leaf":
         mu, nu = foliage.inclination
-        place = place + _in_ball(rng, n) * foliage.spread_m
+        in_ball = unit(rng.standard_normal((n, 3))) * power(rng.random((n, 1)), 1 / 3)
+        place = place + in_ball * foliage.spread_m
         corners = _blades(rng, place, (mu, nu), length, width)
     else:
         corners = _shoots(rng, place, tangent, length, width)
@@ -75,15 +74,8 @@ def _shoots(rng: np.random.Generator, base: Array, tangent: Array, length: Array
     across = cos(roll) * second - sin(roll) * first  # at right angles to both tangent and outward
     other = np.cross(along, across)
     tip = base + length * along
-    pair = [
-        np.stack([base - half, base + half, tip + half, tip - half], axis=1)
-        for half in (across * width / 2, other * width / 2)
-    ]
-    return np.concatenate(pair)
-
-
-def _in_ball(rng: np.random.Generator, n: int) -> Array:
-    return unit(rng.standard_normal((n, 3))) * power(rng.random((n, 1)), 1 / 3)
+    halves = across * width / 2, other * width / 2
+    return np.concatenate([np.stack([base - h, base + h, tip + h, tip - h], axis=1) for h in halves])
 
 
 _LEAF_PER_BARK = 2.0  # one-sided leaf area over the area of the bark that it covers; assumption

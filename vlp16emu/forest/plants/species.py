@@ -1,15 +1,25 @@
-"""Kinds of trees and shrubs, and what is known of each."""
+"""Kinds of trees and shrubs, what is known of each, and the species table that holds them all."""
 
-from typing import Annotated, Any, Literal
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
+from numpy.typing import NDArray
+from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, log
+from vlp16emu.errors import GeometryError, readable
+from vlp16emu.explain import explain
 from vlp16emu.forest.plants.allometry import Biomass, CrownBase, CrownWidth, HeightCurve, Taper, taper_radius_m
 from vlp16emu.forest.settings import Season
-from vlp16emu.settings import Fraction, Section
-from vlp16emu.types import Array
+from vlp16emu.settings import Fraction, Section, toml
+from vlp16emu.types import Array, IntArray
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
@@ -254,3 +264,130 @@ class Shrub(Plant):
     crook_deg: Crook
     twigs: Twigs
     foliage: Foliage
+
+
+Trees = NDArray[np.void]
+Table = Mapping[str, Species]
+_Kind = TypeVar("_Kind", bound=Plant)
+_FIRST_OWN_NUMBER = 1000  # smaller numbers belong to the table that comes with the program
+
+
+@dataclass(frozen=True, eq=False)
+class Flora:
+    """All plants that a world may hold, by name, in the order of the table; a user's own come last."""
+
+    trees: Mapping[str, Species]
+    shrubs: Mapping[str, Shrub]
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Names of all plants by number."""
+        return {plant.number: name for table in (self.trees, self.shrubs) for name, plant in table.items()}
+
+    @cached_property
+    def bark(self) -> IntArray:
+        """Material number of the bark by species number; that of the leaf is the next."""
+        numbers = list(self.names)
+        material = np.zeros(max(numbers) + 1, np.int64)
+        material[numbers] = len(GROUND_MATERIALS) + 2 * np.arange(len(numbers))
+        return material
+
+
+@cache
+def flora(path: Path | str | None = None) -> Flora:
+    """Read the plants of the program, and those of a user's file of the same form after them, numbered from 1000.
+
+    Raises GeometryError, naming file, species and key, where the user's file is wrong.
+    """
+    with resources.as_file(resources.files("vlp16emu.forest").joinpath("species.toml")) as shipped:
+        trees, shrubs = _plants(shipped, 1)
+    if path is not None:
+        own_trees, own_shrubs = _plants(Path(path), _FIRST_OWN_NUMBER)
+        for name in (*own_trees, *own_shrubs):
+            if name in trees or name in shrubs:
+                found = "a plant of that name is in the table already"
+                raise GeometryError(f"{path}: {name}", found, "another name")
+        trees, shrubs = trees | own_trees, shrubs | own_shrubs
+    return Flora(MappingProxyType(trees), MappingProxyType(shrubs))
+
+
+def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str, Shrub]]:
+    with readable(path, "a species file", GeometryError):
+        text = path.read_text(encoding="utf-8")
+    try:
+        tables = toml(text)
+    except (ValueError, RecursionError) as error:
+        raise GeometryError(str(path), str(error), "TOML") from None
+    for kind in tables.keys() - {"tree", "shrub"}:
+        raise GeometryError(f"{path}: [{kind}]", "unknown table", "[tree.NAME] or [shrub.NAME]")
+    trees = _of_kind(Species, path, "tree", tables.get("tree", {}), first_number)
+    shrubs = _of_kind(Shrub, path, "shrub", tables.get("shrub", {}), first_number)
+    taken: dict[int, str] = {}
+    for plant in (*trees.values(), *shrubs.values()):
+        if (other := taken.setdefault(plant.number, plant.name)) != plant.name:
+            where = f"{path}: {plant.name}.number"
+            raise GeometryError(where, f"found {plant.number}, which is that of {other}", "one of its own")
+    return trees, shrubs
+
+
+def _of_kind(section: type[_Kind], path: Path, kind: str, rows: Any, first_number: int) -> dict[str, _Kind]:
+    plants = {}
+    for name, row in rows.items() if isinstance(rows, dict) else [("", rows)]:
+        if not isinstance(row, dict):
+            raise GeometryError(f"{path}: {kind}.{name}", f"found {row!r:.80}", f"a table [{kind}.NAME]")
+        try:
+            plants[name] = section.model_validate(row, context={"name": name, "first_number": first_number})
+        except ValidationError as error:
+            key, found, expected = explain(error, section.model_json_schema())
+            raise GeometryError(f"{path}: {kind}.{name}.{key}", found, expected) from None
+    return plants
+
+
+def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[_Kind]:
+    """Rows of a species table by name: that of the table, with any case and any space, or the scientific one.
+
+    Raises GeometryError for a name that is not in the table.
+    """
+    latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}  # without author
+    rows = latin | {_plain(row.name): row for row in table.values()}
+    for name in names:
+        if _plain(name) not in rows:
+            near = difflib.get_close_matches(_plain(name), rows, n=1)
+            expected = f"{rows[near[0]].name}, the nearest known one" if near else f"one of {', '.join(table)}"
+            raise GeometryError(where, f"unknown species {name!r}", expected)
+    return [rows[_plain(name)] for name in names]
+
+
+def species_table(path: Path | None = None) -> Mapping[str, Species]:
+    """Return all trees of `flora`."""
+    return flora(path).trees
+
+
+def _plain(name: str) -> str:
+    return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
+
+
+def tapers(trees: Trees, *, table: Table | None = None) -> Array:
+    """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` is that of the program if none is given."""
+    rows = {one.number: one.taper.row for one in (table or species_table()).values()}
+    own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
+    own[:, -1] = trees["taper"]
+    return own
+
+
+def stem_keys(numbers: NDArray[np.uint16], *, table: Table | None = None) -> Array:
+    """Return the row of `StemForm` (n, 10) by species number (n,)."""
+    rows = {one.number: one.stem.row for one in (table or species_table()).values()}
+    return np.array([rows[number] for number in numbers.tolist()]).reshape(-1, 10)
+
+
+GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
+"""Names of the first numbers."""
+BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
+"""Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
+
+
+def material_names(plants: Flora) -> tuple[str, ...]:
+    """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
+    parts = (f"{name} {what}" for name in (*plants.trees, *plants.shrubs) for what in ("bark", "leaf"))
+    return (*GROUND_MATERIALS, *parts)

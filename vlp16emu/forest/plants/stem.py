@@ -12,15 +12,265 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import atan2, cos, exp, hypot, matvec, norm, sin
-from vlp16emu.forest.plants.flora import Table, Trees
-from vlp16emu.forest.plants.meshes import merged, pipe_faces
-from vlp16emu.forest.plants.stem_rings import StemRings, axis_m, second_leaders, stem_rings, tip_radius_m
+from vlp16emu.elementary import atan2, cos, exp, expm1, hypot, matvec, norm, sin, tan
+from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
+from vlp16emu.forest.plants.branches import merged, pipe_faces
+from vlp16emu.forest.plants.species import Table, Trees, stem_keys, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.random import uniform
+from vlp16emu.random import normal, uniform
 from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m, unit
+
+_SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
+"""Of either component of a level vector, over its mean length (Rayleigh's distribution)."""
+_MOST_BOW = 0.5  # bow over the DBH at most: branches start on the straight axis, which must not leave the stem
+_S_SHARE = 0.4  # of the bow, how much the bole bends to and fro besides; assumption
+_SWEEP_M = 0.6  # height over which the sweep of the butt dies away by e; assumption
+_LOBES, _LOBES_M = (3, 6), 0.45
+"""Least and most lobes of a butt, and the height over which they die away by e: deeper flutes at the butt than higher up
+(Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are assumptions."""
+_EGG_SHARE = 0.2  # of the ovality, how much a section is egg-shaped besides; assumption
+_RIDGE_VERTICES = 3  # of the mesh to each ridge of the bark at least
+_LEADER_SHARE, _LEADER_DEG, _LEADER_GAP = (0.3, 0.5), (15.0, 35.0), (0.1, 0.22)
+"""Of a second leader: share of the section at the fork, angle to the first, and how far from it over the width of the
+crown, least and most; assumptions."""
+_LEADER_TOP = 0.93  # share of the way from fork to tip that it reaches; assumption
+_DIRECTIONS = 720  # in which a section is looked at by a tape: what it shows is then right to 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class StemForms:
+    """Forms of n stems.
+
+    A form bends the axis below the crown alone, so that crowns sit straight on the line from foot to tip. It changes the
+    outline of a section and never its area.
+    """
+
+    bole_m: Array  # (n,) height of the crown base
+    bends: Array  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
+    oval: Array  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
+    lobes: Array  # (n, 3) number, amplitude at the ground over the radius, phase
+    surface_roots: Array  # (n,) share of the lobes that have one
+    bark: Array  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
+    forks: Array
+    """(n, 6) whether there is one, its height over that of the tree, share of the section that the second leader takes,
+    slope and distance in m of that leader from the first, its direction in rad."""
+
+    def aside_m(self, above_m: Array) -> Array:
+        """Distance (n, r, 2), east and north, of axes from straight ones at heights (n, r) over their feet."""
+        u = np.minimum(above_m / np.maximum(self.bole_m, 1e-6)[:, None], 1.0)
+        bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, level with the line at its end
+        to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
+        butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)
+        bends = self.bends[:, None]
+        aside: Array = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
+        return aside + butt[..., None] * bends[:, :, 2]
+
+    def outline(self, angle: Array, above_m: Array, radius_m: Array, breast_m: Array) -> Array:
+        """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
+
+        Vertices are at angles (n, sides) evenly all around, circles of radii (n, r) at heights (n, r) over the foot; `breast_m`
+        (n,) is the radius at breast height.
+        """
+        theta, z = angle[:, None], above_m[..., None]
+        up = np.maximum(z, 0.0)
+        ovality, towards, turn, egg = (self.oval[:, i, None, None] for i in range(4))
+        shape = 1 + ovality / 2 * cos(2 * (theta - towards - turn * z))
+        shape += _EGG_SHARE * ovality / 2 * cos(3 * theta - egg)
+        number, size, at = (self.lobes[:, i, None, None] for i in range(3))
+        shape += size * exp(-up / _LOBES_M) * cos(number * theta - at)
+        # Bark: ridges of two widths that wander upwards, and are shallower the thinner the stem is.
+        depth_m, ridges, a, b, c, d = (self.bark[:, i, None, None] for i in range(6))
+        many = np.minimum(np.round(ridges), theta.shape[-1] // _RIDGE_VERTICES)
+        few = np.round(0.7 * many)
+        wander = 1.5 * sin(2 * np.pi * z / 1.1 + c) + 2.5 * sin(2 * np.pi * z / 4.3 + d)
+        wave = 0.6 * cos(many * theta + wander - a) + 0.4 * cos(few * theta - wander - b)
+        thinner = np.minimum(radius_m / breast_m[:, None], 1.0)
+        shape += depth_m / 2 * wave * (np.square(thinner) / np.maximum(radius_m, 1e-6))[..., None]
+        step = 2 * np.pi / angle.shape[1]
+        size_m = radius_m * np.sqrt(np.pi / polygon_m2(shape, step))
+        return shape * size_m[..., None]
+
+    def leader_aside_m(self, above_m: Array, fork_m: Array) -> Array:
+        """Distance (n, r, 2) of second leaders from the first, at heights (n, r), of forks at heights (n,)."""
+        _, _, _, slope, gap_m, towards = (column[:, None] for column in self.forks.T)
+        away_m = gap_m * -expm1(-slope / gap_m * (above_m - fork_m[:, None]))
+        return away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
+
+    def of(self, which: IntArray) -> "StemForms":
+        """Return the forms of some of the stems."""
+        return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
+
+
+def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
+    """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
+    keys = stem_keys(trees["species"], table=table)
+    keys[:, :9] *= (trees["form"] > 0)[:, None]
+    bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T
+    seeds = [int(seed) for seed in trees["form"]]
+    g = np.array([normal(seed, Growth.STEM_FORM, 0, 8, 0) for seed in seeds]).reshape(-1, 8)
+    u = np.array([uniform(seed, Growth.STEM_FORM, 0, 16, 1) for seed in seeds]).reshape(-1, 16)
+    bow_m = (bow * trees["crown_base_m"] * _SIGMA_OVER_MEAN)[:, None] * g[:, :4]
+    most_m = _MOST_BOW * trees["dbh_m"]
+    bow_m *= np.minimum(1.0, most_m / np.maximum(hypot(bow_m[:, 0], bow_m[:, 1]), 1e-9))[:, None]
+    butt = (tan(np.radians(butt_deg)) * _SIGMA_OVER_MEAN)[:, None] * g[:, 4:6]
+    oval = ovality * _SIGMA_OVER_MEAN * hypot(g[:, 6], g[:, 7])
+    turns = 2 * np.pi * u
+    least, most = _LOBES
+    depth_m = bark_mm_per_cm * trees["dbh_m"] / 10
+    ridges = np.pi * trees["dbh_m"] / (period_mm / 1000)
+    gap_m = np.interp(u[:, 1], (0, 1), _LEADER_GAP) * trees["crown_width_m"] + trees["dbh_m"] / 2
+    return StemForms(
+        bole_m=trees["crown_base_m"],
+        bends=np.stack([bow_m[:, :2], _S_SHARE * bow_m[:, 2:], butt], axis=1),
+        oval=np.column_stack([oval, turns[:, 2] / 2, 0.2 * (u[:, 3] - 0.5), turns[:, 4]]),
+        lobes=np.column_stack([np.floor(least + (most + 1 - least) * u[:, 5]), lobes * (0.5 + u[:, 6]), turns[:, 7]]),
+        surface_roots=roots,
+        bark=np.column_stack([depth_m, ridges, turns[:, 8:12]]),
+        forks=np.column_stack(
+            [
+                u[:, 12] < fork_share,
+                low + (high - low) * u[:, 13],
+                np.interp(u[:, 14], (0, 1), _LEADER_SHARE),
+                tan(np.radians(np.interp(u[:, 15], (0, 1), _LEADER_DEG))),
+                gap_m,
+                turns[:, 0],
+            ]
+        ),
+    )
+
+
+def polygon_m2(away_m: Array, step: float) -> Array:
+    """Area (...) of polygons whose corners (..., sides) are so far from a point, by even steps in rad around it."""
+    return sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
+
+
+def tape_m(away_m: Array) -> Array:
+    """Diameter (n,) that a taut tape shows around polygons (n, sides) as of `polygon_m2`: the mean width of the hull (Cauchy)."""
+    sides = away_m.shape[1]
+    turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
+    return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])
+
+
+FLARE_TOP_M = 0.5  # where the root flare ends and the stem begins, at a ring that both share; assumption
+_BURIED_M = 0.1  # how far the foot reaches below level ground, or the lowest ground around it
+_SIDES, _THICKER_M = np.array([16, 24, 32, 40]), np.array([0.16, 0.3, 0.45])
+"""Of a stem's cross-section, and the DBH over which there are more; they are 30 to 40 mm long on most stems."""
+_BUTT_M = (0.0, 0.12, 0.28, FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)  # heights of rings from the ground to breast height
+_UPPER = (0.035, 0.1, 0.2, 0.33, 0.48, 0.64, 0.8, 0.93)
+"""Rings above, as shares of the way from breast height to the tip."""
+_LEADER_CIRCLES = 9
+STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
+    [
+        ("tree", "<u4"),  # instance
+        ("leader", "u1"),  # 1 of the stem, 2 of its second leader; branches leave the first
+        ("part", "u1"),  # `PlantPart`: stem, branch of the first order, or dead branch
+        ("branch", "<u2"),  # its number on the tree, from 1; 0 of a stem
+        ("x_m", "<f8"),  # middle, in the world
+        ("y_m", "<f8"),
+        ("z_m", "<f8"),
+        ("above_foot_m", "<f8"),
+        ("radius_m", "<f8"),  # of the circle with the section's area, over bark
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StemRings:
+    """Rings of n stems."""
+
+    above_ground_m: Array  # (n, r) height over the foot at which each meets the axis; the first is buried
+    radius_m: Array  # (n, r) of the circle that has the ring's area
+    sides: IntArray  # (n,) of the cross-section
+    flare_rings: int  # how many of the rings belong to the root flare
+    forms: StemForms
+    forked: IntArray  # (m,) which stems have a second leader
+    fork_m: Array  # (m,) where that begins, a ring's height over the foot
+
+
+@dataclass(frozen=True, slots=True)
+class Leaders:
+    """Second leaders of m stems, circle by circle."""
+
+    trees: Trees  # (m,).
+    forms: StemForms
+    fork_m: Array  # (m,) height over the foot at which they begin
+    above_ground_m: Array  # (m, k) heights of the circles
+    radius_m: Array  # (m, k).
+
+    def axis_m(self, above_m: Array) -> Array:
+        """Points (m, r, 3) of their axes relative to the feet, at heights (m, r)."""
+        middle_m = axis_m(self.trees, self.forms, above_m)
+        middle_m[..., :2] += self.forms.leader_aside_m(above_m, self.fork_m)
+        return middle_m
+
+
+def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
+    """Rings of stems; the first is as wide as the second, however deep it lies."""
+    butt = np.broadcast_to((-_BURIED_M, *_BUTT_M), (len(trees), 1 + len(_BUTT_M)))
+    upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
+    above_m = np.concatenate([butt, upper], axis=1)
+    forms = stem_forms(trees, table=table)
+    forked = np.flatnonzero(forms.forks[:, 0])
+    # The ring that is nearest to a fork moves there: the first leader thins from it to the next.
+    fork_m = np.maximum(forms.forks[forked, 1] * trees["height_m"][forked], upper[forked, 0])
+    at = butt.shape[1] + np.abs(upper[forked, :-1] - fork_m[:, None]).argmin(axis=1)
+    above_m[forked, at] = fork_m
+    radius_m = _radius_m(trees, above_m, table)
+    over = np.arange(above_m.shape[1]) > at[:, None]
+    radius_m[forked] *= np.sqrt(np.where(over, 1 - forms.forks[forked, 2:3], 1.0))
+    sides, flare_rings = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])], 2 + _BUTT_M.index(FLARE_TOP_M)
+    return StemRings(above_m, radius_m, sides, flare_rings, forms, forked, fork_m)
+
+
+def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:
+    """Second leaders of stems, with circles at shares (k,) of the way from fork to tip; with the first they are as thick as one stem."""
+    own, forms = trees[rings.forked], rings.forms.of(rings.forked)
+    length_m = (rings.fork_m + _LEADER_TOP * (own["height_m"] - rings.fork_m)) - rings.fork_m
+    above_m = rings.fork_m[:, None] + length_m[:, None] * shares
+    radius_m = _radius_m(own, above_m, table) * np.sqrt(forms.forks[:, 2:3]) * (shares < 1)
+    return Leaders(own, forms, rings.fork_m, above_m, radius_m)
+
+
+def stem_circles(trees: Trees, *, table: Table | None = None) -> NDArray[np.void]:
+    """Circles (n,) `STEM_CIRCLE` along stems and their second leaders, tree by tree, from the ground to the tip."""
+    rings = stem_rings(trees, table=table)
+    above_m = np.column_stack([rings.above_ground_m[:, 1:], trees["height_m"]])
+    radius_m = np.column_stack([rings.radius_m[:, 1:], tip_radius_m(trees, table=table)])
+    second = second_leaders(trees, rings, np.linspace(0.0, 1.0, _LEADER_CIRCLES), table=table)
+    both = [
+        (trees, 1, above_m, radius_m, axis_m(trees, rings.forms, above_m)),
+        (second.trees, 2, second.above_ground_m, second.radius_m, second.axis_m(second.above_ground_m)),
+    ]
+    parts = []
+    for own, leader, up_m, half_m, middle_m in both:
+        circles = np.zeros(up_m.shape, STEM_CIRCLE)
+        circles["tree"], circles["leader"], circles["part"] = own["id"][:, None], leader, PlantPart.STEM
+        for axis, name in enumerate("xyz"):
+            circles[f"{name}_m"] = own[f"{name}_m"][:, None] + middle_m[..., axis]
+        circles["above_foot_m"], circles["radius_m"] = up_m, half_m
+        parts.append(circles.ravel())
+    circles = np.concatenate(parts)
+    return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
+
+
+def axis_m(trees: Trees, forms: StemForms, above_m: Array) -> Array:
+    """Points (n, r, 3) of stems' axes relative to their feet, at heights (n, r)."""
+    slope = tan(np.radians(trees["lean_deg"]))
+    towards = np.radians(trees["lean_towards_deg"])
+    lean = (slope * np.array([cos(towards), sin(towards)])).T
+    return np.concatenate([above_m[..., None] * lean[:, None] + forms.aside_m(above_m), above_m[..., None]], axis=2)
+
+
+def tip_radius_m(trees: Trees, *, table: Table | None = None) -> Array:
+    """Radius (n,) at the tip: 0 of a whole tree, more of one that has broken off."""
+    return _radius_m(trees, trees["height_m"][:, None], table)[:, 0]
+
+
+def _radius_m(trees: Trees, above_m: Array, table: Table | None) -> Array:
+    return taper_radius_m(tapers(trees, table=table), trees["dbh_m"], trees["height_m"], above_m)
+
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
 ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)  # of a root's mesh, and where its rings are as shares of its length
@@ -44,16 +294,20 @@ def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[
     Of each (k,) the stem, and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
     rings from there, and the tip.
     """
-    number, _, phase = rings.forms.lobes.T
+    number, _, lobe_phase = rings.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]
     draws = np.array([uniform(seed, Growth.ROOT, 0, 5 * _MOST) for seed in seeds]).reshape(-1, _MOST, 5)
     is_there = (draws[..., 0] < rings.forms.surface_roots[:, None]) & (np.arange(_MOST) < number[:, None])
     stem, lobe = np.nonzero(is_there & (trees["dbh_m"] > _OLD_M)[:, None])
     turn, long, thick, bend = draws[stem, lobe, 1:].T
     dbh_m = trees["dbh_m"][stem]
-    azimuth = (phase[stem] + 2 * np.pi * lobe) / number[stem] + _ASIDE_RAD * (turn - 0.5)
+    azimuth = (lobe_phase[stem] + 2 * np.pi * lobe) / number[stem] + _ASIDE_RAD * (turn - 0.5)
     length_m = np.clip(dbh_m * np.interp(long, (0, 1), _LENGTH), *_LENGTH_M)
-    line_m = _lines(azimuth, length_m, bend) + 0.8 * rings.radius_m[stem, 1, None, None] * _unit(azimuth)
+    phase = 2 * np.pi * bend[:, None]
+    aside_m = _BEND * length_m[:, None] * _STATIONS * (sin(5 * _STATIONS + phase) - sin(phase))
+    along_m, ahead = length_m[:, None] * _STATIONS, _unit(azimuth)
+    line_m = along_m[..., None] * ahead + aside_m[..., None] * _unit(azimuth + np.pi / 2)
+    line_m += 0.8 * rings.radius_m[stem, 1, None, None] * ahead
     wide_m = (dbh_m * np.interp(thick, (0, 1), _RADIUS))[:, None] * (1 - _THINNER * _STATIONS)
     high_m = wide_m * (1 + _RISE * exp(-_STATIONS * length_m[:, None] / _RISE_M))
     place = trees[stem]
@@ -66,14 +320,6 @@ def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[
 def _unit(azimuth: Array) -> Array:
     """Level vectors (k, 1, 2) in directions (k,)."""
     return np.stack([cos(azimuth), sin(azimuth)], axis=-1)[:, None]
-
-
-def _lines(azimuth: Array, length_m: Array, bend: Array) -> Array:
-    """Middles (k, rings, 2) of roots seen from above, from where they begin; bends are draws (k,) from 0 to 1."""
-    phase = 2 * np.pi * bend[:, None]
-    aside_m = _BEND * length_m[:, None] * _STATIONS * (sin(5 * _STATIONS + phase) - sin(phase))
-    along_m = length_m[:, None] * _STATIONS
-    return along_m[..., None] * _unit(azimuth) + aside_m[..., None] * _unit(azimuth + np.pi / 2)
 
 
 def _root_pipes(middle_m: Array, wide_m: Array, high_m: Array) -> Array:
@@ -94,7 +340,6 @@ def _root_pipes(middle_m: Array, wide_m: Array, high_m: Array) -> Array:
 STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)  # of the meshes of a stem, in order
 _SPLINTER_SHARE = 0.8
 """How far off the axis the tip of a broken stem is, over the radius of the highest ring: a slanting break."""
-_BURIED_M = 0.1  # how far the foot reaches below the lowest ground around it
 _WIDEST = 1.3  # reach of a butt's lobes over the radius of its circle
 _LEADER_SIDES, _LEADER_RINGS = 16, (0.0, 0.06, 0.15, 0.3, 0.5, 0.75, 0.92)
 """Of a second leader: sides, and rings as shares of the way from fork to tip."""
@@ -121,7 +366,12 @@ def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
 def stem_meshes(trees: Trees, origin_m: Array, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
     rings = stem_rings(trees, table=table)
-    rings.above_ground_m[:, 0] = -_buried_m(trees, rings, height_m)
+    # Each foot lies in the ground all around the flare, lobes and all.
+    flare_m, around = _WIDEST * rings.radius_m[:, :1], np.arange(8) * (np.pi / 4)
+    ground_m = height_m(trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around))
+    slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
+    buried_m = _BURIED_M + (flare_m * norm(slope))[:, 0]
+    rings.above_ground_m[:, 0] = -(buried_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0))
     foot_m = places_m(trees) - origin_m
     meshes = _meshes(trees, rings, foot_m, table)
     for stem, root_m in zip(*root_points(trees, rings, height_m), strict=True):
@@ -147,20 +397,15 @@ def vertex_angles(trees: Trees, sides: int) -> Array:
     return np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
 
 
-def _buried_m(trees: Trees, rings: StemRings, height_m: HeightField) -> Array:
-    """Return the depth (n,) of each foot that lies in the ground all around the flare, lobes and all."""
-    flare_m = _WIDEST * rings.radius_m[:, :1]
-    around = np.arange(8) * (np.pi / 4)
-    ground_m = height_m(trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around))
-    slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
-    raised_m = (flare_m * norm(slope))[:, 0]
-    return _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
-
-
 def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) -> list[Mesh]:
     """Meshes of `STEM_PARTS`, tree by tree, of stems whose feet are at (n, 3)."""
-    tip_m = _tips_m(trees, rings, table)
+    tip_m = axis_m(trees, rings.forms, trees["height_m"][:, None])[:, 0]
+    # The tip of a broken stem is off the axis.
+    aside_m = np.where(tip_radius_m(trees, table=table) > 0, _SPLINTER_SHARE * rings.radius_m[:, -1], 0.0)
+    splinter_m = aside_m[:, None] * _unit(np.radians(trees["crown_azimuth_deg"]))[:, 0]
+    tip_m += matvec(lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, :2], splinter_m)
     second = dict(zip(rings.forked.tolist(), _leaders(trees, rings, table), strict=True))
+    leader = pipe_faces(_LEADER_SIDES, len(_LEADER_RINGS))
     meshes: dict[int, tuple[Mesh, Mesh]] = {}
     for count in np.unique(rings.sides):
         own, sides = np.flatnonzero(rings.sides == count), int(count)
@@ -173,34 +418,21 @@ def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) 
         shared = 1 + sides * (rings.flare_rings - 1)
         for tree, points_m in zip(own.tolist(), pipes_m, strict=True):
             top_m = np.concatenate([points_m[shared:], tip_m[tree : tree + 1]])
-            stem = [*second.get(tree, ()), (top_m, upper)]
+            stem = [*([(second[tree], leader)] if tree in second else []), (top_m, upper)]
             pieces = (Mesh((at_m + foot_m[tree]).astype(np.float32), faces) for at_m, faces in stem)
             below = (points_m[: shared + sides] + foot_m[tree]).astype(np.float32)
             meshes[tree] = Mesh(below, flare), merged(*pieces)
     return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
 
 
-def _leaders(trees: Trees, rings: StemRings, table: Table | None) -> list[list[tuple[Array, NDArray[np.uint32]]]]:
-    """Vertices relative to the foot, and faces, of the second leader of each stem that forks."""
+def _leaders(trees: Trees, rings: StemRings, table: Table | None) -> Array:
+    """Vertices (m, v, 3) of the second leaders, relative to the foot, of stems that fork."""
     leaders = second_leaders(trees, rings, np.array([*_LEADER_RINGS, 1.0]), table=table)
     above_m, radius_m = leaders.above_ground_m[:, :-1], leaders.radius_m[:, :-1]
     angle = vertex_angles(leaders.trees, _LEADER_SIDES)
     away_m = leaders.forms.outline(angle, above_m, radius_m, leaders.trees["dbh_m"] / 2)
     pipes_m = _pipes(leaders.axis_m, above_m, away_m, angle)
-    tips_m = leaders.axis_m(leaders.above_ground_m[:, -1:])
-    faces = pipe_faces(_LEADER_SIDES, len(_LEADER_RINGS))
-    return [[(points_m, faces)] for points_m in np.concatenate([pipes_m, tips_m], axis=1)]
-
-
-def _tips_m(trees: Trees, rings: StemRings, table: Table | None) -> Array:
-    """Tips (n, 3) relative to the feet; that of a broken stem is off the axis."""
-    tip_m = axis_m(trees, rings.forms, trees["height_m"][:, None])[:, 0]
-    phase = np.radians(trees["crown_azimuth_deg"])
-    broken = tip_radius_m(trees, table=table) > 0
-    aside_m = np.where(broken, _SPLINTER_SHARE * rings.radius_m[:, -1], 0.0)
-    across = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, :2]
-    splinter_m = aside_m[:, None] * np.column_stack([cos(phase), sin(phase)])
-    return tip_m + matvec(across, splinter_m)
+    return np.concatenate([pipes_m, leaders.axis_m(leaders.above_ground_m[:, -1:])], axis=1)
 
 
 def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, matvec, norm, sin
-from vlp16emu.forest.plants.flora import GROUND_MATERIALS
-from vlp16emu.forest.plants.meshes import merged
+from vlp16emu.forest.plants.branches import merged
+from vlp16emu.forest.plants.species import GROUND_MATERIALS
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
 from vlp16emu.random import generator

@@ -3,24 +3,34 @@
 import math
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
 from vlp16emu.forest.ground.terrain import Trails
-from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
-from vlp16emu.forest.plants.flora import Flora, Trees, flora, material_names
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
+from vlp16emu.forest.plants.prototypes import (
+    CROWN_PARTS,
+    CrownKey,
+    SaplingKey,
+    ShrubKey,
+    crown_meshes,
+    crown_placements,
+    sapling_meshes,
+    shrub_meshes,
+)
+from vlp16emu.forest.plants.species import Flora, Trees, flora, material_names
 from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
-from vlp16emu.forest.plants.undergrowth import SaplingKey, ShrubKey, sapling_meshes, shrub_meshes
 from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
-from vlp16emu.forest.stand.inventory import ModelKey, Models, far_stems
+from vlp16emu.forest.stand.given_stand import GivenStand
+from vlp16emu.forest.stand.inventory import far_stems
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, Site, Tile, distinct, packed, plant_surfaces
 from vlp16emu.forest.stand.scatter import layers_of
-from vlp16emu.forest.stand.stand import TREE, foot_discs
+from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
+from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recalled
 from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
@@ -38,27 +48,12 @@ _ASIDE_M = 35.0  # how far a sensor may stray from the path and still see number
 _MARGIN_M = 80.0
 """Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
 and a tile more, since voxels of a tile are made of the tiles around it too."""
-
-
 T = TypeVar("T")
 
 
 def by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
     """Keep what is made of each tile (ix, iy); `name` is that of all that decides it but the tile, empty where nothing is kept."""
     return lambda ix, iy: recalled(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
-
-
-class TreeSource(Protocol):
-    """Trees of a forest, grown or given."""
-
-    per_ha: float  # stems per hectare, on average
-    species: list[str]  # names of those of the canopy
-
-    def trees(self, ix: int, iy: int) -> Trees:
-        """Trees whose foot lies in a tile, `TREE` with id still 0."""
-
-    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
-        """Name the crown prototype of a tree."""
 
 
 class ForestWorld:
@@ -81,7 +76,7 @@ class ForestWorld:
     def __init__(
         self,
         section: Woods,
-        stems: TreeSource,
+        stems: Stand | GivenStand,
         *,
         seed: int,
         height_m: HeightField,
@@ -89,7 +84,6 @@ class ForestWorld:
         reach_m: float,
         plants: Flora | None = None,
         trails: Trails | None = None,
-        models: Models | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
         name: str = "",
@@ -97,7 +91,7 @@ class ForestWorld:
     ) -> None:
         self.section, self.height_m, self.plants = section, height_m, plants or flora()
         self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
-        self.models, self._loose_stems = models or Models(), loose_stems
+        self.models, self._loose_stems = TreeModels(section.tree_models, self.plants, section.season), loose_stems
         self._path, self._reach_m = path, reach_m
         layers = layers_of(section, seed, stems.species, self.plants, trails)
         self._layers = [layer for layer in layers if layer.pattern.per_ha]
@@ -124,43 +118,39 @@ class ForestWorld:
 
     def trees(self, track_m: Array) -> Trees:
         """Return the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
-        tiles = (self._tile(ix, iy) for ix, iy in self._in_view(track_m))
-        return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in tiles)])
+        return np.concatenate([np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))])
 
     def growing(self, track_m: Array) -> Iterator[float]:
         """Grow the tiles in the window of positions (m, 2 or 3) one by one, and give the share that is there after each."""
         names = self._in_view(track_m)
-        for done, (ix, iy) in enumerate(names, 1):
-            self._tile(ix, iy)
+        for done, name in enumerate(names, 1):
+            self._tile(*name)
             yield done / len(names)
 
     def window(self, track_m: Array) -> TiledWindow:
-        """Everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
+        """Return everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
         names = self._in_view(track_m)
+        tiles = [self._tile(*name) for name in names]
         index_of = dict[ShapeKey, int]()
-        tiles = [self._tile(ix, iy) for ix, iy in names]
-        shape, first_surface, begins, rows = [], [], [], 0
-        for tile in tiles:
-            begins.append(rows)
-            index = np.array([index_of.setdefault(key, len(index_of)) for key in tile.keys])
-            shape.append(index[tile.shape])
-            first_surface.append(rows + tile.first_surface)
-            rows += len(tile.surfaces)
+        index = [np.array([index_of.setdefault(key, len(index_of)) for key in tile.keys]) for tile in tiles]
+        begins = np.cumsum([0, *(len(tile.surfaces) for tile in tiles)]).tolist()
         return TiledWindow(
             origin_m=np.round(track_m.mean(axis=0)),
             shapes=tuple(index_of),
-            shape=np.concatenate(shape).astype(np.int32),
+            shape=np.concatenate([own[tile.shape] for own, tile in zip(index, tiles, strict=True)]).astype(np.int32),
             world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
-            first_surface=np.concatenate(first_surface).astype(np.uint32),
+            first_surface=np.concatenate(
+                [begin + tile.first_surface for begin, tile in zip(begins, tiles, strict=False)]
+            ).astype(np.uint32),
             surfaces=np.concatenate([tile.surfaces for tile in tiles]),
             track_m=track_m,
-            tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=True)),
+            tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=False)),
             far=np.concatenate([tile.far for tile in tiles]),
             low=np.concatenate([tile.low for tile in tiles]),
         )
 
     def shape_name(self, key: ShapeKey) -> str:
-        """Name a shape: of tiles by all of the forest, of others by seed and plants alone."""
+        """Return the name of a shape: of tiles by all of the forest, of others by seed and plants alone."""
         if not self.name:
             return ""
         own = isinstance(key, TileKey | StemKey | IvyKey)
@@ -199,7 +189,7 @@ class ForestWorld:
         )
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
-        """Meshes of a tile (ground, then its stems), of a crown, or of a thing."""
+        """Return the meshes of a tile (ground, then its stems), of a crown, or of a thing."""
         match key:
             case TileKey():
                 stems = [] if self._loose_stems else self._grow_stems(key)
@@ -236,14 +226,19 @@ class ForestWorld:
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
         modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
-        groups, rooted = [self._crowns(grown), *modelled], grown
+        crowns = [self._crown(*name) for name in grown[["cohort", "crown_class", "crown_variant"]].tolist()]
+        world_T, rows = crown_placements(grown, crowns), plant_surfaces(grown, CROWN_PARTS, self.plants)
+        placed = PlacedThings(*distinct(crowns), world_T, rows, grown, is_exact=self._loose_stems)
+        groups, rooted = [placed, *modelled], grown
         if self._loose_stems:
             stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
             groups, rooted = [stems, *groups], grown[:0]
         if self.section.ivy.share:
             groups.append(self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,)))
-        for placed in self._things(key):
-            groups.append(placed)
+        trunks = around(ix, iy, self._discs) if self._layers else np.zeros((0, 3))
+        site = Site(self.seed, ix, iy, self.height_m, self._path, trunks)
+        for layer in self._layers:
+            groups.append(placed := layer.place(site))
             if placed.is_ground:
                 continue
             numbers = number + np.arange(len(placed.shape))
@@ -282,18 +277,6 @@ class ForestWorld:
             NO_TREES,
             is_exact=self._loose_stems,
         )
-
-    def _crowns(self, trees: Trees) -> PlacedThings:
-        crowns = [self._crown(*name) for name in trees[["cohort", "crown_class", "crown_variant"]].tolist()]
-        world_T, rows = crown_placements(trees, crowns), plant_surfaces(trees, CROWN_PARTS, self.plants)
-        return PlacedThings(*distinct(crowns), world_T, rows, trees, is_exact=self._loose_stems)
-
-    def _things(self, key: TileKey) -> list[PlacedThings]:
-        if not self._layers:
-            return []
-        trunks = around(key.ix, key.iy, self._discs)
-        site = Site(self.seed, key.ix, key.iy, self.height_m, self._path, trunks)
-        return [layer.place(site) for layer in self._layers]
 
 
 def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -1,19 +1,18 @@
-"""Ground truth of standing trees: one row for each, computed from the meshes that are scanned; circles along stems and branches; and trees of the user's own."""
+"""Ground truth of standing trees: one row for each, computed from the meshes that are scanned; circles along stems and branches."""
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
 from io import TextIOWrapper
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import log, matvec, norm
+from vlp16emu.elementary import matvec, norm
 from vlp16emu.foliage.tiles import STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.branches import Branches
-from vlp16emu.forest.plants.crown import (
+from vlp16emu.forest.plants.prototypes import (
     CROWN_PARTS,
     CrownKey,
     crown_branches,
@@ -22,21 +21,22 @@ from vlp16emu.forest.plants.crown import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.forest.plants.flora import Flora, Table, Trees, flora, species_table
-from vlp16emu.forest.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
-from vlp16emu.forest.plants.stem_rings import (
+from vlp16emu.forest.plants.species import Table, Trees, species_table
+from vlp16emu.forest.plants.stem import (
     FLARE_TOP_M,
     STEM_CIRCLE,
+    STEM_PARTS,
     axis_m,
     polygon_m2,
     second_leaders,
     stem_rings,
+    stems_above_ground,
     tape_m,
     tip_radius_m,
+    vertex_angles,
 )
-from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import determinant, places_m, unit
 
 INVENTORY = np.dtype(  # one tree of the inventory. Tops, volumes and areas are those of its meshes.
@@ -259,80 +259,3 @@ def profiles(foot_m: Array, middle_m: Array, radius_m: Array, begin: int) -> NDA
     aside_m = middle_m - from_m[:, None] - along_m[..., None] * axis[:, None]
     stems["aside_m"] = np.moveaxis(aside_m[..., :2], 2, 1)
     return stems
-
-
-_ALIKE = 1.25  # models that stretch a tree by no more than this over the one that stretches it least are as good
-
-
-@dataclass(frozen=True, slots=True)
-class ModelKey:
-    """Name of a model's shape."""
-
-    number: int  # among the models of the scene
-    content: str  # digest of all that decides it
-
-
-class Models:
-    """The models of a scene, each a `TreeModel` that stands for trees of its species; none by default."""
-
-    def __init__(self, models: Sequence[Any] = (), plants: Flora | None = None) -> None:
-        self._models, self._plants = models, plants or flora()
-        self._species = np.array(sorted({model.species.number for model in models}), np.uint16)
-
-    def has(self, trees: Trees) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the trees that look like one of the models."""
-        return np.isin(trees["species"], self._species)
-
-    def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
-        """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
-        placed = []
-        for i, own in self._by_model(trees):
-            model, rows = self._models[i], plant_surfaces(own, self._models[i].parts, self._plants)
-            shape = (ModelKey(i, model.content),), np.zeros(len(own), np.int64)
-            placed.append(PlacedThings(*shape, model.world_T_model(own), rows, own, is_exact=is_exact))
-        return placed
-
-    def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
-        """Meshes of a model."""
-        return self._models[key.number].meshes
-
-    def far_parts(self, key: ShapeKey) -> tuple[int, ...] | None:
-        """Return the parts of a model's meshes in the far medium; None for any other shape."""
-        return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
-
-    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: IntArray) -> NDArray[np.void]:
-        """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
-        of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
-        stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
-        return np.concatenate([np.zeros(0, STEM), *stems])
-
-    def inventory(self, trees: Trees) -> NDArray[np.void]:
-        """Return the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
-
-        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
-        directions. One side of each leaf face counts.
-        """
-        rows = np.zeros(len(trees), INVENTORY)
-        for name in COPIED:
-            rows[name] = trees[name]
-        for i, row in enumerate(rows):
-            self._models[self._chosen(trees[i : i + 1])].measure(row, trees[i : i + 1])
-        return rows
-
-    def circles(self, trees: Trees) -> NDArray[np.void]:
-        """Circles `STEM_CIRCLE` along the stems of trees that all have models."""
-        own = (self._models[i].circles(own) for i, own in self._by_model(trees))
-        return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
-
-    def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
-        chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
-        return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
-
-    def _chosen(self, tree: Trees) -> int:
-        """Choose the model of one tree (1,) by its size, and among those that are as good by its azimuth's last digits."""
-        fits = [i for i, model in enumerate(self._models) if model.species.number == tree["species"][0]]
-        if len(fits) == 1:
-            return fits[0]
-        stretch = [abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)]
-        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
-        return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
-from vlp16emu.forest.plants.flora import Flora, Trees, bark_material
+from vlp16emu.forest.plants.species import Flora, Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey, tile_distance_m
@@ -152,5 +152,5 @@ def plant_surfaces(
     bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
     rows["semantic"], rows["part"], rows["reflectance"] = semantic, parts, bright
     rows["instance"], rows["species"] = plants["id"][:, None], plants["species"][:, None]
-    rows["material"] = bark_material(plants["species"], table)[:, None] + leaf
+    rows["material"] = table.bark[plants["species"]][:, None] + leaf
     return rows

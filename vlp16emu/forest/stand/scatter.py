@@ -18,18 +18,17 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.forest import settings
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
-from vlp16emu.forest.plants.crown import VARIANTS
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora, known
-from vlp16emu.forest.plants.species import Shrub, Species
-from vlp16emu.forest.plants.undergrowth import (
+from vlp16emu.forest.plants.prototypes import (
     CROWN_BASE_SHARE,
     CROWN_WIDTH_SHARE,
     SAPLING_PARTS,
     SHRUB_PARTS,
     SLENDERNESS,
+    VARIANTS,
     SaplingKey,
     ShrubKey,
 )
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Shrub, Species, Trees, flora, known
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
 from vlp16emu.forest.stand.placed import (

@@ -11,8 +11,8 @@ from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
-from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
+from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.stand.points import PointPattern, pattern_of

@@ -15,17 +15,17 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.flora import Flora, tapers
+from vlp16emu.forest.plants.species import Flora, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
+from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import generator
 from vlp16emu.types import Array, IntArray, Sway, Window
 from vlp16emu.world.settings import Wind

@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from vlp16emu.emulator import Emulator
+from vlp16emu import Emulator
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT
-from vlp16emu.forest.given.tree_model import Cutter, TreeModels
-from vlp16emu.forest.plants.crown import CrownKey
-from vlp16emu.forest.plants.flora import flora, species_table
+from vlp16emu.forest.plants.prototypes import CrownKey
+from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.inventory import ModelKey
 from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.forest.stand.tree_models import Cutter, ModelKey, TreeModels
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor
@@ -285,12 +284,11 @@ class Rows:
 
 
 @pytest.fixture(scope="module")
-def forest(models, terrain):
+def forest(path, terrain):
     line = np.array([[0.0, 0.0], [60.0, 0.0]])
     rows = Rows(terrain.height_m)
-    return ForestWorld(
-        Woods(), rows, seed=1, height_m=terrain.height_m, path=Corridor(line, 0.8), reach_m=30.0, models=models
-    )  # fmt: skip
+    woods = Woods(tree_models=[section_of(path)])
+    return ForestWorld(woods, rows, seed=1, height_m=terrain.height_m, path=Corridor(line, 0.8), reach_m=30.0)
 
 
 def test_labels_are_those_of_the_trees(forest):

@@ -10,9 +10,8 @@ import numpy as np
 
 from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.plants.crown import CrownKey
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora, known
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.prototypes import CrownKey
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Species, Trees, flora, known
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import LEAST_SLENDERNESS, Plot
 from vlp16emu.forest.stand.stand import RIVALS_M, TREE, competition, foot_discs, in_the_way_m, path_gap_m, residuals

@@ -1,24 +1,32 @@
 """The public class: a scene as arrays of scans, as a capture, or over UDP."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.doors import door
+from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Parts
-from vlp16emu.errors import TrajectoryError
-from vlp16emu.run.options import RecordOptions, stream_options
+from vlp16emu.errors import InputError, TrajectoryError
+from vlp16emu.motion.settings import takes_poses
+from vlp16emu.output import spare
+from vlp16emu.run.options import RecordOptions, TruthPlace, TruthTo, stream_options
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
-from vlp16emu.run.run import Run, Scene
 from vlp16emu.run.stream import stream_run
-from vlp16emu.scenario import Scenario
+from vlp16emu.scenario import Scenario, find, load
+from vlp16emu.scenario.find import named_files
 from vlp16emu.types import Packet, Returns, Scan
+
+Scene = str | Path | Mapping[str, Any] | Scenario
+"""Name of a scene, path of a .toml file, its tables as a dictionary, or a scenario."""
 
 
 class Emulator:
@@ -37,9 +45,7 @@ class Emulator:
     like : another emulator; where both go the same way through the same world, what that one has grown and built is used
         again. Never changes a byte.
 
-    Raises
-    ------
-    InputError : If the scene cannot be read, or a part of it cannot be made
+    Raises InputError if the scene cannot be read, or a part of it cannot be made.
 
     Examples
     --------
@@ -60,14 +66,18 @@ class Emulator:
         audit: bool = False,
         like: "Emulator | None" = None,
     ) -> None:
-        self.run = Run.of(
-            scene, settings, ideal=ideal, threads=threads, audit=audit, like=like.engine if like else None
-        )
-
-    @property
-    def engine(self) -> Engine:
+        scenario = load(scene, settings, ideal=ideal)
+        # Poses of a live run are not known again when its pulses are cast a second time.
+        wanted = audit and has_door("audit") and not takes_poses(scenario.motion)
+        self.audit: Any = door("audit").of(scenario) if wanted else None
+        """Tap that casts a sample of the pulses again, an `extras.accuracy.audit.Audit`; None without an audit."""
+        taps = [self.audit] if self.audit else []
+        self.engine: Engine = Engine.of(scenario, threads=threads, taps=taps, like=like.engine if like else None)
         """Makes the packets."""
-        return self.run.engine
+        is_named = isinstance(scene, str | Path)
+        self.name = str(scene) if is_named else scenario.title  # Name, path or title of the scene
+        self.files = (*([find(str(scene))] if is_named else []), *named_files(scenario))
+        """Files that the run reads; no output replaces them."""
 
     @property
     def scenario(self) -> Scenario:
@@ -80,17 +90,60 @@ class Emulator:
         return self.engine.parts
 
     @property
-    def name(self) -> str:
-        """Name, path or title of the scene."""
-        return self.run.name
+    def finding(self) -> Any:
+        """Error found so far, an `AuditFinding`; None without an audit."""
+        return self.audit.finding if self.audit else None
+
+    def number(self, unit: int) -> int:
+        """Return the index in the rig, from 0, of unit 1, 2 ....
+
+        Raises InputError if there is no such unit.
+        """
+        if not 1 <= unit <= (units := len(self.parts.units)):
+            raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
+        return unit - 1
+
+    def with_engine(self, engine: Engine) -> Self:
+        """Return the same emulator with another engine."""
+        other = copy(self)
+        other.engine = engine
+        return other
+
+    def changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
+        """Return an emulator with some settings changed, which shares the world if that stays the same."""
+        scenario, engine = load(self.scenario, settings), self.engine
+        if scenario == self.scenario:
+            return self
+        other = type(self)(scenario, threads=engine.threads, audit=self.audit is not None, like=self)
+        other.name, other.files = self.name, self.files
+        return other.with_engine(replace(other.engine, truth_of=engine.truth_of))
+
+    def with_truth_in(self, to: TruthTo | None) -> Self:
+        """Return an emulator whose packets carry the ground truth of their records, if `to` asks for it."""
+        if to is None or not to.per_return:
+            return self
+        return self.with_engine(replace(self.engine, truth_of=door("truth_of_records")))
+
+    @contextmanager
+    def truth(self, to: TruthPlace | None, span_s: tuple[float, float], *, of: Any = None) -> Iterator[Any]:
+        """Open the folder for the ground truth of a span, an `extras.truth.truth.Truth`; None if none is wanted.
+
+        Parameters
+        ----------
+        of : feed whose engine makes the packets, with the events so far; left out where none happen
+        """
+        if (place := TruthTo.of(to)) is None:
+            yield None
+            return
+        spare(self.files, place.scenario)
+        with door("truth")(place, of or self, span_s) as truth:
+            yield truth
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Return the packets due from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
-        Raises
-        ------
-        ScenarioError : If the sensor has no packets
-        TrajectoryError : If the span begins before the first pulse, or the walk ends before the span does
+        Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
+        the walk ends before the span does.
         """
         return self.engine.packets(start_s, stop_s)
 
@@ -103,12 +156,9 @@ class Emulator:
         ----------
         truth : whether they have the surfaces that they are from
 
-        Raises
-        ------
-        InputError : If there is no such unit
-        TrajectoryError : If the walk ends before the span does
+        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span does.
         """
-        return self.engine.returns(start_s, stop_s, self.run.number(unit), truth=truth)
+        return self.engine.returns(start_s, stop_s, self.number(unit), truth=truth)
 
     def scans(
         self, *, start_s: float = 0.0, duration_s: float | None = None, unit: int = 1, truth: bool = False
@@ -122,18 +172,15 @@ class Emulator:
         unit : which sensor of a rig, from 1
         truth : whether scans have labels
 
-        Raises
-        ------
-        InputError : If there is no such unit
-        TrajectoryError : If the walk ends before the span does
+        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span does.
         """
         span_s = self.scenario.span_s(start_s, duration_s)
-        scans: Iterator[Scan] = door("scans")(self.engine, self.run.number(unit), span_s, truth=truth)
+        scans: Iterator[Scan] = door("scans")(self.engine, self.number(unit), span_s, truth=truth)
         return scans
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
         """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
-        return self.parts.units[self.run.number(unit)].world_T_sensor(t_ns)
+        return self.parts.units[self.number(unit)].world_T_sensor(t_ns)
 
     def record(
         self,
@@ -153,16 +200,11 @@ class Emulator:
         stop : ends the recording from another thread; the file is valid
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
-        Raises
-        ------
-        InputError : If an option is not right
-        OutputError
-            If file or folder cannot be written, or are an input of the scene, or the name is that of another format
-        ScenarioError : If the sensor has no packets
-        TrajectoryError : If the walk ends before the span does
-        RunError : If the disk is full; the packets before are kept
+        Raises InputError if an option is not right; OutputError if file or folder cannot be written, or are an input of
+        the scene, or the name is that of another format; ScenarioError if the sensor has no packets; TrajectoryError if
+        the walk ends before the span does; RunError if the disk is full; the packets before are kept.
         """
-        return record(self.run, path, RecordOptions(**options), progress=progress, stop=stop)
+        return record(self, path, RecordOptions(**options), progress=progress, stop=stop)
 
     def stream(self, **options: Any) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
@@ -171,16 +213,13 @@ class Emulator:
         ----------
         options : fields of `StreamOptions` and of `extras.bench.options.BenchOptions`, and functions that are called while it runs, as `stream_run` takes them
 
-        Raises
-        ------
-        OutputError : If the receiver is unknown or out of reach, or the sensor's address is not this machine's
-        InputError : If an option is not right, options exclude each other, or poses are for a scene that is not live
-        ScenarioError : If the sensor has no packets
-        TrajectoryError : If the walk ends before the span does
-        RunError : If the system cannot send any more
+        Raises OutputError if the receiver is unknown or out of reach, or the sensor's address is not this machine's;
+        InputError if an option is not right, options exclude each other, or poses are for a scene that is not live;
+        ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span does; RunError if
+        the system cannot send any more.
         """
         hooks = {name: options.pop(name) for name in options.keys() & signature(stream_run).parameters.keys()}
-        return stream_run(self.run, stream_options()(**options), **hooks)
+        return stream_run(self, stream_options()(**options), **hooks)
 
     def keep_up(self, speed: float = 1.0) -> Any:
         """Measure this machine for some seconds, and set the beam and the reach so that a stream leaves a fifth of its time free.
@@ -194,15 +233,14 @@ class Emulator:
         `extras.keep_up.KeptUp`, with the rung of the ladder that is taken; its settings are those of `vlp16emu record --set`,
         with the same bytes
         """
-        self.run, kept = door("keep_up")(self.run, speed)
+        chosen, kept = door("keep_up")(self, speed)
+        self.engine, self.audit = chosen.engine, chosen.audit
         return kept
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
         """Bring a pose into a live scene, from any thread; parameters, result and errors as `PoseInput.put`.
 
-        Raises
-        ------
-        TrajectoryError : If the scene is not live
+        Raises TrajectoryError if the scene is not live.
         """
         if (put := getattr(self.parts.carrier, "put_pose", None)) is None:
             raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')

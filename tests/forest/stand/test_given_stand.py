@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.given.given_stand import GivenStand, read_stem_list
-from vlp16emu.forest.plants.flora import flora, species_table
+from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.settings import Plot
+from vlp16emu.forest.stand.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.world.polyline import Corridor

@@ -9,18 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import atan2, cos, hypot, matmul, matvec, norm, sin
+from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.foliage.tiles import EXACT
+from vlp16emu.foliage.tiles import EXACT, STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
-from vlp16emu.forest.plants.flora import Flora, Trees, known
-from vlp16emu.forest.plants.species import Species
-from vlp16emu.forest.plants.stem import STEM_PARTS, lean_rotation
-from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
+from vlp16emu.forest.plants.species import Flora, Species, Trees, flora, known
+from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, lean_rotation
 from vlp16emu.forest.settings import Season
-from vlp16emu.forest.stand.inventory import Models, hull_m, profiles, volume_m3
-from vlp16emu.forest.stand.placed import turned
-from vlp16emu.types import Array, IntArray, Mesh, PlantPart
+from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
+from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
+from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.settings import TreeModelFile
 from vlp16emu.world.user_mesh import load_mesh
 from vlp16emu.world.vectors import places_m
@@ -44,7 +42,11 @@ class Cutter:
         first = np.cumsum([0, *map(len, vertices_m)])
         self.vertices_m = np.concatenate(vertices_m)
         corners = np.concatenate([own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)])
-        number = _welded(self.vertices_m)
+        # Numbers of vertices from 0 on, the same at the same place.
+        order = np.lexsort(self.vertices_m.T)
+        apart = (self.vertices_m[order[1:]] != self.vertices_m[order[:-1]]).any(axis=1)
+        number = np.empty(len(order), np.int64)
+        number[order] = np.concatenate([[0], np.cumsum(apart)])
         self.faces = number[corners]
         self.vertices_m = self.vertices_m[np.unique(number, return_index=True)[1]]
         z_m = self.vertices_m[self.faces, 2]
@@ -74,20 +76,9 @@ class Cutter:
         _, loop = connected_components(graph, directed=False)
         shared = np.bincount(of, minlength=len(edges))
         closed = np.setdiff1d(loop, loop[shared != 2])
-        rings = [
-            points_m[depth_first_order(graph, int(np.argmax(loop == which)), directed=False)[0]]
-            for which in closed.tolist()
-        ]
+        begins = (int(np.argmax(loop == which)) for which in closed.tolist())
+        rings = (points_m[depth_first_order(graph, begin, directed=False)[0]] for begin in begins)
         return max(map(_measured, rings), key=lambda outline: outline.diameter_m, default=None)
-
-
-def _welded(vertices: Array) -> IntArray:
-    """Return numbers (n,) of vertices from 0 on, the same at the same place."""
-    order = np.lexsort(vertices.T)
-    apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
-    number = np.empty(len(vertices), np.int64)
-    number[order] = np.concatenate([[0], np.cumsum(apart)])
-    return number
 
 
 def _measured(ring_m: Array) -> Outline:
@@ -149,13 +140,10 @@ class TreeModel:
         volumes_m3 = [abs(volume_m3(_used(v - foot_m, f))) for v, f in zip(placed, faces, strict=True)]
         self._stem_m3 = sum(volumes_m3[i] for i in stems)
         self._wood_m3 = sum(v for v, part in zip(volumes_m3, parts, strict=True) if part != PlantPart.LEAF)
-        rows = [
-            row
-            for part, vertices, own_faces in zip(parts, placed, faces, strict=True)
-            for row in self._meshes(
-                part, vertices - foot_m, own_faces[: 0 if sheds and part == PlantPart.LEAF else None]
-            )
-        ]
+        rows = list[tuple[int, int, Mesh]]()
+        for part, vertices, own_faces in zip(parts, placed, faces, strict=True):
+            left = own_faces[:0] if sheds and part == PlantPart.LEAF else own_faces
+            rows += self._meshes(part, vertices - foot_m, left)
         self.parts, self.far_parts, self.meshes = zip(*rows, strict=True)
         """Parts of each mesh, for labels of points and for the far medium; what bears away from a stem is a mesh of its own."""
         self._keep_measures()
@@ -171,7 +159,7 @@ class TreeModel:
         return stems
 
     def outline(self, height_m: float, above_m: float) -> Outline:
-        """Section of the stem where it is so high above the foot once the model is `height_m` tall; across as in the file."""
+        """Return the section of the stem at a height over the foot once the model is `height_m` tall; across as in the file."""
         return self._cut(above_m * self.height_m / height_m)
 
     def circles(self, trees: Trees) -> NDArray[np.void]:
@@ -229,8 +217,11 @@ class TreeModel:
         of = list(zip(self.parts, self.meshes, strict=True))
         leaves = [mesh for part, mesh in of if part == PlantPart.LEAF]
         others = [mesh for part, mesh in of if part not in (*STEM_PARTS, PlantPart.LEAF)]
-        has_leaves = any(len(mesh.faces) for mesh in leaves)
-        self._corners_m, self._crown_corners_m = map(_spanning, (self.meshes, leaves if has_leaves else others))
+        crown = leaves if any(len(mesh.faces) for mesh in leaves) else others
+        self._corners_m, self._crown_corners_m = (
+            hull_m(np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in some)]))
+            for some in (self.meshes, crown)
+        )
         faces_m = [mesh.vertices_m.astype(np.float64)[mesh.faces] for mesh in leaves]
         sides = [np.cross(face[:, 1] - face[:, 0], face[:, 2] - face[:, 0]) / 2 for face in faces_m]
         side_m2 = np.concatenate([np.zeros((0, 3)), *sides])
@@ -248,13 +239,12 @@ class TreeModel:
         x_m, y_m, radius_m = (np.interp(at_m, at_m[there], column) for column in found.T)
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
-    def _meshes(self, part: PlantPart, vertices_m: Array, faces: NDArray[np.uint32]) -> list[tuple[int, int, Mesh]]:
+    def _meshes(self, part: PlantPart, vertices_m: Array, faces: Faces) -> list[tuple[int, int, Mesh]]:
         """Part, part in the far medium and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
         if part not in STEM_PARTS:
             return [(part, part, _used(vertices_m, faces))]
-        x_m, y_m, radius_m = (
-            np.interp(vertices_m[:, 2], self._profile_m[:, 2], self._profile_m[:, i]) for i in (0, 1, 3)
-        )
+        x, y, at_m, radius = self._profile_m.T
+        x_m, y_m, radius_m = (np.interp(vertices_m[:, 2], at_m, column) for column in (x, y, radius))
         near = hypot(vertices_m[:, 0] - x_m, vertices_m[:, 1] - y_m) < _BOLE * radius_m + _BOLE_M
         bole = near[faces].all(axis=1)
         return [(part, EXACT, _used(vertices_m, faces[bole])), (part, part, _used(vertices_m, faces[~bole]))]
@@ -267,19 +257,93 @@ class TreeModel:
         return outline
 
 
-def _spanning(meshes: Sequence[Mesh]) -> Array:
-    return hull_m(np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in meshes)]))
-
-
-def _used(vertices_m: Array, faces: NDArray[np.uint32]) -> Mesh:
+def _used(vertices_m: Array, faces: Faces) -> Mesh:
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices_m[used].astype(np.float32), corners.reshape(-1, 3).astype(np.uint32))
 
 
-class TreeModels(Models):
-    """The models of a scene; raises GeometryError for a species that is not known, or a file that cannot be scanned."""
+_ALIKE = 1.25  # models that stretch a tree by no more than this over the one that stretches it least are as good
 
-    def __init__(self, files: Sequence[TreeModelFile], plants: Flora, season: Season = "leaf_on") -> None:
-        keys = (f"world.tree_models.{i}.species" for i in range(len(files)))
-        species = [known([file.species], plants.trees, key)[0] for file, key in zip(files, keys, strict=True)]
-        super().__init__([TreeModel(file, one, season) for file, one in zip(files, species, strict=True)], plants)
+
+@dataclass(frozen=True, slots=True)
+class ModelKey:
+    """Name of a model's shape."""
+
+    number: int  # among the models of the scene
+    content: str  # digest of all that decides it
+
+
+class TreeModels:
+    """The models of a scene, each standing for trees of its species.
+
+    Raises GeometryError for a species that is not known, or a file that cannot be scanned.
+    """
+
+    def __init__(
+        self, files: Sequence[TreeModelFile] = (), plants: Flora | None = None, season: Season = "leaf_on"
+    ) -> None:
+        self._plants = plants or flora()
+        keys = [f"world.tree_models.{i}.species" for i in range(len(files))]
+        species = [known([file.species], self._plants.trees, key)[0] for file, key in zip(files, keys, strict=True)]
+        self._models = [TreeModel(file, one, season) for file, one in zip(files, species, strict=True)]
+        self._species = [model.species.number for model in self._models]
+
+    def has(self, trees: Trees) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the trees that look like one of the models."""
+        return np.isin(trees["species"], self._species)
+
+    def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
+        """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
+        placed = []
+        for i, own in self._by_model(trees):
+            model = self._models[i]
+            rows, shape = plant_surfaces(own, model.parts, self._plants), np.zeros(len(own), np.int64)
+            key, world_T = ModelKey(i, model.content), model.world_T_model(own)
+            placed.append(PlacedThings((key,), shape, world_T, rows, own, is_exact=is_exact))
+        return placed
+
+    def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
+        """Meshes of a model."""
+        return self._models[key.number].meshes
+
+    def far_parts(self, key: ShapeKey) -> tuple[int, ...] | None:
+        """Return the parts of a model's meshes in the far medium; None for any other shape."""
+        return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
+
+    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: IntArray) -> NDArray[np.void]:
+        """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
+        of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
+        stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
+        return np.concatenate([np.zeros(0, STEM), *stems])
+
+    def inventory(self, trees: Trees) -> NDArray[np.void]:
+        """Return the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
+
+        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
+        directions. One side of each leaf face counts.
+        """
+        rows = np.zeros(len(trees), INVENTORY)
+        for name in COPIED:
+            rows[name] = trees[name]
+        for i, row in enumerate(rows):
+            one = trees[i : i + 1]
+            self._models[self._chosen(one)].measure(row, one)
+        return rows
+
+    def circles(self, trees: Trees) -> NDArray[np.void]:
+        """Circles `STEM_CIRCLE` along the stems of trees that all have models."""
+        own = (self._models[i].circles(own) for i, own in self._by_model(trees))
+        return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
+
+    def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
+        chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
+        return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
+
+    def _chosen(self, tree: Trees) -> int:
+        """Choose the model of one tree (1,) by its size, and among those that are as good by its azimuth's last digits."""
+        fits = [i for i, number in enumerate(self._species) if number == tree["species"][0]]
+        if len(fits) == 1:
+            return fits[0]
+        stretch = [abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)]
+        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
+        return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

@@ -1,1 +1,0 @@
-"""Measured trees, and models of trees, that the user brings."""
