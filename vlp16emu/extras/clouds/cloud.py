@@ -223,7 +223,6 @@ class _Csv(PointWriter):
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
-        """Append lines."""
         formats, fields = list[str](), list[list[Any]]()
         for column in self._columns:
             values, unit = block[column.name], 10**column.decimals
@@ -257,7 +256,6 @@ class _Ply(PointWriter):
         file.write(self._header())
 
     def write(self, block: Block) -> None:
-        """Append vertices."""
         vertices = np.empty(len(block[self._columns[0].name]), self._vertex)
         for column in self._columns:
             for name, values in column.properties(block[column.name]).items():
@@ -326,13 +324,11 @@ class _Npz(PointWriter):
         self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
-        """Append each array to its temporary file."""
         for column, waiting in zip(self._columns, self._waiting, strict=True):
             waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
         self.points += len(block[self._columns[0].name])
 
     def finish(self) -> None:
-        """Write all arrays."""
         with zipfile.ZipFile(self._file, "w") as archive:
             for column, waiting in zip(self._columns, self._waiting, strict=True):
                 shape = (self.points, len(column.csv)) if len(column.csv) > 1 else (self.points,)
