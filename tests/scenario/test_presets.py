@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from vlp16emu.forest.settings import Terrain, _with_preset
+from vlp16emu.forest.settings import Forest, Terrain
 from vlp16emu.motion import Gait, Imu, Mount
 
 AMPLITUDES = set(Gait.model_fields) - {"preset", "step_hz", "variation"}
@@ -37,7 +37,7 @@ def test_own_keys_go_over_the_preset():
     assert Imu(preset="tactical", rate_hz=100, accel_bias_m_s2=0.0).gyro_bias_rad_s == 4.8e-5
     hilly = Terrain(relief="hilly")
     assert Terrain(relief="hilly", hill_rms_m=7.0) == hilly.model_copy(update={"hill_rms_m": 7.0})
-    table = _with_preset({"preset": "old_growth", "terrain": {"relief": "flat"}})
+    table = Forest.with_preset({"preset": "old_growth", "terrain": {"relief": "flat"}})
     assert table["terrain"] == {"relief": "flat"}  # and none of the numbers of the forest
 
 

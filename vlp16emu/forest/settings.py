@@ -57,14 +57,6 @@ _RELIEFS: dict[str, dict[str, object]] = {
 """Keys that each kind of relief gives. Hills and mounds are assumptions: hills of 1 m rms slope by 4 degrees rms,
 of 4 m by 15."""
 
-_NARROWEST_M = 10.0  # least distance between trails
-
-
-def _room_for_trails(spacing_m: float) -> float:
-    if 0 < spacing_m < _NARROWEST_M:
-        raise ValueError(f"0 for none, or {_NARROWEST_M:g} or more")
-    return spacing_m
-
 
 class Terrain(Preset):
     """Ground with relief: hills, roughness that a foot would feel, and mounds."""
@@ -82,7 +74,7 @@ class Terrain(Preset):
     """Mounds and hollows of up to 0.15 m, 1 m to 2 m wide."""
     pits_per_ha: Annotated[float, Field(ge=0, le=600)] = 0.0
     """Pits with a mound beside each, as uprooted trees leave them: 0.2 m to 0.4 m deep and high, 2 m to 3 m wide."""
-    trail_spacing_m: Annotated[float, Field(ge=0, le=200), AfterValidator(_room_for_trails)] = 0.0
+    trail_spacing_m: Annotated[float, Field(ge=0, le=200)] = 0.0
     """Distance between the middles of parallel trails of harvesters, each with two ruts, 0.05 m to 0.2 m deep and 0.5 m to 0.7 m
     wide, 2 m apart; 0 for none, else 10 or more. Trees and shrubs that grow keep 2 m off their middles. Forests of Central Europe have
     trails every 20 m (PEFC) or 40 m (FSC)."""
@@ -92,6 +84,13 @@ class Terrain(Preset):
     """Slope of the plane under it all, rising towards `slope_towards_deg`."""
     slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction of that slope, counter-clockwise from east."""
+
+    @field_validator("trail_spacing_m")
+    @classmethod
+    def _leaves_room(cls, spacing_m: float) -> float:
+        if 0 < spacing_m < 10:
+            raise ValueError("0 for none, or 10 or more")
+        return spacing_m
 
 
 class Dem(Section):
@@ -126,17 +125,10 @@ class SpeciesShare(Section):
 
 
 class Scattered(Section):
-    """Places that know nothing of each other."""
+    """Places that know nothing of each other, or keep apart as those of trees which compete."""
 
-    kind: Literal["random"]
-    """Selects places independent of each other."""
-
-
-class HardCore(Section):
-    """Places that keep apart, as those of trees which compete."""
-
-    kind: Literal["hard_core"]
-    """Selects places that keep a distance."""
+    kind: Literal["random", "hard_core"]
+    """Selects places independent of each other, or such as keep a distance."""
 
 
 class Plantation(Section):
@@ -150,8 +142,6 @@ class Plantation(Section):
     """Distance of planted trees within a row."""
     azimuth_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Direction of the rows, counter-clockwise from east."""
-    jitter_m: Annotated[float, Field(ge=0, le=2)] = 0.15
-    """Half-range of the error of planting along and across the row."""
 
 
 class Clusters(Section):
@@ -165,7 +155,7 @@ class Clusters(Section):
     """Standard deviation of plants about the middle of their clump, along either axis."""
 
 
-Pattern = Annotated[Scattered | HardCore | Plantation | Clusters, Field(discriminator="kind")]
+Pattern = Annotated[Scattered | Plantation | Clusters, Field(discriminator="kind")]
 
 
 class Storey(Section):
@@ -179,7 +169,7 @@ class Storey(Section):
     """Sum of the cross-sections of stems at breast height; instead of `stems_per_ha`."""
     species: Annotated[list[SpeciesShare], Field(min_length=1)]
     """Species of the trees, with share and size."""
-    pattern: Pattern = HardCore(kind="hard_core")
+    pattern: Pattern = Scattered(kind="hard_core")
     """How the trees are spread over the ground."""
 
     @model_validator(mode="after")
@@ -388,15 +378,6 @@ def presets() -> Table:
     return tomllib.loads(text)
 
 
-def _with_preset(own: Table) -> Table:
-    """Lay a scene's own `[world]` table over the preset that it names, as `merged` does; an unknown preset changes nothing."""
-    name = own.get("preset")
-    base = presets().get(name, {}) if isinstance(name, str) else {}
-    if own.keys() & DENSITY_KEYS:
-        base = {key: value for key, value in base.items() if key not in DENSITY_KEYS}
-    return merged(base, own)
-
-
 class Forest(Woods, Storey):
     """A stand without edge on a terrain with relief."""
 
@@ -405,8 +386,13 @@ class Forest(Woods, Storey):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_preset(cls, table: Any) -> Any:
-        return _with_preset(table) if isinstance(table, dict) else table
+    def with_preset(cls, own: Any) -> Any:
+        """Lay a scene's own `[world]` table over the preset that it names, as `merged` does; an unknown preset changes nothing."""
+        name = own.get("preset") if isinstance(own, dict) else None
+        if not isinstance(name, str):
+            return own
+        left_out = DENSITY_KEYS if own.keys() & DENSITY_KEYS else frozenset[str]()
+        return merged({key: value for key, value in presets().get(name, {}).items() if key not in left_out}, own)
 
     preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = "none"
     """A kind of forest that gives all keys of this table which are not given beside it."""

@@ -37,8 +37,11 @@ def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: Hei
     cells = round(edge_m / _CELL_M)
     ground = _Ground(corner_m, (cells + 2 * _APRON) * _FINEST + 1, height_m)
     own = np.arange(_APRON, _APRON + cells) * _FINEST
-    faces = _bisected(_halves(own, ground.side), _supported(_cuts(ground)).ravel())
-    used, which = np.unique(faces, return_inverse=True)
+    # Both halves of each square: tip, and ends of the longest side.
+    corner = (own[:, None] * ground.side + own).ravel()
+    east, north = corner + _FINEST, corner + _FINEST * ground.side
+    halves = [np.column_stack(t) for t in ((east, north + _FINEST, corner), (north, corner, north + _FINEST))]
+    used, which = np.unique(_bisected(np.concatenate(halves), _cuts(ground).ravel()), return_inverse=True)
     return ground.points_m(used), which.reshape(-1, 3)
 
 
@@ -65,7 +68,7 @@ class _Ground:
 
 
 def _cuts(ground: _Ground) -> Mask:
-    """Vertices (side, side) at which the ground lies off the side that they would cut."""
+    """Vertices (side, side) at which the ground lies off the side that they would cut, and those that such cuts rest on."""
     cut = np.zeros(ground.z_m.shape, np.bool_)
     off_m = np.full((ground.side // (2 * _FINEST),) * 2, np.inf)
     for step in _LOOKED_AT:
@@ -79,6 +82,7 @@ def _cuts(ground: _Ground) -> Mask:
         cut[half::step, half::step] = middle > _OFF_M
         cut[::step, half::step], cut[half::step, ::step] = across > _OFF_M, up > _OFF_M
         off_m = np.fmax.reduce([middle, across[:-1], across[1:], up[:, :-1], up[:, 1:]])
+    _support(cut)
     return cut
 
 
@@ -86,42 +90,29 @@ def _around(squares: Mask, edge: int) -> Mask:
     """Points (side, side) in squares and those beside them, five along each edge."""
     side, fine = len(squares) * edge + 1, edge // 4
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(squares, 1), (3, 3))
-    near = np.asarray(beside.any(axis=(2, 3)))
     points = np.zeros((side, side), np.bool_)
-    within = np.pad(near.repeat(4, axis=0).repeat(4, axis=1), 1)
+    within = np.pad(np.asarray(beside.any(axis=(2, 3))).repeat(4, axis=0).repeat(4, axis=1), 1)
     points[::fine, ::fine] = within[1:, 1:] | within[:-1, 1:] | within[1:, :-1] | within[:-1, :-1]
     return points
 
 
 def _is_anti(side: int, step: int) -> Mask:
-    """Return whether a square of `step` is cut from south-east to north-west: those that meet in the middle of a larger one in turn."""
+    """Return which squares of `step` are cut from south-east to north-west: those that meet in the middle of a larger one in turn."""
     n = np.arange(side // step)
     return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
 
 
-def _supported(cut: Mask) -> Mask:
+def _support(cut: Mask) -> None:
     for step in reversed(_LOOKED_AT):
         half, corner = step // 2, cut[::step, ::step]
         across, up, middle = cut[::step, half::step], cut[half::step, ::step], cut[half::step, half::step]
         middle |= across[:-1] | across[1:] | up[:, :-1] | up[:, 1:]
         if step < _FINEST:
-            is_anti = _is_anti(len(cut), step)
-            for one, rows, columns in (
-                (middle & is_anti, slice(None, -1), slice(None, -1)),
-                (middle & is_anti, slice(1, None), slice(1, None)),
-                (middle & ~is_anti, slice(None, -1), slice(1, None)),
-                (middle & ~is_anti, slice(1, None), slice(None, -1)),
-            ):
-                corner[rows, columns] |= one
-    return cut
-
-
-def _halves(first: IntArray, side: int) -> IntArray:
-    """Both halves (n, 3) of squares whose south-west corners are at these rows and columns: tip, and ends of the longest side."""
-    corner = (first[:, None] * side + first).ravel()
-    east, north = corner + _FINEST, corner + _FINEST * side
-    opposite = north + _FINEST
-    return np.concatenate([np.column_stack(t) for t in ((east, opposite, corner), (north, corner, opposite))])
+            anti = middle & _is_anti(len(cut), step)
+            corner[:-1, :-1] |= anti
+            corner[1:, 1:] |= anti
+            corner[:-1, 1:] |= middle & ~anti
+            corner[1:, :-1] |= middle & ~anti
 
 
 def _bisected(triangles: IntArray, cut: Mask) -> IntArray:
@@ -151,7 +142,7 @@ class TileKey:
 
 
 def tiles_within(line_xy_m: Array, reach_m: float) -> IntArray:
-    """Tiles (n, 2), ix and iy in ascending order, that may lie in part within `reach_m` of a polyline (m, 2)."""
+    """Return the tiles (n, 2), ix and iy in ascending order, that may lie in part within `reach_m` of a polyline (m, 2)."""
     reach = reach_m + _HALF_DIAGONAL_M
     low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
@@ -166,7 +157,7 @@ def around(ix: int, iy: int, of: Callable[[int, int], Array]) -> Array:
 
 
 def tile_distance_m(tile: tuple[int, int], path: Polyline) -> float:
-    """Distance that no point of a tile is nearer to a path than; 0 or more."""
+    """Return a lower bound of the distance of a tile from a path; 0 or more."""
     return max(float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M, 0.0)
 
 
@@ -185,16 +176,11 @@ def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
     """Triangles of a tile's ground in the tile's own frame, with a hem that hides the seams."""
     points_m, faces = ground_triangles((key.ix * TILE_M, key.iy * TILE_M), TILE_M, height_m)
     points_m -= tile_origin_m(key.ix, key.iy, height_m)
-    border = _border(points_m)
-    hem_m = points_m[border] - [0.0, 0.0, _SKIRT_M]
-    top, hem = border, len(points_m) + np.arange(len(border))
+    x, y = points_m[:, 0], points_m[:, 1]
+    south, east, north, west = (np.flatnonzero(on) for on in (y == 0, x == TILE_M, y == TILE_M, x == 0))
+    top = np.concatenate([south[:-1], east[:-1], north[:0:-1], west[:0:-1]])
+    hem_m, hem = points_m[top] - [0.0, 0.0, _SKIRT_M], len(points_m) + np.arange(len(top))
     next_top, next_hem = np.roll(top, -1), np.roll(hem, -1)
     sides = [np.column_stack(corners) for corners in ((top, hem, next_hem), (top, next_hem, next_top))]
     vertices_m = np.concatenate([points_m, hem_m]).astype(np.float32)
     return Mesh(vertices_m, np.concatenate([faces, *sides]).astype(np.uint32))
-
-
-def _border(points_m: Array) -> IntArray:
-    x, y = points_m[:, 0], points_m[:, 1]
-    south, east, north, west = (np.flatnonzero(on) for on in (y == 0, x == TILE_M, y == TILE_M, x == 0))
-    return np.concatenate([south[:-1], east[:-1], north[:0:-1], west[:0:-1]])

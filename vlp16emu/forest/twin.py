@@ -80,9 +80,8 @@ class _Twin:
         if row["instance"]:
             self.instances.add(int(row["instance"]))
         which, parent = int(window.shape[placement]), _ROOT
-        world_T_shape = np.eye(4)
+        vertices_m, world_T_shape = mesh.vertices_m, np.eye(4)
         world_T_shape[:3] = window.world_T_shape[placement]
-        vertices_m = mesh.vertices_m
         if row["instance"] and row["part"]:
             place_m = self._places_m.get(int(row["instance"]), window.world_T_shape[placement, :, 3])
             parent = self._instance(row, place_m)
@@ -92,10 +91,15 @@ class _Twin:
                 world_T_shape[:3, 3] = 0.0
         name = f"shape_{which}_{number}"
         if name not in self.scene.geometry:
-            material = self._material(row, self._colours[surface])
-            self.scene.geometry[name] = _geometry(vertices_m, mesh.faces, material)
-        node = {"frame_to": self._unused(label(row, self._species, with_part=True)), "frame_from": parent}
-        self.scene.graph.update(**node, matrix=world_T_shape, geometry=name, metadata=_extras(row))
+            faces = mesh.faces
+            if faces.shape[1] == 4:  # quads (a, b, c, d) are cut into (a, b, d) and (c, d, b) as casters do
+                faces = np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
+            look = trimesh.visual.TextureVisuals(material=self._material(row, self._colours[surface]))
+            self.scene.geometry[name] = trimesh.Trimesh(vertices_m, faces, visual=look, process=False)
+        node = label(row, self._species, with_part=True)
+        self._nodes[node] = self._nodes.get(node, 0) + 1
+        node += f".{self._nodes[node]}" if self._nodes[node] > 1 else ""
+        self.scene.graph.update(node, parent, matrix=world_T_shape, geometry=name, metadata=_extras(row))
 
     def _instance(self, row: np.void, place_m: Array) -> str:
         name = label(row, self._species, with_part=False)
@@ -103,37 +107,21 @@ class _Twin:
             self._nodes[name] = 1
             world_T_instance = trimesh.transformations.translation_matrix(place_m)
             extras = {key: value for key, value in _extras(row).items() if key != "part"}
-            self.scene.graph.update(frame_to=name, frame_from=_ROOT, matrix=world_T_instance, metadata=extras)
+            self.scene.graph.update(name, _ROOT, matrix=world_T_instance, metadata=extras)
         return name
-
-    def _unused(self, name: str) -> str:
-        self._nodes[name] = self._nodes.get(name, 0) + 1
-        return name if self._nodes[name] == 1 else f"{name}.{self._nodes[name]}"
 
     def _material(self, row: np.void, colour: NDArray[np.uint8]) -> Any:
         """Material of a part of a species, or of what is no plant; one for all that show it."""
         what = PlantPart(row["part"]).name if row["part"] else Semantic(row["semantic"]).name
         name = f"{self._species.get(int(row['species']), '')} {what}".strip().lower()
         if name not in self._materials:
+            # Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2).
+            share = colour / 255
+            linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
             look = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
-            material = trimesh.visual.material.PBRMaterial(name, baseColorFactor=[*_linear(colour), 1.0], **look)
-            self._materials[name] = material
+            self._materials[name] = trimesh.visual.material.PBRMaterial(name, baseColorFactor=[*linear, 1.0], **look)
         return self._materials[name]
 
 
 def _extras(row: np.void) -> dict[str, int]:
     return {name: int(row[name]) for name in ("semantic", "part", "instance", "species")}
-
-
-def _geometry(vertices_m: NDArray[np.float32], faces: NDArray[np.uint32], material: Any) -> Any:
-    """Mesh as trimesh has it, with quads (a, b, c, d) cut into (a, b, d) and (c, d, b) as casters do."""
-    if faces.shape[1] == 4:
-        faces = np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
-    look = trimesh.visual.TextureVisuals(material=material)
-    return trimesh.Trimesh(vertices=vertices_m, faces=faces, visual=look, process=False)
-
-
-def _linear(colour: NDArray[np.uint8]) -> list[float]:
-    """Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2)."""
-    share = colour / 255
-    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()

@@ -94,15 +94,15 @@ def test_points_lie_on_the_tile_that_was_asked_for(make):
 
 @pytest.mark.parametrize("per_ha", [30.0, 700.0, 4000.0])
 def test_no_two_are_nearer_than_the_hard_core(per_ha):
-    """The hard core holds across the edges of tiles."""
-    points = field(hard_core, per_ha)
-    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= hard_core(per_ha).distance_m
+    """The hard core, 0.4 of the mean spacing up to 5 m, holds across the edges of tiles, and closely."""
+    points, distance_m = field(hard_core, per_ha), min(0.4 / np.sqrt(per_ha / 10_000), 5.0)
+    assert distance_m <= cKDTree(points).query(points, k=2)[0][:, 1].min() < 1.1 * distance_m
 
 
 def test_clark_evans_of_trees_that_keep_apart():
     """The index is that of Matern's second process, simulated anew on a torus, within 0.02."""
-    pattern = hard_core(seed=10)
-    assert clark_evans(points_of(pattern), 700.0) == pytest.approx(matern_index(700.0, pattern.distance_m), abs=0.02)
+    expected = matern_index(700.0, 0.4 / np.sqrt(0.07))
+    assert clark_evans(points_of(hard_core(seed=10)), 700.0) == pytest.approx(expected, abs=0.02)
 
 
 def test_nearest_neighbours_of_scattered_points_are_rayleigh():
@@ -159,18 +159,6 @@ def test_more_than_was_planted_is_refused():
     """Rows cannot hold more plants than their spacing has places for."""
     with pytest.raises(GeometryError, match=r"found 1800; expected at most 1778, which rows of 2.5 m x 2.25 m"):
         rows(1800.0)
-
-
-def test_survivors_are_those_of_one_great_field():
-    """Tile by tile and all at once the same candidates survive: a tile has no edge."""
-    pattern = hard_core(1500.0, seed=11)
-    field = np.concatenate([pattern.candidates(ix, iy) for ix in range(5) for iy in range(5)])
-    own = pattern.candidates(2, 2)
-    beaten = np.array(
-        [any(np.hypot(*(a[:2] - b[:2])) < pattern.distance_m and b[2] < a[2] for b in field) for a in own]
-    )
-    assert 0 < beaten.sum() < len(beaten)
-    assert np.array_equal(pattern.points(2, 2), own[~beaten, :2])
 
 
 @pytest.mark.parametrize("make", [scattered, patchy, hard_core, clusters, rows])

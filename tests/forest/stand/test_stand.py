@@ -11,7 +11,7 @@ from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.species import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.settings import Clusters, Forest, HardCore, Plantation, Scattered, SpeciesShare, Storey, Terrain
+from vlp16emu.forest.settings import Clusters, Forest, Plantation, Scattered, SpeciesShare, Storey, Terrain
 from vlp16emu.forest.stand.points import scattered
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 from vlp16emu.world.polyline import Corridor, distance_m
@@ -264,7 +264,7 @@ def test_unknown_species_is_named():
 
 @pytest.mark.parametrize(
     "pattern",
-    [HardCore(kind="hard_core"), Plantation(kind="plantation", row_spacing_m=3.0, tree_spacing_m=1.6)],
+    [Scattered(kind="hard_core"), Plantation(kind="plantation", row_spacing_m=3.0, tree_spacing_m=1.6)],
     ids=["hard core", "rows"],
 )
 def test_no_stem_stands_on_a_trail_and_the_density_is_as_set(pattern):

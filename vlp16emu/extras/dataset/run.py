@@ -34,8 +34,7 @@ from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import OutputFile, lock
 from vlp16emu.random import Purpose, generator
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.scenario import Scenario, load
-from vlp16emu.scenario.find import find
+from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.settings import Fraction, Section, toml
 from vlp16emu.types import U4

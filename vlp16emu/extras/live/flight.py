@@ -14,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from vlp16emu.engine.position import make_receiver
+from vlp16emu.engine.engine import make_receiver
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.options import PosesIn

@@ -5,7 +5,6 @@ monotonic interpolation in one dimension", Astronomy and Astrophysics 239, 1990)
 above or below the four around. Where the ground bends little they are the bicubic convolution of Keys (1981) with a = -1/2.
 """
 
-import itertools
 import logging
 import math
 import warnings
@@ -109,61 +108,53 @@ def _read_npy(path: Path) -> Array:
         except Exception:  # noqa: BLE001  # numpy raises whatever a broken header leads it to
             raise GeometryError(str(path), "no .npy file", "a numpy array of numbers") from None
     if heights.ndim != 2 or heights.dtype.kind not in "iuf" or heights.size > _MOST_CELLS:
-        found = f"found {heights.shape} {heights.dtype}"
-        raise GeometryError(str(path), found, f"numbers in rows and columns, {_MOST_CELLS} at most")
+        expected = f"numbers in rows and columns, {_MOST_CELLS} at most"
+        raise GeometryError(str(path), f"found {heights.shape} {heights.dtype}", expected)
     return heights.astype(np.float64)
 
 
 def _read_ascii(path: Path) -> Grid:
     # GDAL reads words as 0 and goes on in the next line where a row is short.
-    header: dict[str, float] = {}
-    line = 0, ""
-    with (
-        readable(path, "an ESRI ASCII grid", GeometryError, most_bytes=LARGEST_BYTES),
-        path.open(encoding="utf-8-sig") as file,
-    ):
+    header, line = dict[str, float](), (0, "")
+    opened = readable(path, "an ESRI ASCII grid", GeometryError, most_bytes=LARGEST_BYTES)
+    with opened, path.open(encoding="utf-8-sig") as file:
         lines = ((number, text.strip()) for number, text in enumerate(file, start=1) if text.strip())
         for line in lines:
             key, *values = line[1].lower().split()
             if key not in _KEYS or key in header:
                 break
-            header[key] = _header_number(f"{path}, line {line[0]}", key, values)
+            try:
+                (value,) = map(float, values)
+            except ValueError:
+                value = np.nan
+            if not (np.isfinite(value) or key == _NODATA) or (key == "cellsize" and value <= 0):
+                found = f"found {' '.join([key, *values])!r}"
+                expected = f"{key} and a number{' above 0' * (key == 'cellsize')}"
+                raise GeometryError(f"{path}, line {line[0]}", found, expected)
+            header[key] = value
         for keys in (*_SIZE, *_CORNER):
             if not any(key in header for key in keys):
                 found = f"found {line[1]!r}" if header else "no header"  # of another file nothing is shown
-                expected = f"{' or '.join(keys)} and a number"
-                raise GeometryError(f"{path}, line {line[0]}", found, expected)
+                raise GeometryError(f"{path}, line {line[0]}", found, f"{' or '.join(keys)} and a number")
 
-        rest = itertools.chain([line], lines)
-
-        def cells() -> Iterator[str]:
+        def cells(first: str) -> Iterator[str]:
             nonlocal line
-            for line in rest:
+            yield first
+            for line in lines:
                 yield line[1]
 
         columns, rows, cell_m = (header[key] for (key,) in _SIZE)
         try:
-            heights_m = np.loadtxt(cells(), comments=None, ndmin=2)
+            heights_m = np.loadtxt(cells(line[1]), comments=None, ndmin=2)
         except ValueError:
-            expected = f"{columns:g} heights"
-            raise GeometryError(f"{path}, line {line[0]}", f"found {line[1]!r}", expected) from None
+            where = f"{path}, line {line[0]}"
+            raise GeometryError(where, f"found {line[1]!r}", f"{columns:g} heights") from None
     if heights_m.shape != (rows, columns):
         found = f"found {len(heights_m)} rows of {heights_m.shape[1]}"
         raise GeometryError(f"{path}, line {line[0]}", found, f"nrows = {rows:g}, ncols = {columns:g}")
     heights_m[heights_m == header.get(_NODATA)] = np.nan
     west_m, south_m = (header[edge] if edge in header else header[centre] - cell_m / 2 for edge, centre in _CORNER)
     return _from_corner(path, heights_m, (west_m, south_m), cell_m)
-
-
-def _header_number(where: str, key: str, values: list[str]) -> float:
-    try:
-        (value,) = map(float, values)
-    except ValueError:
-        value = np.nan
-    if (np.isfinite(value) or key == _NODATA) and (value > 0 or key != "cellsize"):
-        return value
-    expected = "a number above 0" if key == "cellsize" else "a number"
-    raise GeometryError(where, f"found {' '.join([key, *values])!r}", f"{key} and {expected}")
 
 
 def _read_geotiff(path: Path) -> Grid:
@@ -215,10 +206,9 @@ _SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to tw
 
 
 class DemHeights:
-    """Ground height from a file, in the scene's own coordinates.
+    """Ground height from a file, whose errors are those of `read_grid`; the nearest height goes on where there is none.
 
-    Outside the grid and where the file has no height, the nearest height goes on. Errors are those of `read_grid`. Easting,
-    northing and height of the origin become (0, 0, 0) in the scene.
+    Easting, northing and height of the origin become (0, 0, 0) in the scene.
     """
 
     def __init__(self, section: Dem, *, origin_m: tuple[float, float, float]) -> None:
@@ -230,7 +220,12 @@ class DemHeights:
         self._south_m = self._grid.north_m - (rows - 1) * self._grid.cell_m - north
         self._east_m = self._west_m + (columns - 1) * self._grid.cell_m
         self._north_m = self._grid.north_m - north
-        level_m = _without_gaps(self._grid.heights_m)[::-1] - up
+        heights_m = self._grid.heights_m
+        if (gaps := np.isnan(heights_m)).any():
+            from scipy import ndimage
+
+            heights_m = heights_m[*ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)]
+        level_m = heights_m[::-1] - up
         self._nodes_m = np.pad(level_m, 1, mode="reflect", reflect_type="odd")
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
@@ -245,24 +240,23 @@ class DemHeights:
         """Raise GeometryError where a path (n, 2) leaves the grid, or a cell within reach has no height; warn of edges in sight."""
         rows, columns = self._grid.heights_m.shape
         x, y = path_xy_m.T
-        sides = (
-            ("column 1", "x", self._west_m, x - self._west_m),
-            (f"column {columns}", "x", self._east_m, self._east_m - x),
-            ("row 1", "y", self._north_m, self._north_m - y),
-            (f"row {rows}", "y", self._south_m, y - self._south_m),
-        )
-        in_sight = [side for side in sides if side[3].min() < reach_m]
-        ends = ", ".join(f"{line} at {axis} = {edge_m:.1f} m" for line, axis, edge_m, _ in in_sight)
-        for line, axis, edge_m, gap_m in in_sight:
+        sides = {
+            f"column 1 at x = {self._west_m:.1f} m": x - self._west_m,
+            f"column {columns} at x = {self._east_m:.1f} m": self._east_m - x,
+            f"row 1 at y = {self._north_m:.1f} m": self._north_m - y,
+            f"row {rows} at y = {self._south_m:.1f} m": y - self._south_m,
+        }
+        in_sight = {edge: gap_m for edge, gap_m in sides.items() if gap_m.min() < reach_m}
+        for edge, gap_m in in_sight.items():
             if gap_m.min() < 0:
-                px, py = path_xy_m[gap_m.argmin()]
-                found = f"ends in {line} at {axis} = {edge_m:.1f} m, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
-                place_m = float(px), float(py)
-                raise GeometryError(str(self._grid.path), found, "ground under the whole path", at_m=place_m)
+                px, py = path_xy_m[gap_m.argmin()].tolist()
+                found = f"ends in {edge}, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
+                raise GeometryError(str(self._grid.path), found, "ground under the whole path", at_m=(px, py))
         if in_sight:
+            nearest_m = min(gap_m.min() for gap_m in in_sight.values())
             _log.warning(
                 "%s: ends in %s, %.1f m from the path at the nearest, and goes on level from there; the sensor sees %g m",
-                *(self._grid.path, ends, min(side[3].min() for side in in_sight), reach_m),
+                *(self._grid.path, ", ".join(in_sight), nearest_m, reach_m),
             )
         row, column = np.nonzero(np.isnan(self._grid.heights_m))
         cell_m = self._grid.cell_m
@@ -270,22 +264,12 @@ class DemHeights:
         gap_m = distance_m(places, path_xy_m)
         if len(gap_m) and gap_m.min() < reach_m + _SUPPORT_CELLS * cell_m:
             i, (east, north, _) = int(gap_m.argmin()), self._origin_m
-            px, py = places[i]
+            px, py = places[i].tolist()
             on_map = f" (E {px + east:.1f}, N {py + north:.1f})" if (east, north) != (0.0, 0.0) else ""
             where = f"{self._grid.path}: row {row[i] + 1}, column {column[i] + 1}"
             found = f"no height at ({px:.1f}, {py:.1f}) m{on_map}, {gap_m[i]:.1f} m from the path"
             expected = f"heights {reach_m:g} m around the path and two cells more"
-            raise GeometryError(where, found, expected, at_m=(float(px), float(py)))
-
-
-def _without_gaps(heights_m: Array) -> Array:
-    gaps = np.isnan(heights_m)
-    if not gaps.any():
-        return heights_m
-    from scipy import ndimage
-
-    row, column = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    return heights_m[row, column]
+            raise GeometryError(where, found, expected, at_m=(px, py))
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)

@@ -123,19 +123,14 @@ def _add_ruts(
         off = (abs(aside) - track_m / 2) / reach_m
         square = off * off
         if square < 1.0:
-            phases = words[2] if aside > 0 else words[3]
-            depth_m = _depth_m(along_x * x[i] + along_y * y[i], phases)
+            # The phases of a rut's waves are one half of the bits each.
+            phases, along_m = words[2] if aside > 0 else words[3], along_x * x[i] + along_y * y[i]
+            one, other = (phases >> np.uint32(16)) * 2.0**-16, (phases & np.uint32(0xFFFF)) * 2.0**-16
+            wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + one))[0]
+            wave += cos_sin(2 * math.pi * (along_m / _WAVES_M[1] + other))[0]
+            depth_m = _DEPTH_M[0] + (0.5 + 0.25 * wave) * (_DEPTH_M[1] - _DEPTH_M[0])
             rest = 1.0 - square
             out[i] -= depth_m * (rest * rest) * (1.0 - _SHOULDER * _SHOULDER * square)
-
-
-@numba.njit(cache=True, nogil=True)
-def _depth_m(along_m: float, phases: np.uint32) -> float:
-    """Depth of a rut at a place along it; the phases of its waves are one half of the bits each."""
-    one, other = (phases >> np.uint32(16)) * 2.0**-16, (phases & np.uint32(0xFFFF)) * 2.0**-16
-    wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + one))[0]
-    wave += cos_sin(2 * math.pi * (along_m / _WAVES_M[1] + other))[0]
-    return _DEPTH_M[0] + (0.5 + 0.25 * wave) * (_DEPTH_M[1] - _DEPTH_M[0])
 
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)
@@ -178,8 +173,8 @@ class TerrainHeights:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
-        sum_of_waves(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._waves, *self._gradient)
         flat = height.reshape(-1), x.reshape(-1), y.reshape(-1)
+        sum_of_waves(*flat, self._waves, *self._gradient)
         if self._mound_share:
             _add(*flat, self._mound_share, _MOUND_CELL_M, _MOUND, *self._seed)
         if self._pit_share:
@@ -205,18 +200,13 @@ def _add(
                 north_m = y[i] - (iy + words[2] * 2.0**-32) * cell_m
                 # Two numbers from one half of the last word each: 65536 values are plenty.
                 one, other = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
-                if purpose == _MOUND:
-                    out[i] += _mound_m(east_m, north_m, one, other)
-                else:
+                if purpose == _PIT:
                     out[i] += _pit_m(east_m, north_m, one, other)
-
-
-@numba.njit(cache=True, nogil=True)
-def _mound_m(east_m: float, north_m: float, wide: float, high: float) -> float:
-    """Height of a mound at a place from its middle, of a width and a height in [0, 1): (1 - (r / R)^2)^3, smooth to its rim."""
-    radius = (_MOUND_WIDTH_M[0] + wide * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
-    inside = 1.0 - (east_m * east_m + north_m * north_m) / (radius * radius)
-    return (2.0 * high - 1.0) * _MOUND_HEIGHT_M * (inside * inside * inside) if inside > 0.0 else 0.0
+                    continue
+                # A mound of a width and a height in [0, 1) is (1 - (r / R)^2)^3, smooth to its rim.
+                radius = (_MOUND_WIDTH_M[0] + one * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
+                inside = _dome(east_m, north_m, radius)
+                out[i] += (2.0 * other - 1.0) * _MOUND_HEIGHT_M * (inside * inside * inside)
 
 
 @numba.njit(cache=True, nogil=True)

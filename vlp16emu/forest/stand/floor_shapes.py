@@ -7,7 +7,7 @@ pictures in floras; leaves are kites, two triangles each.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -106,7 +106,7 @@ def _kites(base: Array, along: Array, wide: Array | float) -> Mesh:
 
 
 def _unit(vertices: Array, faces: IntArray) -> Mesh:
-    """Stretch to a height and a greatest diameter of 1."""
+    """Mesh stretched to a height and a greatest diameter of 1."""
     vertices = vertices / [*(2 * [2 * norm(vertices[:, :2]).max()]), vertices[:, 2].max()]
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
 
@@ -201,7 +201,7 @@ def labelled(
     """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
     larges = [False] * len(variants) if large is None else large[keep].tolist()
-    keys, shape = distinct([_key(kind, *how) for how in zip(variants, larges, strict=True)])
+    keys, shape = distinct([FloorKey(kind, *how) for how in zip(variants, larges, strict=True)])
     own = _SHAPES[kind]
     rows = np.zeros((len(variants), 1), SURFACE)
     rows["semantic"], rows["part"] = own.semantic, own.part
@@ -212,12 +212,7 @@ def labelled(
     return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES, is_ground=kind in GROUND_KINDS)
 
 
-@cache
-def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
-    return FloorKey(kind, variant, large)
-
-
-def _stone(rng: np.random.Generator, splits: int = _STONE_SPLITS) -> Mesh:
+def _stone(rng: Generator, splits: int = _STONE_SPLITS) -> Mesh:
     sphere, faces = _icosphere(splits)
     waves = rng.normal(0.0, 2.5, (3, _LOBES))
     lobes = _LOBE_HEIGHT * sin(matvec(waves.T, sphere) + rng.uniform(0, 2 * np.pi, _LOBES))
@@ -263,7 +258,7 @@ def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
     return vertices, faces.astype(np.uint32)
 
 
-def _log(rng: np.random.Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0) -> Mesh:
+def _log(rng: Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0) -> Mesh:
     """Tapering trunk with broken ends, its thick end at -x, which lies bowed to one side."""
     along = np.linspace(-0.5, 0.5, 9)
     rings, ends = _drum(rng, along, 0.5 * (1 - 2 * taper * along), slant=0.01)
@@ -272,13 +267,12 @@ def _log(rng: np.random.Generator, taper: float = LOG_TAPER, bow: float = _LOG_B
             rings[end, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
     mesh = closed(rings, ends)
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
-    aside, sway = rng.normal(0.0, bow, 2) * [1.0, 0.4]
-    x = vertices[:, 0]
+    (aside, sway), x = rng.normal(0.0, bow, 2) * [1.0, 0.4], vertices[:, 0]
     vertices[:, 1] += aside * (1 / 3 - 4 * x * x) + sway * sin(2 * np.pi * x)
     return Mesh(vertices, mesh.faces)
 
 
-def _stump(rng: np.random.Generator, *, splinters: float = 0.0) -> Mesh:
+def _stump(rng: Generator, *, splinters: float = 0.0) -> Mesh:
     """Foot of a felled tree, with its root flare; of one that broke or decays, the top is jagged and hollow."""
     heights = np.array([-STUMP_DEPTH, 0.0, 0.3, 1.0])
     rings, ends = _drum(rng, heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
@@ -288,7 +282,7 @@ def _stump(rng: np.random.Generator, *, splinters: float = 0.0) -> Mesh:
     return closed(rings, ends)
 
 
-def _root_plate(rng: np.random.Generator) -> Mesh:
+def _root_plate(rng: Generator) -> Mesh:
     """Irregular disc of soil with roots that stick out of it."""
     sides, (along, away) = _PLATE_SIDES, np.array(_PLATE_PROFILE).T
     angle = 2 * np.pi * np.arange(sides) / sides
@@ -307,10 +301,9 @@ def _root_plate(rng: np.random.Generator) -> Mesh:
     return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
 
 
-def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -> tuple[Array, Array]:
+def _drum(rng: Generator, at: Array, radius: Array, *, slant: float) -> tuple[Array, Array]:
     """Rings (r, sides, 3) about the z axis and middles (2, 3) of the ends, with weathered ribs and ends not quite square."""
-    sides = _ROUND_SIDES
-    angle = 2 * np.pi * np.arange(sides) / sides
+    sides, angle = _ROUND_SIDES, 2 * np.pi * np.arange(_ROUND_SIDES) / _ROUND_SIDES
     ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
     # Corners stand out so far that the cross-section has the area of its circle, ribs and all.
     corner = radius[:, None] * (1 + ribs) * np.sqrt(2 * np.pi / sides / sin(2 * np.pi / sides) / 1.0024)
@@ -323,7 +316,7 @@ def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -
     return rings, rings[[0, -1]].mean(axis=1)
 
 
-def _tuft(rng: np.random.Generator) -> Mesh:
+def _tuft(rng: Generator) -> Mesh:
     """Blades that leave the ground together and bend outwards: a quad from the foot, and one to the tip."""
     n = _BLADES
     towards, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.45, n)
@@ -331,27 +324,24 @@ def _tuft(rng: np.random.Generator) -> Mesh:
     outward = np.stack([cos(towards), sin(towards), np.zeros(n)], axis=-1)
     across = np.stack([-sin(towards), cos(towards), np.zeros(n)], axis=-1)
     lean, length = lean[:, None], length[:, None]
-    up = np.array([0.0, 0.0, 1.0])
     base = np.column_stack([foot, np.zeros(n)])
-    knee = base + length * (0.6 * up + 0.6 * lean * outward)
-    tip = knee + length * (0.4 * (1 - lean) * up + 0.8 * lean * outward)
+    knee = base + length * (0.6 * _UP + 0.6 * lean * outward)
+    tip = knee + length * (0.4 * (1 - lean) * _UP + 0.8 * lean * outward)
     tip[:, 2] /= tip[:, 2].max()
     # As wide as blades with the tuft's leaf area are that narrow to a fifth above the knee.
     lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
     half_width = _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
-    corners = [base - half_width * across, base + half_width * across]
-    corners += [knee + half_width * across, knee - half_width * across]
-    corners += [tip + 0.2 * half_width * across, tip - 0.2 * half_width * across]
+    half, narrow = half_width * across, 0.2 * half_width * across
+    corners = [base - half, base + half, knee + half, knee - half, tip + narrow, tip - narrow]
     vertices = np.stack(corners, axis=1).reshape(-1, 3).astype(np.float32)
-    quads = np.array([(0, 1, 2, 3), (3, 2, 4, 5)])
-    faces = (quads + 6 * np.arange(n)[:, None, None]).reshape(-1, 4)
+    faces = (np.array([(0, 1, 2, 3), (3, 2, 4, 5)]) + 6 * np.arange(n)[:, None, None]).reshape(-1, 4)
     return Mesh(vertices, faces.astype(np.uint32))
 
 
 class _Shape(NamedTuple):
     """Look of a kind; the material of the ground is litter and soil."""
 
-    grow: Callable[[np.random.Generator], Mesh]
+    grow: Callable[[Generator], Mesh]
     semantic: Semantic
     part: PlantPart
     material: str

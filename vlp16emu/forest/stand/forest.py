@@ -51,7 +51,7 @@ and a tile more, since voxels of a tile are made of the tiles around it too."""
 T = TypeVar("T")
 
 
-def by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
+def _by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
     """Keep what is made of each tile (ix, iy); `name` is that of all that decides it but the tile, empty where nothing is kept."""
     return lambda ix, iy: recalled(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
 
@@ -103,8 +103,8 @@ class ForestWorld:
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
         kept = 2 * across * across
-        self._tile = lru_cache(maxsize=kept)(by_tile("Tile", name, self._grow_tile))
-        self.far_tile = lru_cache(maxsize=kept)(by_tile("FarTile", name, self._far_tile))
+        self._tile = lru_cache(maxsize=kept)(_by_tile("Tile", name, self._grow_tile))
+        self.far_tile = lru_cache(maxsize=kept)(_by_tile("FarTile", name, self._far_tile))
         self._trees = lru_cache(maxsize=kept)(stems.trees)
         self._crown = cache(stems.crown)
         self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)

@@ -60,8 +60,7 @@ def read_stem_list(
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():
-        expected = "one of them"
-        raise GeometryError(f"{path}, line 1", "found lean_azimuth_deg and lean_towards_deg", expected)
+        raise GeometryError(f"{path}, line 1", "found lean_azimuth_deg and lean_towards_deg", "one of them")
     if not len(table):
         raise GeometryError(str(path), "no tree below line 1", "one tree to a line")
     names = table.texts("species")
@@ -81,18 +80,16 @@ def read_stem_list(
 
 def _with_heights(table: Table, species: list[Species]) -> Array:
     dbh_cm, height_m = 100 * table.numbers("dbh_m"), table.numbers("height_m")
-    of = np.array([one.number for one in species])
+    of, unknown = np.array([one.number for one in species]), np.isnan(height_m)
     for one in {one.number: one for one in species}.values():
-        own, missing = of == one.number, (of == one.number) & np.isnan(height_m)
-        if not missing.any():
-            continue
-        measured = own & ~missing
-        if not measured.any():
+        missing, measured = (of == one.number) & unknown, (of == one.number) & ~unknown
+        if missing.any() and not measured.any():
             found = f"no tree of {one.name} has a height"
             raise GeometryError(f"{table.path}: height_m", found, "one at least, to draw its height curve through")
-        mean_cm = float(np.sqrt(np.mean(np.square(dbh_cm[measured]))))
-        curve_m = one.height_curve(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
-        height_m[missing] = np.maximum(curve_m, _COLUMNS["height_m"].low)
+        if missing.any():
+            mean_cm = float(np.sqrt(np.mean(np.square(dbh_cm[measured]))))
+            curve_m = one.height_curve(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
+            height_m[missing] = np.maximum(curve_m, _COLUMNS["height_m"].low)
     return height_m
 
 
@@ -133,14 +130,12 @@ def _check(table: Table, trees: Trees) -> None:
         found = f"found {100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m; half of all trees are less than {middle:.0f} times as high as thick"
         expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
         raise GeometryError(table.where(i, "dbh_m"), found, expected)
-    above = trees["crown_base_m"] >= trees["height_m"]
-    if above.any():
-        i = int(above.argmax())
+    if (above := np.flatnonzero(trees["crown_base_m"] >= trees["height_m"])).size:
+        i = int(above[0])
         found = f"found {trees['crown_base_m'][i]:g}"
         raise GeometryError(table.where(i, "crown_base_m"), found, f"less than the height, {trees['height_m'][i]:g}")
     places = places_m(trees, "xy")
-    pairs = sorted(cKDTree(places).query_pairs(_APART_M))
-    if pairs:
+    if pairs := sorted(cKDTree(places).query_pairs(_APART_M)):
         first, second = pairs[0]
         found = f"the place of line {table.lines[first]}, ({places[second, 0]:g}, {places[second, 1]:g}) m in the scene"
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
@@ -149,7 +144,6 @@ def _check(table: Table, trees: Trees) -> None:
 _CROWN_RATIOS = 0.4, 0.6  # between the variants of a class: no crown is stretched much along its stem
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
-_HA_PER_TILE = TILE_M * TILE_M / 10_000
 _NAMED = 20  # trees in the way that are named one by one
 _log = logging.getLogger(__name__)
 
@@ -176,9 +170,8 @@ class GivenStand:
         trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
         tile = np.floor(places_m(trees, "xy") / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
-        names = [(int(ix), int(iy)) for ix, iy in tiles]
-        self._tiles = {name: trees[of.ravel() == i] for i, name in enumerate(names)}
-        self.per_ha = float(count.max()) / _HA_PER_TILE  # where they are densest
+        self._tiles = {(ix, iy): trees[of.ravel() == i] for i, (ix, iy) in enumerate(tiles.tolist())}
+        self.per_ha = float(count.max()) / (TILE_M * TILE_M / 10_000)  # where they are densest
         self._prototypes = _prototypes(trees)
         self._all = trees
 
@@ -252,10 +245,9 @@ def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], pa
     return trees[~in_the_way]
 
 
-def _prototypes(trees: Trees) -> dict[tuple[int, int, int], tuple[float, float, float, float]]:
+def _prototypes(trees: Trees) -> dict[tuple[int, int, int], tuple[float, ...]]:
     """DBH, height, crown base and crown width of the mean tree of each cohort, crown class and variant."""
     kinds = np.column_stack([trees["cohort"], trees["crown_class"], trees["crown_variant"]]).astype(np.int64)
     size = np.column_stack([trees[name] for name in ("dbh_m", "height_m", "crown_base_m", "crown_width_m")])
     names, of = np.unique(kinds, axis=0, return_inverse=True)
-    means = [size[of.ravel() == i].mean(axis=0).tolist() for i in range(len(names))]
-    return {(int(c), int(k), int(v)): (d, h, b, w) for (c, k, v), (d, h, b, w) in zip(names, means, strict=True)}
+    return {(c, k, v): tuple(size[of.ravel() == i].mean(axis=0).tolist()) for i, (c, k, v) in enumerate(names.tolist())}

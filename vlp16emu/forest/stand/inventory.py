@@ -105,21 +105,19 @@ def write_csv(
 
     Species are written by name, and nothing where a number is unknown.
     """
+
+    def text(value: float) -> str:
+        return str(value) if isinstance(value, int) else "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
+
     names = {species.number: name for name, species in (table or species_table()).items()}
-    text = TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text, lineterminator="\n")
+    opened = TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(opened, lineterminator="\n")
     more = np.zeros(len(rows), []) if more is None else more
     writer.writerow([*(INVENTORY.names or ()), *(more.dtype.names or ())])
     for row, others in zip(rows.tolist(), more.tolist(), strict=True):
         number, species, *values, line = row
-        writer.writerow([number, names[species], *map(_text, values), line or "", *map(_text, others)])
-    text.detach()
-
-
-def _text(value: float) -> str:
-    if isinstance(value, int):
-        return str(value)
-    return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
+        writer.writerow([number, names[species], *map(text, values), line or "", *map(text, others)])
+    opened.detach()
 
 
 def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Table) -> None:
@@ -157,31 +155,20 @@ def _measure_crowns(
     for key, which in own.items():
         rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * np.square(wide[which]) * long[which]
         meshes = crown_meshes(seed, key, table=table)
-        low_m, high_m = _spans_m(meshes, foot_T_crown[which])
-        span_m[which, 0] = np.minimum(span_m[which, 0], low_m)
-        span_m[which, 1] = np.maximum(span_m[which, 1], high_m)
+        corners_m = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
+        for i in which:
+            at_m = matvec(foot_T_crown[i, :, :3], corners_m) + foot_T_crown[i, :, 3]
+            span_m[i, 0] = at_m.min(axis=0, initial=np.inf).clip(max=span_m[i, 0])
+            span_m[i, 1] = at_m.max(axis=0, initial=-np.inf).clip(min=span_m[i, 1])
         leaves, foliage = meshes[CROWN_PARTS.index(PlantPart.LEAF)], table[key.species].foliage
         if foliage is not None and len(leaves.faces):
-            rows["leaf_m2"][which] = foliage.clumping * _stretched_m2(leaves, wide[which], long[which])
-
-
-def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
-    """Area (n,) of planar quads after each of n stretches, across and along the axis."""
-    a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
-    x, y, z = (np.cross(c - a, d - b) / 2).T
-    level, steep = np.square(z), np.square(x) + np.square(y)
-    return np.array([w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in zip(wide, long, strict=True)])
-
-
-def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:
-    """Least and greatest coordinates (n, 3) of any vertex by n transforms (n, 3, 4); infinite where there is none."""
-    places = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
-    low_m, high_m = np.full((2, len(foot_T_crown), 3), [[[np.inf]], [[-np.inf]]])
-    for i, transform in enumerate(foot_T_crown):
-        at_m = matvec(transform[:, :3], places) + transform[:, 3]
-        low_m[i] = at_m.min(axis=0, initial=np.inf)
-        high_m[i] = at_m.max(axis=0, initial=-np.inf)
-    return low_m, high_m
+            # Area of planar quads after each stretch, across and along the axis.
+            a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
+            x, y, z = (np.cross(c - a, d - b) / 2).T
+            level, steep = np.square(z), np.square(x) + np.square(y)
+            stretches = zip(wide[which], long[which], strict=True)
+            areas_m2 = [w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in stretches]
+            rows["leaf_m2"][which] = foliage.clumping * np.array(areas_m2)
 
 
 def hull_m(points_m: Array) -> Array:

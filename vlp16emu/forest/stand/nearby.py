@@ -1,7 +1,7 @@
 """Things near a path, and a piece cut out of the world."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -57,16 +57,16 @@ def things_near(
     window: Window, shape: Grow, *, trees: NDArray[np.uint32], path: Polyline, radius_m: float
 ) -> list[Thing]:
     """Things whose place is within a radius of a path, in the order of the window; instances of `trees` (n,) are none."""
-    is_thing = np.array([not _is_ground(key) for key in window.shapes], np.bool_)[window.shape]
+    grounds = (
+        isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS) for key in window.shapes
+    )
+    is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
     near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
-    corners = cache(lambda key: _corners_m(shape(key)))
+    # What spans the convex hull of a shape is all that outlines need, in any placement.
+    corners = cache(lambda key: hull_m(np.concatenate([mesh.vertices_m for mesh in shape(key)]).astype(np.float64)))
     found = np.flatnonzero(is_thing & no_tree & near).tolist()
     return [_thing(window, i, corners(window.shapes[window.shape[i]])) for i in found]
-
-
-def _is_ground(key: ShapeKey) -> bool:
-    return isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
 
 
 def cut_out(
@@ -127,8 +127,3 @@ def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
     kind = "sapling" if isinstance(key, SaplingKey) else kind
     numbers, place_m = (int(row["instance"]), int(row["species"])), world_T_shape[:, 3].copy()
     return Thing(placement, *numbers, kind, place_m, hull_m(seen_m), tuple(size_m.tolist()))
-
-
-def _corners_m(meshes: Sequence[Mesh]) -> Array:
-    """Vertices (k, 3) that span the convex hull of a shape: all that outlines need, in any placement."""
-    return hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))

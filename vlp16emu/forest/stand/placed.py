@@ -57,7 +57,7 @@ class Site:
 
 
 def between(limits: tuple[float, float], draw: Array) -> Array:
-    """Evenly from limits[0] to limits[1]."""
+    """Return values evenly from limits[0] to limits[1], by draws in [0, 1)."""
     return limits[0] + (limits[1] - limits[0]) * draw
 
 
@@ -91,8 +91,7 @@ def turned(azimuth_deg: Array) -> Array:
 
 def laid(towards: Array, slope: Array) -> Array:
     """Rotations (n, 3, 3) that lay the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
-    flat = 1 / hypot(1, slope)
-    c, s, zero = cos(towards), sin(towards), np.zeros(len(towards))
+    flat, c, s, zero = 1 / hypot(1, slope), cos(towards), sin(towards), np.zeros(len(towards))
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
     across = np.stack([-s, c, zero], axis=-1)
     return np.stack([along, across, np.cross(along, across)], axis=-1)

@@ -17,13 +17,14 @@ from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.terrain import Trails, sum_of_waves, waves
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.settings import Clusters, HardCore, Pattern, Plantation, Scattered
+from vlp16emu.forest.settings import Clusters, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
 from vlp16emu.types import Array, IntArray
 
 TilePoints = Callable[[int, int], Array]
 _SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
+_JITTER_M = 0.15  # half-range of the error of planting along and across a row; assumption
 _LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
 _TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than one window and its border hold
 _PATCH_WAVELENGTHS_M = (6.0, 20.0)
@@ -39,14 +40,6 @@ class PointPattern:
 
     per_ha: float  # on average
     points: TilePoints  # of a tile (ix, iy), (n, 2) x and y in m
-
-
-@dataclass(frozen=True, slots=True)
-class HardCorePattern(PointPattern):
-    """Points that keep apart."""
-
-    distance_m: float  # the least from one to the next
-    candidates: TilePoints  # (n, 3) x and y in m, and a priority in [0, 1), low is high
 
 
 def scattered(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
@@ -65,7 +58,7 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
     most_per_ha = even_per_ha + _DENSEST_PATCH * patchy_per_ha
 
     def points(ix: int, iy: int) -> Array:
-        """Thin the points of a Poisson process as dense as the densest patch to the density at each."""
+        # A Poisson process as dense as the densest patch, thinned to the density at each point.
         mean = most_per_ha * TILE_M * TILE_M / 10_000
         draws = _sown(generator(seed, purpose, ix, iy), ix, iy, mean, columns=3)
         x, y = np.ascontiguousarray(draws[:, :2].T)
@@ -77,7 +70,7 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
     return PointPattern(even_per_ha + patchy_per_ha, points)
 
 
-def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> HardCorePattern:
+def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
     """Let candidates fall like rain (Poisson), each with a random priority: Matern's second process (Matern 1960).
 
     A candidate survives if none of higher priority lies within the hard-core distance.
@@ -100,7 +93,7 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> HardCorePattern:
         beaten = (dx * dx + dy * dy < distance_m * distance_m) & (rivals[:, 2] < own[:, None, 2])
         return own[~beaten.any(axis=1), :2]
 
-    return HardCorePattern(per_ha, points, distance_m, candidates)
+    return PointPattern(per_ha, points)
 
 
 def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
@@ -140,12 +133,12 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
         lane = number & 0xFFFFFFFF
         draws = uniform(seed, purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
         places = np.column_stack([plants, np.full(len(plants), number)]) * spacing_m
-        return (places + section.jitter_m * (2 * draws[:, :2] - 1))[draws[:, 2] < per_ha / whole_per_ha]
+        return (places + _JITTER_M * (2 * draws[:, :2] - 1))[draws[:, 2] < per_ha / whole_per_ha]
 
     def points(ix: int, iy: int) -> Array:
         corners = matvec(row_R_world, TILE_M * np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)]))
-        low = np.floor((corners.min(axis=0) - section.jitter_m) / spacing_m).astype(int)
-        high = np.ceil((corners.max(axis=0) + section.jitter_m) / spacing_m).astype(int)
+        low = np.floor((corners.min(axis=0) - _JITTER_M) / spacing_m).astype(int)
+        high = np.ceil((corners.max(axis=0) + _JITTER_M) / spacing_m).astype(int)
         plants = np.arange(low[0], high[0] + 1)
         rows = [row(number, plants) for number in range(int(low[1]), int(high[1]) + 1)]
         return _inside(matvec(row_R_world.T, np.concatenate(rows)), ix, iy)
@@ -156,7 +149,7 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
 def pattern_of(
     section: Pattern, *, seed: int, purpose: Growth, per_ha: float, trails: Trails | None = None
 ) -> PointPattern:
-    """Make a point pattern of some density, which is as dense as it is to be off the trails where there are any."""
+    """Make a point pattern of some density, counted over all the ground but with points off the trails alone."""
     share = trails.free_share if trails else 1.0
     how: dict[str, Any] = {"seed": seed, "purpose": purpose, "per_ha": per_ha / share}
     match section:
@@ -164,10 +157,8 @@ def pattern_of(
             pattern = clustered(section, **how)
         case Plantation():
             pattern = planted(section, free_share=share, **how)
-        case HardCore():
-            pattern = hard_core(**how)
-        case Scattered():
-            pattern = scattered(**how)
+        case Scattered(kind=kind):
+            pattern = hard_core(**how) if kind == "hard_core" else scattered(**how)
     if trails is None or share == 1:
         return pattern
     off_trails = pattern.per_ha * share

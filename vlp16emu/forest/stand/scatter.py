@@ -28,7 +28,7 @@ from vlp16emu.forest.plants.prototypes import (
     SaplingKey,
     ShrubKey,
 )
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Shrub, Species, Trees, flora, known
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Shrub, Species, flora, known
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
 from vlp16emu.forest.stand.placed import (
@@ -47,7 +47,7 @@ from vlp16emu.forest.stand.points import PointPattern, patchy, pattern_of, scatt
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.random import generator
 from vlp16emu.settings import Section
-from vlp16emu.types import Array, HeightField, IntArray, Semantic
+from vlp16emu.types import Array, IntArray, Semantic
 from vlp16emu.world.vectors import places_m
 
 _CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
@@ -97,43 +97,39 @@ class Layer:
 def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
     """Lay out young trees."""
     height_m = between(layer.section.height_m, draws[:, 0])
-    kind = (len(layer.species) * draws[:, 1]).astype(int)
     room_m = np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
     keep = site.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, height_m / SLENDERNESS / 2 + room_m)
-    trees = _grown(layer, site, xy_m, kind, height_m, draws)
+    trees, kinds, world_T = _grown(layer, site, xy_m[keep], height_m[keep], draws[keep])
     trees["storey"] = trees["cohort"] = REGENERATION
-    trees["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
-    trees["crown_base_m"] = CROWN_BASE_SHARE * height_m
-    trees["crown_width_m"] = CROWN_WIDTH_SHARE * height_m
-    trees = trees[keep]
-    prototype_m, world_T = _scaled(trees)
-    keys = [
-        SaplingKey(layer.species[i].name, variant, height_m, layer.season)
-        for i, variant, height_m in zip(kind[keep], trees["crown_variant"].tolist(), prototype_m, strict=True)
-    ]
+    trees["dbh_m"] = np.maximum(trees["height_m"] - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
+    trees["crown_base_m"] = CROWN_BASE_SHARE * trees["height_m"]
+    trees["crown_width_m"] = CROWN_WIDTH_SHARE * trees["height_m"]
+    keys = [SaplingKey(one.name, variant, height_m, layer.season) for one, variant, height_m in kinds]
     return PlacedThings(*distinct(keys), world_T, plant_surfaces(trees, SAPLING_PARTS, layer.plants), trees)
 
 
 def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
     """Lay out bushes of several stems."""
-    kind = (len(layer.species) * draws[:, 1]).astype(int)
-    limits_m = np.array([layer.species[i].height_m for i in kind]).reshape(-1, 2)
-    height_m = limits_m[:, 0] + (limits_m[:, 1] - limits_m[:, 0]) * draws[:, 0]
-    width_m = height_m * [layer.species[i].width_share for i in kind]
+    shrubs = [layer.species[i] for i in (len(layer.species) * draws[:, 1]).astype(int)]
+    low_m, high_m = np.array([one.height_m for one in shrubs]).reshape(-1, 2).T
+    height_m = low_m + (high_m - low_m) * draws[:, 0]
+    width_m = height_m * [one.width_share for one in shrubs]
     keep = site.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
-    shrubs = _grown(layer, site, xy_m, kind, height_m, draws)[keep]  # the fields of a tree that a shrub has too
-    prototype_m, world_T = _scaled(shrubs)
+    plants, kinds, world_T = _grown(layer, site, xy_m[keep], height_m[keep], draws[keep])
     keys = [
         ShrubKey(one.name, variant, height_m, one.width_share * height_m, layer.season)
-        for i, variant, height_m in zip(kind[keep], shrubs["crown_variant"].tolist(), prototype_m, strict=True)
-        for one in [layer.species[i]]
+        for one, variant, height_m in kinds
     ]
-    rows = plant_surfaces(shrubs, SHRUB_PARTS, layer.plants, Semantic.SHRUB)
-    return PlacedThings(*distinct(keys), world_T, rows, NO_TREES)
+    return PlacedThings(
+        *distinct(keys), world_T, plant_surfaces(plants, SHRUB_PARTS, layer.plants, Semantic.SHRUB), NO_TREES
+    )
 
 
-def _grown(layer: Layer, site: Site, xy_m: Array, kind: IntArray, height_m: Array, draws: Array) -> NDArray[np.void]:
-    """Return saplings and shrubs with place, height, species, brightness, and class and variant of their prototype."""
+def _grown(
+    layer: Layer, site: Site, xy_m: Array, height_m: Array, draws: Array
+) -> tuple[NDArray[np.void], list[tuple[Any, int, float]], Array]:
+    """Return saplings or shrubs as `TREE`; of each the species, variant and height of its prototype; and their `world_T_shape`."""
+    kind = (len(layer.species) * draws[:, 1]).astype(int)
     plants = np.zeros(len(xy_m), TREE)
     plants["x_m"], plants["y_m"] = xy_m.T
     plants["z_m"] = site.height_m(*xy_m.T)
@@ -141,18 +137,14 @@ def _grown(layer: Layer, site: Site, xy_m: Array, kind: IntArray, height_m: Arra
     plants["crown_class"] = np.round(log(height_m) / log(_CLASS_RATIO))
     plants["crown_variant"] = VARIANTS * draws[:, 3]
     looks = [(one.number, one.bark_reflectance, one.leaf_reflectance) for one in layer.species]
-    number, bark, leaf = np.array(looks)[kind].T
-    plants["species"] = number
+    plants["species"], bark, leaf = np.array(looks)[kind].T
     plants["bark_reflectance"] = bark + (2 * draws[:, 4] - 1) * BARK_SPREAD
     plants["leaf_reflectance"] = leaf + (2 * draws[:, 5] - 1) * LEAF_SPREAD
-    return plants
-
-
-def _scaled(plants: Trees) -> tuple[list[float], Array]:
-    """Heights (n,) of the prototypes of plants, and their `world_T_shape`."""
     prototype_m = [class_scale(_CLASS_RATIO, number) for number in plants["crown_class"].tolist()]
-    size = np.repeat((plants["height_m"] / np.array(prototype_m))[:, None], 3, axis=1)
-    return prototype_m, placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
+    size = np.repeat((height_m / np.array(prototype_m))[:, None], 3, axis=1)
+    species, variants = (layer.species[i] for i in kind), plants["crown_variant"].tolist()
+    world_T = placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
+    return plants, list(zip(species, variants, prototype_m, strict=True)), world_T
 
 
 Mask = NDArray[np.bool_]
@@ -214,12 +206,16 @@ def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -
     )
     pieces = _broken(whole, is_broken, fate[:, 4:])
     world_T = _laid_down(pieces, site, plate_m)
-    keep = _free(pieces, site) & _free_plates(pieces, plate_m, site)
+    keep = _are_clear(pieces.along_m(), pieces.wide_m / 2, site) & _are_plates_clear(pieces, plate_m, site)
     keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
     species, looks = _sampled_species(layer, draws)[pieces.log], draws[pieces.log]
     log_looks = np.where(pieces.is_top[:, None], looks[:, [6, 5]], looks[:, 4:6])
     in_two, has_plate = is_broken[pieces.log], (plate_m[pieces.log] > 0) & ~pieces.is_top
-    butt_T = _plates(world_T, pieces, plate_m)
+    # Plates stand at the butts, across the logs.
+    along = world_T[:, :, 0] / pieces.length_m[:, None]
+    across = laid(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
+    size = plate_m[pieces.log, None] * [_PLATE_THICKNESS, 1.0, 1.0]
+    butt_T = placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, across, size)
     return together(
         [
             labelled(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
@@ -239,7 +235,7 @@ def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     world_T = placements(place_m, turned(360 * draws[:, 2]), size)
     is_broken = draws[:, 6] < own.broken
     kinds = (FloorKind.STUMP, keep & ~is_broken), (FloorKind.BROKEN_STUMP, keep & is_broken)
-    return together([labelled(kind, which, world_T, draws[:, 4:], species=species) for kind, which in kinds])
+    return together([labelled(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
 
 
 def _sampled_species(layer: Layer, draws: Array) -> IntArray:
@@ -260,9 +256,8 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
     # The upper piece is turned about its lower end.
     towards = towards + np.where(is_top, _BREAK_TURN * (2 * draws[log, 2] - 1), 0.0)
     xy_m[is_top] = _line_m(xy_m[is_top], towards[is_top], length_m[is_top, None] / 2)[:, 0]
-    return _Pieces(
-        log, is_top, xy_m, towards, length_m, thick * whole.wide_m[log], thick * whole.high_m[log], whole.sunk[log]
-    )
+    wide_m, high_m = thick * whole.wide_m[log], thick * whole.high_m[log]
+    return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log])
 
 
 def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
@@ -280,31 +275,21 @@ def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
     return placements(np.column_stack([pieces.xy_m, z_m]), world_R_log, size)
 
 
-def _plates(world_T: Array, pieces: _Pieces, plate_m: Array) -> Array:
-    """`world_T_shape` (n, 3, 4) of root plates at the butts of pieces, across them; of diameters (logs,)."""
-    along = world_T[:, :, 0] / pieces.length_m[:, None]
-    rise = along[:, 2] / hypot(along[:, 0], along[:, 1])
-    size = plate_m[pieces.log, None] * [_PLATE_THICKNESS, 1.0, 1.0]
-    return placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, laid(pieces.towards, rise), size)
-
-
-def _free(pieces: _Pieces, site: Site) -> Mask:
-    radius_m = np.repeat(pieces.wide_m / 2, len(_STATIONS))
-    along_m = pieces.along_m()
-    clear = site.clear(along_m.reshape(-1, 2), radius_m, radius_m).reshape(along_m.shape[:2])
+def _are_clear(line_m: Array, radius_m: Array, site: Site) -> Mask:
+    """Return which of lines of places (n, k, 2) keep a radius (n,) clear of the path and of trunks all along."""
+    reach_m = np.repeat(radius_m, line_m.shape[1])
+    clear = site.clear(line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
 
 
-def _free_plates(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
+def _are_plates_clear(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
     """Return a mask (n,) of pieces whose root plate keeps clear of the path and of trunks, or that have none."""
     clear = np.ones(len(pieces.log), np.bool_)
     own = np.flatnonzero(~pieces.is_top & (plate_m[pieces.log] > 0))
     wide_m = plate_m[pieces.log[own]]
     butt_m = _line_m(pieces.xy_m[own], pieces.towards[own], -pieces.length_m[own, None] / 2)[:, 0]
     across_m = _line_m(butt_m, pieces.towards[own] + np.pi / 2, wide_m[:, None] * _PLATE_STATIONS)
-    reach_m = np.repeat(_PLATE_THICKNESS * wide_m, len(_PLATE_STATIONS))
-    found = site.clear(across_m.reshape(-1, 2), reach_m, reach_m)
-    clear[own] = found.reshape(across_m.shape[:2]).all(axis=1)
+    clear[own] = _are_clear(across_m, _PLATE_THICKNESS * wide_m, site)
     return clear
 
 
@@ -331,16 +316,13 @@ def normal_quantile(probability: Array) -> Array:
     """Return the standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, within 1e-15 of their size."""
     off = probability - 0.5
     square = off * off
-    middle = (off + off * (square * _ratio(_MIDDLE, square))) * _SQRT_2_PI
+    above, below = (np.polyval(np.array(coefficients), square) for coefficients in _MIDDLE)
+    middle = (off + off * (square * (above / below))) * _SQRT_2_PI
     tail = np.minimum(np.minimum(probability, 1.0 - probability), _TAIL)
     far = np.sqrt(-2.0 * log(tail))
-    far = far - log(far) / far - _ratio(_TAILS, 1.0 / far) / far
+    above, below = (np.polyval(np.array(coefficients), 1.0 / far) for coefficients in _TAILS)
+    far = far - log(far) / far - above / below / far
     return np.where(tail < _TAIL, np.copysign(far, off), middle)
-
-
-def _ratio(fraction: tuple[tuple[float, ...], tuple[float, ...]], x: Array) -> Array:
-    above, below = (np.polyval(np.array(coefficients), x) for coefficients in fraction)
-    return above / below
 
 
 _STONE_M = (0.1, 1.5)  # least and greatest length of a stone; assumption
@@ -370,14 +352,25 @@ def layer_of(
     none are given. Raises GeometryError for a species that is not in the table, and for saplings of none.
     """
     kind, plants = _KINDS[type(section)], plants or flora()
-    species = _species(section, kind.name, canopy, plants)
+    species: Sequence[Species] | Sequence[Shrub] = []
+    match section:
+        case settings.Regeneration():
+            names = section.species or [one for one in canopy if plants.trees[one].foliage]
+            if section.stems_per_ha and not names:
+                found = "found none, and only dead trees above"
+                raise GeometryError("regeneration.species", found, "names of species")
+            species = known(names, plants.trees, "regeneration.species")
+        case settings.Shrubs():
+            species = known(section.species, plants.shrubs, "shrubs.species")
+        case settings.Logs() | settings.Stumps():
+            species = known(section.species or canopy, plants.trees, f"{kind.name}.species")
     return Layer(section, kind, species, season, plants, _pattern(section, kind, seed, trails))
 
 
 def layers_of(
     section: settings.Woods, seed: int, canopy: Sequence[str], plants: Flora, trails: Trails | None = None
 ) -> list[Layer]:
-    """All that grows and lies under the trees, in the order of its numbers."""
+    """Scatter all that grows and lies under the trees, in the order of its numbers."""
     made = partial(layer_of, seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails)
     return [made(getattr(section, kind.name)) for kind in _KINDS.values()]
 
@@ -407,29 +400,12 @@ def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> t
     return 10_000 * even / area_m2, 10_000 * patchy / area_m2
 
 
-def _species(section: Section, name: str, canopy: Sequence[str], plants: Flora) -> Sequence[Species] | Sequence[Shrub]:
-    match section:
-        case settings.Regeneration():
-            names = section.species or [one for one in canopy if plants.trees[one].foliage]
-            if section.stems_per_ha and not names:
-                found = "found none, and only dead trees above"
-                raise GeometryError("regeneration.species", found, "names of species")
-            return known(names, plants.trees, "regeneration.species")
-        case settings.Shrubs():
-            return known(section.species, plants.shrubs, "shrubs.species")
-        case settings.Logs() | settings.Stumps():
-            return known(section.species or canopy, plants.trees, f"{name}.species")
-    return []
-
-
 def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None) -> PointPattern:
     """Make the places of things: herbs, ferns and dwarf shrubs come in patches, stones, wood, tufts, moss and litter anywhere."""
     match section:
-        case (
-            settings.Regeneration(stems_per_ha=per_ha, pattern=pattern)
-            | settings.Shrubs(per_ha=per_ha, pattern=pattern)
-        ):
-            return pattern_of(pattern, seed=seed, purpose=kind.purpose, per_ha=per_ha, trails=trails)
+        case settings.Regeneration() | settings.Shrubs():
+            per_ha = section.per_ha if isinstance(section, settings.Shrubs) else section.stems_per_ha
+            return pattern_of(section.pattern, seed=seed, purpose=kind.purpose, per_ha=per_ha, trails=trails)
         case settings.Cover():
             even, in_patches = plants_per_ha(section, kind.spread, patches=not kind.is_ground)
             if in_patches:
@@ -473,21 +449,18 @@ def _lay_low(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThing
     keep = site.path.distance_m(xy_m) < kind.reach_m
     world_R_thing = turned(360 * draws[:, 1])
     if kind.is_ground:
-        world_R_thing = matmul(_along(site.height_m, xy_m), world_R_thing)
+        x, y = xy_m.T
+        east = (site.height_m(x + _SLOPE_M, y) - site.height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
+        north = (site.height_m(x, y + _SLOPE_M) - site.height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
+        towards = atan2(north, east)
+        world_R_ground = matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
+        world_R_thing = matmul(world_R_ground, world_R_thing)
     else:
         keep[keep] = site.clear(xy_m[keep], kind.spread * height_m[keep] / 2, np.zeros(keep.sum()))
     place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
     size = height_m[:, None] * [kind.spread, kind.spread, 1.0]
     assert kind.shape is not None
     return labelled(kind.shape, keep, placements(place_m, world_R_thing, size), draws[:, 2:])
-
-
-def _along(height_m: HeightField, xy_m: Array) -> Array:
-    x, y = xy_m.T
-    east = (height_m(x + _SLOPE_M, y) - height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
-    north = (height_m(x, y + _SLOPE_M) - height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
-    towards = atan2(north, east)
-    return matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
 
 
 _KINDS: dict[type[Section], LayerKind] = {  # kinds of layers by section, in the order of their numbers

@@ -2,7 +2,7 @@
 
 import fractions
 import math
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +33,7 @@ TREE = np.dtype(  # one tree
         ("height_m", "<f8"),  # of the tip over the foot, vertical
         ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
-        (
-            "taper",
-            "<f8",
-        ),  # radius over that at breast height: that of the species' curve to the power of 1 more; 0 is the curve's
+        ("taper", "<f8"),  # the radius over that at breast height is its species' curve to the power of 1 + taper
         ("lean_deg", "<f8"),  # of the axis from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east
         ("crown_azimuth_deg", "<f8"),  # of the crown about the axis
@@ -80,10 +77,6 @@ class _Cohort:
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
         self.sample_cm = raw_cm * self._scale
 
-    def dbh_cm(self, probability: Array) -> Array:
-        """Quantiles of diameter, scaled to the stand's quadratic mean."""
-        return truncated_weibull_cm(self.species.diameters, probability, self.share.dbh_cm) * self._scale
-
     def height_m(self, dbh_cm: Array) -> Array:
         """Mean height of trees of these diameters."""
         return self.species.height_curve(dbh_cm, self.share.dbh_cm, self.share.height_m)
@@ -91,7 +84,8 @@ class _Cohort:
     def sized(self, trees: Trees, uniform: Array, residual: Array) -> Trees:
         """Set species, size and brightness of trees (n,), all but the crown base, from (n, 3) uniform numbers and `residuals`."""
         species = self.species
-        dbh_cm = self.dbh_cm(uniform[:, 0])
+        # Quantiles of diameter, scaled to the stand's quadratic mean.
+        dbh_cm = truncated_weibull_cm(species.diameters, uniform[:, 0], self.share.dbh_cm) * self._scale
         tall, _, wide, form = residual.T
         trees["species"] = species.number
         trees["dbh_m"] = dbh_cm / 100
@@ -157,8 +151,7 @@ def density_per_ha(storey: Storey) -> float:
     """
     if storey.stems_per_ha:
         return storey.stems_per_ha
-    basal_m2 = storey.basal_area_m2_per_ha
-    per_ha = basal_m2 / _stem_m2(storey)
+    per_ha = (basal_m2 := storey.basal_area_m2_per_ha) / _stem_m2(storey)
     if per_ha > MOST_STEMS_PER_HA:
         found = f"found {basal_m2:g}, {per_ha:.0f} stems of that size per ha"
         raise GeometryError("basal_area_m2_per_ha", found, f"at most {MOST_STEMS_PER_HA}")
@@ -188,7 +181,7 @@ class Stand:
         plants: Flora | None = None,
         trails: Trails | None = None,
     ) -> None:
-        self._seed, self._height_m, self._plants = seed, height_m, plants or flora()
+        self._seed, self._height_m, self._path, self._plants = seed, height_m, path, plants or flora()
         storeys: list[Storey] = [section, *section.storeys]
         self._patterns = [
             pattern_of(storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey), trails=trails)
@@ -206,14 +199,8 @@ class Stand:
         self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
         self._rivals_m2, cover = per_ha_m2[:, :2], float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
-        self._path = path
-        self._season, self._dead_branches = section.season, section.dead_branches
-        self._crooked = section.crooked_stems
-        self._ratios = cache(
-            lambda *kind: [
-                1 - key.crown_base_m / key.height_m for key in map(partial(self.crown, *kind), range(VARIANTS))
-            ]
-        )
+        self._section = section
+        self._crown = cache(self.crown)
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
@@ -233,7 +220,8 @@ class Stand:
             sizes = 100 * trees["dbh_m"][which], trees["height_m"][which], tuple(one[which] for one in pressure)
             trees["crown_base_m"][which] = cohort.species.crown_base_m(*sizes, own[which, 6])
         kinds, of = np.unique(trees[["cohort", "crown_class"]], return_inverse=True)
-        ratios = np.array([self._ratios(*kind) for kind in kinds.tolist()]).reshape(-1, VARIANTS)[of]
+        crowns = [self._crown(*kind, variant) for kind in kinds.tolist() for variant in range(VARIANTS)]
+        ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[of]
         own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
         trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
         clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
@@ -259,12 +247,12 @@ class Stand:
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
         trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
-        lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, 0], _LEAN_SIGMA_DEG * normal[:, 1]
+        lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, :2].T
         trees["lean_deg"] = hypot(lean_x, lean_y)
         trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
         trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
         trees["storey"] = number
-        if self._crooked:
+        if self._section.crooked_stems:
             trees["form"] = rng.integers(1, 2**63, len(position))
         cohorts = self._cohorts[number]
         share = np.array([cohort.share.share for cohort in cohorts])
@@ -289,9 +277,8 @@ class Stand:
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
         base_m = own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
-        height, base, width, leaves = (float(size[0]) for size in (height_m, base_m, width_m, leaf_area_m2))
-        sizes = float(dbh_cm[0]) / 100, height, base, width, leaves
-        return CrownKey(own.species.name, variant, *sizes, self._season, self._dead_branches)
+        sizes = (float(size[0]) for size in (dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2))
+        return CrownKey(own.species.name, variant, *sizes, self._section.season, self._section.dead_branches)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:

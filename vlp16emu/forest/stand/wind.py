@@ -108,19 +108,10 @@ def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: Array) -> Array:
 
     Each is the y of y'' + 2 z w y' + w^2 y = w^2 u with the gusts u at its place, swung in.
     """
-    cosine, sine = np.empty((2, len(lines.omega_rad_s), len(t_s)))
-    _waves(lines.omega_rad_s, t_s, cosine, sine)
+    turned = lines.omega_rad_s[:, None] * t_s
     out = np.zeros((len(trees.omega_rad_s), len(t_s)))
-    _follow(lines, 1.0 / speed_m_s, trees, cosine, sine, out)
+    _follow(lines, 1.0 / speed_m_s, trees, cos(turned), sin(turned), out)
     return out.T
-
-
-@numba.njit(cache=True, nogil=True)
-def _waves(omega_rad_s: Array, t_s: Array, cosine: Array, sine: Array) -> None:
-    for line in range(len(omega_rad_s)):
-        for k in range(len(t_s)):
-            turned = omega_rad_s[line] * t_s[k]
-            cosine[line, k], sine[line, k] = cos(turned), sin(turned)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -153,10 +144,9 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[Array, Array
     2000). Stiffness: what gives the mass of stem and crown that frequency about the foot.
     """
     foliage = {species.number: species.foliage for species in plants.trees.values()}
-    kinds = [foliage[number] for number in trees["species"].tolist()]
-    sheds = np.array([kind is not None and kind.kind == "leaf" for kind in kinds], np.bool_)
-    in_leaf = sheds & (season == "leaf_on")
-    bare = np.array([kind is None for kind in kinds], np.bool_) | (sheds & ~in_leaf)
+    kinds = np.array([getattr(foliage[number], "kind", "dead") for number in trees["species"].tolist()], "<U8")
+    in_leaf = (kinds == "leaf") & (season == "leaf_on")
+    bare = (kinds != "shoot") & ~in_leaf
     dbh_m, height_m, base_m = trees["dbh_m"], trees["height_m"], trees["crown_base_m"]
     frequency_hz = (0.0766 + 3.1219 * 100.0 * dbh_m / np.square(height_m)) * np.where(in_leaf, _IN_LEAF, 1.0)
     middle_m = (base_m + height_m) / 2
