@@ -4,8 +4,21 @@ import contextlib
 import socket
 import threading
 
+from vlp16emu.sinks import PacketSink
+
 SO_RCVBUFFORCE = 33
 """Source: asm-generic/socket.h."""
+
+
+class MemorySink(PacketSink):
+    """Keeps the packets that it is sent."""
+
+    def __init__(self):
+        self.packets = []
+
+    def send(self, packet):
+        """Keep one packet."""
+        self.packets.append(packet)
 
 
 def opened(timeout_s=30.0):

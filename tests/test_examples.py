@@ -31,13 +31,12 @@ COURSE = {
 """Argument that keeps a script short, and words that it prints."""
 
 
-def run_python(folder, *command, code=0, out=False):
-    """Standard output of a program in a folder whose packages it finds; what it says on errors where `code` is not 0 unless `out`."""
-    paths = os.pathsep.join([str(folder), str(ROOT)])
-    env = os.environ | {"PYTHONPATH": paths}
+def run_python(folder, *command, code=0):
+    """Standard output of a program in a folder whose packages it finds; with what it says on errors if `code` is not 0."""
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
     done = subprocess.run([sys.executable, *command], cwd=folder, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr
-    return done.stderr if code and not out else done.stdout
+    return (done.stdout, done.stderr) if code else done.stdout
 
 
 @pytest.mark.parametrize("name", COURSE)
@@ -64,21 +63,21 @@ BUGS = {
 """What is right in the driver, what somebody wrote instead, and the test that says so."""
 
 
-def test_tests_of_a_driver_find_its_bugs(tmp_path):
+def test_tests_of_a_driver_find_its_bugs(pytester):
     """With the fixture `vlp16` the driver of the examples passes, and each of four bugs fails the test that is about it."""
     wanted = []
     driver, tests = ((EXAMPLES / "driver_tests" / name).read_text() for name in ("driver.py", "test_driver.py"))
     for name, (right, wrong, test) in BUGS.items():
         assert right in driver
-        (tmp_path / f"driver_{name}.py").write_text(driver.replace(right, wrong) if right else driver)
-        (tmp_path / f"test_{name}.py").write_text(tests.replace("from driver import", f"from driver_{name} import"))
+        (pytester.path / f"driver_{name}.py").write_text(driver.replace(right, wrong) if right else driver)
+        (pytester.path / f"test_{name}.py").write_text(
+            tests.replace("from driver import", f"from driver_{name} import")
+        )
         wanted.append(f"test_{name}.py" + f"::test_{test}" * bool(test))
-    said = run_python(
-        tmp_path, "-m", "pytest", "-q", "-p", "vlp16emu.pytest", "-p", "no:cacheprovider", *wanted, code=1, out=True
-    )
-    failed = set(re.findall(r"^FAILED test_(\w+)\.py::test_(\w+)", said, re.MULTILINE))
+    done = pytester.runpytest_inprocess("-p", "vlp16emu.pytest", "-p", "no:cacheprovider", *wanted)
+    done.assert_outcomes(passed=5, failed=4)
+    failed = set(re.findall(r"^FAILED test_(\w+)\.py::test_(\w+)", str(done.stdout), re.MULTILINE))
     assert failed == {(name, test) for name, (_, _, test) in BUGS.items() if test}
-    assert "4 failed, 5 passed" in said
 
 
 def test_a_session_without_the_fixture_loads_nothing(tmp_path, monkeypatch):
@@ -100,54 +99,68 @@ def test_every_script_of_the_course_is_run():
     assert max(len(path.read_text().splitlines()) for path in numbered) <= 40
 
 
-ON_THE_SINE = """
-import runpy, sys, numpy as np
+OWN = f"""
+import json, runpy, sys, numpy as np
 from vlp16emu import Emulator
-own = runpy.run_path({!r})
-scene = {{"schema": 1, "motion": {{"kind": "static"}}, "world": {{"kind": "dunes", "height_m": 3.0}}}}
-sys.argv[1:] = ["0.1"]
-runpy.run_path({!r}, run_name="__main__")
+
+def script(name, seconds):
+    sys.argv[1:] = [seconds]
+    return runpy.run_path(f"{EXAMPLES}/own_{{name}}.py", run_name="__main__")
+
+script("world", "0.1")
+scene, seen = {{"schema": 1, "motion": {{"kind": "static"}}, "world": {{"kind": "dunes", "height_m": 3.0}}}}, []
 for returns in Emulator(scene, ideal=True).returns(0.0, 0.1):
     hit = returns.distance_m[..., 0] > 0
-    x_m, y_m, z_m = (returns.firings.origin_m[hit] + returns.firings.direction[hit] * returns.distance_m[hit][:, :1]).T
-    print(len(x_m), np.abs(z_m - 1.5 * np.sin(2 * np.pi * x_m / 40)).max())
+    x_m, _, z_m = (returns.firings.origin_m[hit] + returns.firings.direction[hit] * returns.distance_m[hit][:, :1]).T
+    seen.append([len(x_m), np.abs(z_m - 1.5 * np.sin(2 * np.pi * x_m / 40)).max()])
+sensor = script("sensor", "0.1")["Dense32"](model="dense-32")
+script("motion", "2.0")
+print(json.dumps([seen, [*sensor.beam_elevations_deg]]))
 """
+"""A program that runs the scripts, looks at the dunes, and prints where returns lie and how high lasers look."""
 
 
-def test_a_world_of_ones_own_is_scanned(tmp_path):
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """Folder in which the program has run, and the lines that it prints."""
+    folder = tmp_path_factory.mktemp("own")
+    return folder, run_python(folder, "-c", OWN).splitlines()
+
+
+def test_a_world_of_ones_own_is_scanned(own):
     """Returns lie on the sine that the dunes are, but for the chords of 0.5 m: 1.5 m x (2 pi / 40 m)^2 x (0.5 m)^2 / 8."""
-    own = str(EXAMPLES / "own_world.py")
-    said, *lines = run_python(tmp_path, "-c", ON_THE_SINE.format(own, own)).splitlines()
+    _, (said, *_, tree) = own
     assert int(said.split()[0]) > 10_000
-    for line in lines:
-        count, off_m = line.split()
-        assert int(count) > 100
-        assert float(off_m) < 0.0013
+    for count, off_m in json.loads(tree)[0]:
+        assert count > 100
+        assert off_m < 0.0013
 
 
-def test_a_beam_table_of_ones_own_gives_its_elevations(tmp_path):
+def test_a_beam_table_of_ones_own_gives_its_elevations(own):
     """A cloud of the sensor of 32 lasers has 32 rings, at the elevations of its table: a row of a list, no formula."""
-    code = (
-        "import runpy, sys; sys.argv[1:] = ['0.1']; own = runpy.run_path('{}', run_name='__main__');"
-        " print(len(own['Dense32'](model='dense-32').beam_elevations_deg))"
-    )
-    assert run_python(tmp_path, "-c", code.format(EXAMPLES / "own_sensor.py")).endswith("\n32\n")
-    head, _, _ = (tmp_path / "dense.ply").read_bytes().partition(b"end_header\n")
+    folder, lines = own
+    assert len(json.loads(lines[-1])[1]) == 32
+    head, _, _ = (folder / "dense.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 1152" in head  # of 1 000 sequences x 32 pulses in a closed hall none is lost
 
 
-def test_a_motion_of_ones_own_has_the_derivatives_of_its_poses(tmp_path):
+def test_a_motion_of_ones_own_has_the_derivatives_of_its_poses(own):
     """The true specific force of the swing is that of a pendulum: g + rope x rate^2 along the rope at the lowest point."""
-    run_python(tmp_path, EXAMPLES / "own_motion.py", "2.0")
-    table = np.genfromtxt(tmp_path / "swing_truth" / "imu.csv", delimiter=",", names=True)
+    table = np.genfromtxt(own[0] / "swing_truth" / "imu.csv", delimiter=",", names=True)
     along = table["true_fz_m_s2"]
     rate = np.abs(table["true_wy_rad_s"])
     assert along[rate.argmax()] == pytest.approx(9.80665 + 2.0 * rate.max() ** 2, rel=1e-4)
     assert rate.max() == pytest.approx(0.3 * np.sqrt(9.81 / 2.0), rel=1e-4)
 
 
-LINES = "import sys; from vlp16emu.cli.app import run; sys.exit(max(run(line.split()) for line in sys.argv[1:]))"
-"""A program that carries out command lines."""
+LINES = """
+import sys, vlp16emu
+from vlp16emu.cli.app import run
+vlp16emu.load("static_bench")
+print(vlp16emu.doors._added.cache_info().currsize, flush=True)
+sys.exit(max(run(line.split()) for line in sys.argv[1:]))
+"""
+"""A program that reads a scene of ours, says how many entry points have been looked up, and carries out command lines."""
 
 
 @pytest.fixture(scope="module")
@@ -185,13 +198,7 @@ def said(outside):
         f"points static_bench {outside}/d.ply --duration=0.1 --set=sensor.model=dense-32",
         *("scenes", "schema", "greet you", "record static_bench - --set=world={kind='ruins'}", "moan"),
     ]
-    paths = os.pathsep.join([str(outside), str(ROOT)])
-    env = os.environ | {"PYTHONPATH": paths}
-    done = subprocess.run(
-        [sys.executable, "-c", LINES, *lines], cwd=outside, env=env, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2, done.stderr
-    return done.stdout, done.stderr
+    return run_python(outside, "-c", LINES, *lines, code=2)
 
 
 def test_another_package_adds_a_world_that_is_recorded_and_listed(outside, said):
@@ -219,10 +226,9 @@ def test_a_broken_entry_point_is_one_line_that_names_it(said, entry):
     ) in said[1].lower()
 
 
-def test_who_asks_for_nothing_of_another_package_hears_nothing_of_it(outside):
+def test_who_asks_for_nothing_of_another_package_hears_nothing_of_it(said):
     """A scene of ours is read beside broken entry points without a word, and no entry point is looked up for it."""
-    code = "import vlp16emu; vlp16emu.load('static_bench'); print(vlp16emu.doors._added.cache_info().currsize)"
-    assert run_python(outside, "-c", code) == "0\n"
+    assert said[0].startswith("0\n")
 
 
 def test_a_word_that_nobody_has_is_answered_with_those_there_are():

@@ -216,7 +216,7 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     wrong, json_ = ("birch_walk", "--set", "sensor.rpm=17"), "--json"
     lean = "record", "static_bench", f"{tmp_path}/x.pcap", "--duration", "0.1", "--set", "gps.connected=false", json_
     sets = (
-        "sensor.max_range_m=8",
+        "sensor.max_range_m=6",
         "world.near_m=5",
         "world.stems_per_ha=50",
         "world.stones.cover=0.01",

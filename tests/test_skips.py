@@ -1,7 +1,5 @@
 """Which skips continuous integration takes."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -21,14 +19,13 @@ def test_known():
 """
 
 
-def test_a_skip_fails_with_ci_unless_it_is_on_the_list(tmp_path, monkeypatch):
+def test_a_skip_fails_with_ci_unless_it_is_on_the_list(pytester, monkeypatch):
     """With CI=true a test that lacks a program fails; one whose captures are not there is skipped, and an expected failure stays one."""
-    (tmp_path / "conftest.py").write_text(Path(__file__).with_name("conftest.py").read_text())
-    (tmp_path / "test_some.py").write_text(SKIPS)
+    pytester.makeconftest(Path(__file__).with_name("conftest.py").read_text())
+    pytester.makepyfile(SKIPS)
     monkeypatch.setenv("CI", "true")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", tmp_path, tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert "1 failed, 1 skipped, 1 xfailed" in done.stdout
+    done = pytester.runpytest_inprocess("-p", "no:cacheprovider")
+    done.assert_outcomes(failed=1, skipped=1, xfailed=1)
 
 
 @pytest.mark.parametrize(("ci", "outcome"), [("true", "failed"), ("", "skipped")])

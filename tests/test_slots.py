@@ -189,13 +189,13 @@ def nodes_of(path):
 
 def test_labels_are_those_of_the_nearest_surface(tmp_path):
     """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on no other one."""
-    settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=inf", "sensor.max_range_m=10"]
+    settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=inf", "sensor.max_range_m=8"]
     settings.append("duration_s=0.5")
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
-    assert command(["forest", "spruce_walk", *options, "--radius", "10", "--glb", str(tmp_path / "twin.glb")]) == 0
+    assert command(["forest", "spruce_walk", *options, "--radius", "8", "--glb", str(tmp_path / "twin.glb")]) == 0
     table = parquet.read_table(tmp_path / "t" / "returns.parquet")
-    rows = table.filter(compute.less(table["range_m"], 8.0))
+    rows = table.filter(compute.less(table["range_m"], 6.5))
     rows = rows.take(np.random.default_rng(1).choice(len(rows), 200, replace=False))
     points = np.column_stack([rows[f"world_{axis}_m"].to_numpy() for axis in "xyz"])
     own = list(zip(*(rows[name].to_pylist() for name in ("semantic", "part", "instance", "species")), strict=True))

@@ -1,17 +1,6 @@
-"""Everything that can go wrong, in one tree.
+"""Everything that can go wrong, in one tree; every message says where, what was found and what was expected.
 
-    Vlp16emuError
-    |-- InputError           what the user gave is wrong: the command line exits with 2
-    |   |-- ScenarioError    a scene file: unknown key, wrong type, value out of range
-    |   |-- GeometryError    a mesh, a terrain, a stand
-    |   |-- TrajectoryError  a path or recorded poses
-    |   |-- PacketError      bytes that are no VLP-16 packet
-    |   |-- CaptureError     a file that is no readable pcap
-    |   `-- OutputError      a file or port that cannot be opened
-    |-- MissingExtraError    an optional library is not installed: exits with 2
-    `-- RunError             the run itself failed (disk full, device gone): exits with 1
-
-Every message says where, what was found and what was expected.
+The command line exits with 2 for what the user gave (`InputError`, `MissingExtraError`), with 1 for a run that failed.
 """
 
 import stat

@@ -2,6 +2,7 @@
 
 import gc
 import json
+import logging
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.cli.app import main, run
-from vlp16emu.cli.terminal import ENDINGS
+from vlp16emu.cli.terminal import ENDINGS, Progress, was_stopped
 from vlp16emu.kernels.compiler import _is_kept, table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -56,11 +57,13 @@ def main_here(monkeypatch, capsys):
 
     def call(*arguments, stdout):
         before = {number: signal.getsignal(number) for number in ENDINGS}
+        was_stopped.clear()  # by a run before
         try:
             with monkeypatch.context() as patch:
                 patch.setattr(sys, "argv", ["vlp16emu", *map(str, arguments)])
                 patch.setattr(sys, "stdout", stdout)
                 patch.setattr(gc, "freeze", gc.collect)
+                patch.setattr(logging.getLogger(), "handlers", [])
                 with pytest.raises(SystemExit) as end:
                     main()
         finally:
@@ -70,6 +73,23 @@ def main_here(monkeypatch, capsys):
         return end.value.code or 0, capsys.readouterr().err
 
     return call
+
+
+@pytest.fixture
+def signal_at(monkeypatch):
+    """Raise signals, each once the run that goes on here has come to a simulated second."""
+
+    def plan(*signals):
+        left, show = list(signals), Progress.show
+
+        def noted(bar, task, done_s):
+            show(bar, task, done_s)
+            if left and done_s >= left[0][0]:
+                signal.raise_signal(left.pop(0)[1])
+
+        monkeypatch.setattr(Progress, "show", noted)
+
+    return plan
 
 
 @pytest.fixture

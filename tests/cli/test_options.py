@@ -90,4 +90,4 @@ def test_options_that_are_settings_agree_with_the_page():
     duration = next(one for one in options_of(runs.Span) if one.field == "duration_s")
     key = schema()["properties"]["duration_s"]
     assert (duration.option.gt, duration.option.le) == (key["exclusiveMinimum"], key["maximum"])
-    assert runs.StreamOptions(to="10.0.0.1:2370").settings == {"sensor.data_port": 2370}
+    assert runs.StreamOptions(to="10.0.0.1:2370").receiver == ("10.0.0.1", 2370)

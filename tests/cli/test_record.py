@@ -7,6 +7,7 @@ import os
 import pty
 import signal
 import termios
+import threading
 import time
 from pathlib import Path
 
@@ -14,24 +15,26 @@ import pytest
 from woods import LINES
 
 from vlp16emu import Emulator
+from vlp16emu.output import OutputFile
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 KEYS = [
-    *(
-        "file",
-        "about",
-        "units",
-        "bytes",
-        "sha256",
-        "simulated_s",
-        "walk_share",
-        "wall_s",
-        "audit",
-        "interrupted",
-        "messages",
-    ),
-    *("returns", "real_time_factor", "packets", "position_packets"),
+    "file",
+    "about",
+    "units",
+    "bytes",
+    "sha256",
+    "simulated_s",
+    "walk_share",
+    "wall_s",
+    "audit",
+    "interrupted",
+    "messages",
+    "returns",
+    "real_time_factor",
+    "packets",
+    "position_packets",
 ]
 
 
@@ -130,29 +133,27 @@ def wait_for(folder, size):
     raise AssertionError(f"no capture in {folder} ever had {size} bytes")
 
 
-def test_two_recordings_into_one_file_are_refused(cli, program, tmp_path):
-    """The second names the process of the first, before it touches its own folder of truth; the first goes on until SIGTERM, and is whole.
-
-    Its file holds what the report says, and its truth ends with a whole line.
-    """
-    path, truth, other = tmp_path / "x.pcap", tmp_path / "t", tmp_path / "other"
-    assert cli("truth", "static_bench", other, "--duration", "0.1").code == 0
-    before = {file.name: file.read_bytes() for file in other.iterdir()}
-    process = program("record", "static_bench", path, "--duration", "3600", "--truth", truth, "--json")
-    wait_for(tmp_path, 100_000)
-    outcome = cli("record", "static_bench", path, "--duration", "0.1", "--truth", other)
-    found = f"error: {path}: is being written by process {process.pid}; expected another place, or an end of that run\n"
+def test_two_recordings_into_one_file_are_refused(cli, tmp_path):
+    """The second names the process of the first, before it touches its own folder of truth."""
+    path, truth = tmp_path / "x.pcap", tmp_path / "t"
+    assert cli("truth", "static_bench", truth, "--duration", "0.1").code == 0
+    before = {file.name: file.read_bytes() for file in truth.iterdir()}
+    with OutputFile(path):
+        outcome = cli("record", "static_bench", path, "--duration", "0.1", "--truth", truth)
+    found = f"error: {path}: is being written by process {os.getpid()}; expected another place, or an end of that run\n"
     assert (outcome.code, outcome.err) == (2, found)
-    assert {file.name: file.read_bytes() for file in other.iterdir()} == before
-    wait_for(tmp_path, 500_000)
-    assert not path.exists()
-    process.send_signal(signal.SIGTERM)
-    out, err = process.communicate(timeout=100)
-    assert (process.returncode, err) == (130, "")
-    report = json.loads(out)
-    assert report["interrupted"] is True
+    assert {file.name: file.read_bytes() for file in truth.iterdir()} == before
+
+
+def test_a_signal_leaves_a_recording_as_far_as_it_got(cli, signal_at, tmp_path):
+    """After SIGTERM the file holds what the report says, and its truth ends with a whole line."""
+    path, truth = tmp_path / "x.pcap", tmp_path / "t"
+    signal_at((0.5, signal.SIGTERM))
+    outcome = cli("record", "static_bench", path, "--duration", "3600", "--truth", truth, "--json")
+    report = outcome.tree
+    assert (outcome.code, outcome.err, report["interrupted"]) == (130, "", True)
     assert report["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert 0 < report["simulated_s"] < 3600
+    assert 0.5 <= report["simulated_s"] < 3600
     assert cli("verify", path, "--json").tree["packets"] == report["packets"]
     poses = (truth / "trajectory.tum").read_text()
     assert poses.endswith("\n")
@@ -193,33 +194,18 @@ def test_a_terminal_that_goes_leaves_a_report(program, heeds_signals, tmp_path):
     assert tree["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_what_ignores_hangups_goes_on(program, heeds_signals, tmp_path):
+def test_what_ignores_hangups_goes_on(cli, signal_at, tmp_path):
     """Under nohup the end of the terminal is not that of the run."""
-    path = tmp_path / "x.pcap"
-    process = program(
-        *("record", "static_bench", path, "--duration", "3600", "--json"),
-        preexec_fn=lambda: (heeds_signals(), signal.signal(signal.SIGHUP, signal.SIG_IGN)),
-    )
-    part = wait_for(tmp_path, 100_000)
-    process.send_signal(signal.SIGHUP)
-    wait_for(tmp_path, part.stat().st_size + 500_000)
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=100)
-    assert process.returncode == 130
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal_at((0.2, signal.SIGHUP), (0.6, signal.SIGINT))
+    outcome = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "3600", "--json")
+    signal.signal(signal.SIGHUP, before)
+    assert outcome.code == 130
+    assert outcome.tree["simulated_s"] >= 0.6
 
 
-GROWS_FOR_EVER = """
-from threading import Event
-import vlp16emu.engine.windows as windows
-
-def window_of(*_):
-    print("growing", file=sys.stderr, flush=True)
-    Event().wait()
-
-windows.window_of = window_of
-"""
 CASTS_AND_WRITES_FOR_EVER = """
-import os
+import os, sys
 from threading import Event
 from vlp16emu.engine import Engine
 from vlp16emu.sinks import PcapSink
@@ -237,12 +223,6 @@ Engine._scan, PcapSink.send = _scan, send
 """
 
 
-@pytest.fixture
-def hindered(program):
-    """Start a recording of the hall in a process of its own, with parts of it replaced by such as never end."""
-    return lambda code, path: program("record", "static_bench", path, "--json", before=f"import sys\n{code}")
-
-
 def until(process, line):
     """Read what a process says until it says a line."""
     for said in process.stderr:
@@ -251,38 +231,28 @@ def until(process, line):
     raise AssertionError(f"never said {line}")
 
 
-def test_ctrl_c_does_not_wait_for_the_world(hindered, tmp_path):
+def test_ctrl_c_does_not_wait_for_the_world(cli, monkeypatch, tmp_path):
     """Ctrl-C while the world grows ends the run at once, with a report and a capture without packets."""
-    path = tmp_path / "x.pcap"
-    process = hindered(GROWS_FOR_EVER, path)
-    until(process, "growing")
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=100)
-    assert (process.returncode, err, path.stat().st_size) == (130, "", 24)
-    report = json.loads(out)
-    assert (report["interrupted"], report["packets"], report["bytes"]) == (True, 0, 24)
+    path, end = tmp_path / "x.pcap", threading.Event()
+
+    def grow(*_):
+        signal.raise_signal(signal.SIGINT)
+        end.wait()
+
+    monkeypatch.setattr("vlp16emu.engine.windows.window_of", grow)
+    outcome = cli("record", "static_bench", path, "--json")
+    end.set()
+    assert (outcome.code, outcome.err, path.stat().st_size) == (130, "", 24)
+    assert [outcome.tree[key] for key in ("interrupted", "packets", "bytes")] == [True, 0, 24]
 
 
-def test_a_second_ctrl_c_waits_for_nothing(hindered, tmp_path):
+def test_a_second_ctrl_c_waits_for_nothing(program, tmp_path):
     """Where the first Ctrl-C cannot end the run, the second does, whatever threads are at; a capture without a packet is not kept."""
     path = tmp_path / "x.pcap"
-    process = hindered(CASTS_AND_WRITES_FOR_EVER, path)
+    process = program("record", "static_bench", path, "--json", before=CASTS_AND_WRITES_FOR_EVER)
     until(process, "writing")
     process.send_signal(signal.SIGINT)
     until(process, "finishing what is under way; Ctrl-C again stops at once")
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=100)
     assert (process.returncode, out, list(tmp_path.iterdir())) == (130, "", [])
-
-
-def test_a_terminal_gets_a_bar_with_the_time_left(program, tmp_path):
-    """With a terminal on stderr there is a progress bar; stdout keeps to the JSON object."""
-    ours, theirs = pty.openpty()
-    process = program("record", "static_bench", tmp_path / "x.pcap", "--duration", "1", "--json", stderr=theirs)
-    out, _ = process.communicate(timeout=100)
-    os.close(theirs)
-    drawn = os.read(ours, 100_000).decode()
-    os.close(ours)
-    assert "of 1.0 s" in drawn
-    assert "left" in drawn
-    assert json.loads(out)["packets"] == int(1e9 // 1_327_104)

@@ -42,6 +42,16 @@ def test_growth_is_seen_to_go_on(monkeypatch):
     assert "1.0 of 10.0 s" in terminal.getvalue()
 
 
+def test_a_run_has_a_bar_with_the_time_left(cli, monkeypatch, tmp_path):
+    """With a terminal on stderr there is a progress bar; stdout keeps to the JSON object."""
+    terminal = Terminal("left")
+    monkeypatch.setattr(sys, "stderr", terminal)
+    tree = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "1", "--json").tree
+    assert terminal.has_come.is_set()
+    assert "of 1.0 s" in terminal.getvalue()
+    assert tree["packets"] == int(1e9 // 1_327_104)
+
+
 def test_a_terminal_that_goes_ends_the_bar_alone(monkeypatch):
     """Where the terminal can no longer be written, what shows its progress on it goes on."""
     terminal = Terminal("recording")

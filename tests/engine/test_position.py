@@ -5,7 +5,7 @@ import pytest
 from woods import LINES
 
 from vlp16emu import Emulator
-from vlp16emu.engine.position import make_receiver, position_packets
+from vlp16emu.engine.engine import make_receiver, position_packets
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.packets import decode_position
 from vlp16emu.scenario import load

@@ -104,8 +104,7 @@ def world(shape, near_m=math.inf, far_tile=None, seed=0):
     return SimpleNamespace(shape=shape, near_m=near_m, far_tile=far_tile, seed=seed, name="", shape_name=lambda _: "")
 
 
-SIDES = 96
-"""Of the polygons that stand for circles."""
+SIDES = 96  # of the polygons that stand for circles
 
 
 def fan(rings):

@@ -14,10 +14,8 @@ from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import F4, F8, I8, NO_SURFACE, U4, Firings, Hits, Mesh, ShapeKey, Window
 
-Met = tuple[F4, U4, F4]
-"""Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
-_Rays = tuple[F8, F8]
-"""Origins in metres from the window's, and unit directions, (n, 3) each."""
+Met = tuple[F4, U4, F4]  # range, surface and cosine of incidence (n,) of n rays, as in `Hits`
+_Rays = tuple[F8, F8]  # origins in metres from the window's, and unit directions, (n, 3) each
 
 
 def frozen(window: Window, t_ns: int) -> Window:

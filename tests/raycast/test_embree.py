@@ -111,16 +111,16 @@ def brute_force(window, meshes, origin_m, direction):
 
 
 def test_rays_at_edges_and_corners_are_decided_in_float64(workers):
-    """Of 3 000 rays at edges and corners, where Embree's instruction sets differ, each meets what float64 says, to 2 um."""
+    """Of 912 rays at edges and corners, where Embree's instruction sets differ, each meets what float64 says, to 2 um."""
     window, rng = lab.placed(30), np.random.default_rng(8)
     corners_m, _ = flatten(window, lab.soup)
-    chosen = rng.integers(0, len(corners_m), 3000)
-    share = rng.dirichlet([1.0, 1.0, 1.0], 3000)
-    share[:2000, 2] = 0.0  # on an edge, and half of those in a corner
-    share[:1000, 1] = 0.0
+    chosen = rng.integers(0, len(corners_m), 912)
+    share = rng.dirichlet([1.0, 1.0, 1.0], 912)
+    share[:608, 2] = 0.0  # on an edge, and half of those in a corner
+    share[:304, 1] = 0.0
     share /= share.sum(axis=1)[:, None]
     at_m = np.einsum("ni,nij->nj", share, corners_m[chosen])
-    origin_m = np.zeros(3) + rng.uniform(-1, 1, (3000, 3))
+    origin_m = np.zeros(3) + rng.uniform(-1, 1, (912, 3))
     direction = at_m - origin_m
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     hits = (

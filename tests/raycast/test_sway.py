@@ -11,8 +11,7 @@ from vlp16emu.errors import RunError
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.types import Sway
 
-STEP_NS = 100_000
-"""So short that a test's few pulses see several knots."""
+STEP_NS = 100_000  # so short that a test's few pulses see several knots
 
 
 def swaying(*, knots=40, lean=0.3, seed=3):

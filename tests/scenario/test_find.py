@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.scenario import find, load, scene_files
-from vlp16emu.scenario.find import named_files
+from vlp16emu.scenario import find, load, named_files, scene_files
 
 CHECKOUT = Path(__file__).resolve().parents[2] / "scenes"
 

@@ -5,8 +5,7 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.packets import DATA_BYTES, data_fields, decode_data
-from vlp16emu.scenario import load
-from vlp16emu.scenario.find import scene_files
+from vlp16emu.scenario import load, scene_files
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS
 

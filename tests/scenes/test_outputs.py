@@ -11,7 +11,7 @@ from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS, ATTITUDE, S
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.given_stand import _COLUMNS
 from vlp16emu.forest.stand.inventory import INVENTORY
-from vlp16emu.scenario.find import scene_files
+from vlp16emu.scenario import scene_files
 from vlp16emu.tables import LARGEST
 from vlp16emu.types import PlantPart, Semantic
 

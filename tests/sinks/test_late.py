@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from listening import MemorySink
 
-from vlp16emu.sinks import TOLERANCE_NS, Late, MemorySink, Pacer
+from vlp16emu.sinks import TOLERANCE_NS, Late, Pacer
 from vlp16emu.sinks.stream import Sender
 from vlp16emu.types import Packet, PacketKind
 

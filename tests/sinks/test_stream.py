@@ -8,9 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+from listening import MemorySink
 
 from vlp16emu.errors import RunError
-from vlp16emu.sinks import MemorySink, Pacer, stream
+from vlp16emu.sinks import Pacer, stream
 from vlp16emu.sinks.pacing import prompt
 from vlp16emu.sinks.stream import LookAhead
 from vlp16emu.types import Packet, PacketKind

@@ -14,7 +14,7 @@ from vlp16emu.types import Semantic
 
 seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
 classes, trees = Counter(), set()
-settings = {"beam.model": "none", "sensor.max_range_m": 15.0}  # one ray per pulse, and few trees to grow
+settings = {"beam.model": "none", "sensor.max_range_m": 10.0}  # one ray per pulse, and few trees to grow
 for scan in Emulator("birch_walk", settings).scans(duration_s=seconds, truth=True):
     numbers, counts = np.unique(scan.labels.semantic, return_counts=True)
     classes.update(

@@ -14,8 +14,7 @@ from pydantic import ValidationError
 from stability_cases.row import Row, refused
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.scenario import Scenario, load
-from vlp16emu.scenario.schema import schema
+from vlp16emu.scenario import Scenario, load, schema
 
 _VALUES = (math.nan, math.inf, -math.inf)
 _WORDS = ("nan", "inf", "-inf")

@@ -1,9 +1,10 @@
 """Options that several verbs share, beside those of runs in `vlp16emu.run.options`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from vlp16emu.options import Option
+from vlp16emu.options import Option, Options
 
 _SCENE = "Name of a scene (see `vlp16emu scenes`) or path of a .toml file"
 
@@ -20,13 +21,35 @@ Settings = Annotated[
         "--set",
     ),
 ]
-Ideal = Annotated[bool, Option("A sensor without errors: beams without width, no noise, clear air.")]
 Threads = Annotated[
     int, Option("Workers, 0 for one per core. Changes the speed, never a byte.", "N", ge=0, le=1024, shown=False)
 ]
-Audit = Annotated[
-    bool, Option("Do not cast 0.05 % of the pulses again to estimate the error of the run.", name="--no-audit")
-]
+
+
+@dataclass(frozen=True)
+class SceneOptions(Options):
+    """Options that change a scene."""
+
+    settings: Settings = None
+    ideal: Annotated[bool, Option("A sensor without errors: beams without width, no noise, clear air.")] = False
+
+
+@dataclass(frozen=True)
+class EmulatorOptions(SceneOptions):
+    """Options that make an emulator; fields as the parameters of `Emulator`."""
+
+    threads: Threads = 0
+
+
+@dataclass(frozen=True)
+class RunOptions(EmulatorOptions):
+    """Options that make an emulator whose runs estimate their own error."""
+
+    audit: Annotated[
+        bool, Option("Do not cast 0.05 % of the pulses again to estimate the error of the run.", name="--no-audit")
+    ] = True
+
+
 TrajectoryFile = Annotated[
     Path | None,
     Option(

@@ -4,21 +4,20 @@ import sys
 import time
 from contextlib import ExitStack, nullcontext, redirect_stdout
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
-from vlp16emu.cli.printer import finish
+from vlp16emu.cli.printer import finish, members
 from vlp16emu.cli.terminal import make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import OutputError
 from vlp16emu.options import Option
 from vlp16emu.run.options import RecordOptions
 
 if TYPE_CHECKING:
-    from vlp16emu.packets import CaptureReader, PointFrame, Summary
+    from vlp16emu.packets import CaptureReader, PointFrame
 
 
 def record(
@@ -32,11 +31,8 @@ def record(
         ),
     ],
     options: RecordOptions,
+    making: args.RunOptions,
     *,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
-    threads: args.Threads = 0,
-    audit: args.Audit = True,
     as_json: args.AsJson = False,
 ) -> None:
     """Record a scene into a pcap file, or a bag.
@@ -50,7 +46,7 @@ def record(
     if Path(out) == STDOUT and sys.stdout is None:
         raise OutputError("standard output", "closed", "a file or a pipe")
     began_s = time.perf_counter()
-    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=audit)
+    emulator = make_emulator(scene, making)
     with running(emulator, "recording", options) as hooks:
         recording = emulator.record(out, **vars(options), **hooks)
     recording = replace(recording, wall_s=time.perf_counter() - began_s)  # of the whole command
@@ -89,10 +85,10 @@ def decode(
     z up, unless --frame chooses other axes. Pulses without return become no points. Ctrl-C and a broken packet leave a
     valid file with the points before.
     """
-    from vlp16emu.packets import CaptureReader, chosen_unit, frame_named, packet_clock
+    from vlp16emu.packets import CaptureReader, PointFrame, chosen_unit, packet_clock
     from vlp16emu.types import SensorModel
 
-    axes, chosen = frame_named(frame, where="--frame"), chosen_unit(file, unit, where="--unit")
+    axes, chosen = PointFrame(frame), chosen_unit(file, unit, where="--unit")
     product = SensorModel(model) if model else None
     stamps = packet_clock(file, chosen, clock, where="--clock")
     with CaptureReader(file, chosen, axes, product, stamps) as reader, stop_on_ctrl_c() as stop:
@@ -100,7 +96,7 @@ def decode(
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
     tree = {"file": file, "out": out} if as_json else {"wrote": out}
-    finish(tree | _tree(reader.summary) | {"interrupted": interrupted}, title, as_json=as_json)
+    finish(tree | dict(members(reader.summary)) | {"interrupted": interrupted}, title, as_json=as_json)
 
 
 def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFrame", stop: Event) -> None:
@@ -118,22 +114,3 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
                 writer.write(chunk.columns)
             if stop.is_set():
                 break
-
-
-_DECODED = (
-    *("model", "return_mode", "rpm", "packets", "position_packets", "other_datagrams", "points", "no_returns", "scans"),
-    *("records_per_scan", "range_m", "start_utc", "duration_s", "clock", "host_ahead_s", "gps", "cut", "repeats"),
-)
-
-
-def _tree(summary: "Summary") -> dict[str, Any]:
-    gps, ranges_m = summary.gps, summary.range_m
-    start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=summary.first_stamp_ns // 1000)
-    own = {
-        "rpm": round(summary.rpm, 2),
-        "range_m": ranges_m and dict(zip(("min", "median", "max"), (round(r, 3) for r in ranges_m), strict=True)),
-        "start_utc": start.isoformat().replace("+00:00", "Z"),
-        "host_ahead_s": round(summary.host_ahead_s, 6),
-        "gps": gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
-    }
-    return {name: own[name] if name in own else getattr(summary, name) for name in _DECODED}

@@ -51,11 +51,8 @@ KeepUp = Annotated[
 def stream(
     scene: args.SceneName,
     options: StreamOptions,
+    making: args.RunOptions,
     *,
-    settings: args.Settings = None,
-    ideal: args.Ideal = False,
-    threads: args.Threads = 0,
-    audit: args.Audit = True,
     prepare: Annotated[
         bool,
         Option(
@@ -81,7 +78,7 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     host, _ = options.receiver
-    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=audit)
+    emulator = make_emulator(scene, making)
     scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
     options = _of_live(options, scenario)
     _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)

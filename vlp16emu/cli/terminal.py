@@ -5,13 +5,14 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Self
 
 from vlp16emu.run.options import Span
 
 if TYPE_CHECKING:
+    from vlp16emu.cli.arguments import SceneOptions
     from vlp16emu.run.emulator import Emulator
 
 ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP  # signals that end a run
@@ -127,17 +128,16 @@ class Progress:
                 print(line, file=sys.stderr, flush=True)
 
 
-def make_emulator(
-    scene: str, settings: Sequence[str] | None, *, ideal: bool = False, threads: int = 0, audit: bool = False
-) -> "Emulator":
-    """Return the emulator of a command line; arguments and errors as `Emulator`."""
+def make_emulator(scene: str, changes: "SceneOptions") -> "Emulator":
+    """Return the emulator of a command line; errors as `Emulator`."""
     from vlp16emu.scenario import load
 
-    scenario = load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
+    settings = changes.settings or ()
+    scenario = load(scene, settings, ideal=changes.ideal)  # first: no mistake in it should wait for numba
     compile_first(scenario.world.kind)
     from vlp16emu.run.emulator import Emulator
 
-    return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
+    return Emulator(scene, **vars(changes) | {"settings": settings})
 
 
 @contextmanager

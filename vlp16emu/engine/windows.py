@@ -22,16 +22,13 @@ from vlp16emu.types import F8, Window
 
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
-STEPS = 20
-"""Parts of a block of a VLP-16: steps of a live run, 5.3 ms each."""
-SEGMENT = 64
-"""Blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking."""
+STEPS = 20  # parts of a block of a VLP-16: steps of a live run, 5.3 ms each
+SEGMENT = 64  # blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking
 
 _RAYS = 8
 _LONGEST_NS = 110_000_000
 _SEGMENT_NS = 6_800_000_000
-_POLL_S = 0.05
-"""How often a thread that waits looks whether the run shall end."""
+_POLL_S = 0.05  # how often a thread that waits looks whether the run shall end
 _LEAD, _LAG = 3 / 8, 1 / 4
 """Shares of a segment: how long before its use a window is opened, and how far behind the present the sky over the antenna
 is asked for, at most (1.4 s). Workers share the rest."""
@@ -51,10 +48,8 @@ class Batching:
     """
 
     lasers: int
-    sequence_ns: int
-    """From one firing sequence to the next."""
-    parts: int = 1
-    """Into which blocks are cut for packets that do not wait for a whole one; they change no byte."""
+    sequence_ns: int  # from one firing sequence to the next
+    parts: int = 1  # into which blocks are cut for packets that do not wait for a whole one; they change no byte
 
     @classmethod
     def of(cls, beams: BeamTable) -> Self:
@@ -100,8 +95,7 @@ class Windows(Generic[S]):
     threads : workers, which may be that many blocks ahead of the receiver
     """
 
-    kept = 2
-    """Windows, with a few threads."""
+    kept = 2  # windows, with a few threads
 
     def __init__(self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int) -> None:
         self._block_ns, self._per_segment = batching.block_ns, batching.segment if moves else None

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from threading import Condition, Event, Thread
 from typing import Any
@@ -109,7 +110,7 @@ class Live(PacketSink):
         """By how much later packets are due than in the scene, as they are moved into the present."""
         self._not_before_ns = 0
         http = options.pop("http", Http(f"{LOOPBACK}:0"))
-        http = http and replace(http, controlled=self._controls, serving=self._serves)
+        http = http and replace(http, controlled=partial(setattr, self, "_control"), serving=self._serves)
         ports = {"position_port": 0} | ({} if ":" in (options.get("to") or "") else {"data_port": 0})
         self._asked = BenchOptions(**ports | options, http=http)
         self._thread = Thread(target=self._work, args=(look_ahead,), name="vlp16emu stream", daemon=True)
@@ -243,9 +244,6 @@ class Live(PacketSink):
 
     def _opens(self, units: Sequence[Unit]) -> None:
         self.ports = [(unit.link.data_port, unit.link.position_port) for unit in units]
-
-    def _controls(self, control: Any) -> None:
-        self._control = control
 
     def _serves(self, places: list[tuple[str, int]]) -> None:
         self.http = "http://{}:{}/".format(*places[0])

@@ -1,6 +1,5 @@
 """Options of extras, read by Python and by the command line. They need no library, as help is quick."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +11,6 @@ _LONGEST_S = 7 * 86_400
 _FARTHEST = 1e6
 _SHORTEST_S = 0.001
 _LARGEST_PX = 8_192
-_MOUNT, _DRIFT = "X,Y,Z,ROLL,PITCH,YAW", "EAST,NORTH,UP,YAW"
 
 
 def _pixels(text: str) -> tuple[int, int]:
@@ -29,16 +27,16 @@ def _film_pixels(text: str) -> tuple[int, int]:
     return size
 
 
-def _numbers(names: str) -> Callable[[str], tuple[float, ...]]:
-    """Return a parser of as many numbers as there are names."""
+def _numbers(text: str, names: str) -> Option:
+    """Return an option of as many numbers as there are names."""
 
-    def parse(text: str) -> tuple[float, ...]:
-        numbers = tuple(map(float, text.split(",")))
+    def parse(given: str) -> tuple[float, ...]:
+        numbers = tuple(map(float, given.split(",")))
         if len(numbers) != len(names.split(",")) or not all(abs(one) <= _FARTHEST for one in numbers):
-            raise ValueError(text)
+            raise ValueError(given)
         return numbers
 
-    return parse
+    return Option(text, names, parse=parse, expected=f"the numbers {names}", shown=False)
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -92,23 +90,17 @@ class TrajectoryErrors(Options):
     ] = 0.0
     mount: Annotated[
         Any,
-        Option(
+        _numbers(
             "Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
             "boresight and lever arm.",
-            _MOUNT,
-            parse=_numbers(_MOUNT),
-            expected=f"the numbers {_MOUNT}",
-            shown=False,
+            "X,Y,Z,ROLL,PITCH,YAW",
         ),
     ] = (0.0,) * 6  # place in m and turn in degrees, as `[motion.mount]`
     drift: Annotated[
         Any,
-        Option(
+        _numbers(
             "Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
-            _DRIFT,
-            parse=_numbers(_DRIFT),
-            expected=f"the numbers {_DRIFT}",
-            shown=False,
+            "EAST,NORTH,UP,YAW",
         ),
     ] = (0.0,) * 4  # to the east, north and up, and counter-clockwise about the first pose
 

@@ -28,6 +28,7 @@ _PLANTS: dict[str, tuple[Rgb, Rgb]] = {
     name: (tuple(leaf), tuple(bark)) for name, (leaf, bark) in _TABLES["plants"].items()
 }
 _KIND: dict[str, Rgb] = {name: tuple(rgb) for name, rgb in _TABLES["kinds"].items()}
+PART_RGB: dict[str, Rgb] = {name: tuple(rgb) for name, rgb in _TABLES["parts"].items()}
 
 
 def colour_of_species(name: str) -> Rgb:

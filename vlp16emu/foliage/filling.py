@@ -23,8 +23,7 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
-_PIECE_M = 0.25
-"""Faces larger than this are cut."""
+_PIECE_M = 0.25  # faces larger than this are cut
 
 _Place = tuple[float, float, float]
 _Whose = tuple[int, int, int]
@@ -33,18 +32,14 @@ _Whose = tuple[int, int, int]
 class _Voxels(NamedTuple):
     """Voxels of a tile while they are filled."""
 
-    head: I4
-    """(x, y, z) first owner of each; -1 for none."""
-    node: I8
-    """(n, 4) owners as linked lists: tile, row, law and the next one."""
-    area: F8
-    """(n, 3) their projected areas at the knots."""
+    head: I4  # (x, y, z) first owner of each; -1 for none
+    node: I8  # (n, 4) owners as linked lists: tile, row, law and the next one
+    area: F8  # (n, 3) their projected areas at the knots
     low_m: float
 
 
 _Placed = tuple[I8, F8, I8, I8]
-_Packed = tuple[U8, U4, U4, U4, U8]
-"""Arrays of a block, in the order of `Block`."""
+_Packed = tuple[U8, U4, U4, U4, U8]  # arrays of a block, in the order of `Block`
 
 
 @numba.njit(cache=True, nogil=True)

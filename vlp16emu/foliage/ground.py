@@ -10,8 +10,7 @@ from vlp16emu.kernels.compiler import numba
 
 f4 = np.float32
 _Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
-_Slope = tuple[np.float32, np.float32, np.float32]
-"""Height over the ground, and how the ground rises along x and y."""
+_Slope = tuple[np.float32, np.float32, np.float32]  # height over the ground, and how the ground rises along x and y
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)

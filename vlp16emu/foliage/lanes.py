@@ -16,65 +16,47 @@ from vlp16emu.types import F4, F8, U4, U8
 class Ground(NamedTuple):
     """The ground."""
 
-    height_m: F4
-    """(8 x + 1, 8 y + 1) at the corners of squares, `FINER` to the edge of a voxel."""
-    surface: U4
-    """(x, y) of the column of bricks."""
+    height_m: F4  # (8 x + 1, 8 y + 1) at the corners of squares, `FINER` to the edge of a voxel
+    surface: U4  # (x, y) of the column of bricks
     corner_x_m: float
     corner_y_m: float
-    steepest: float
-    """Greatest slope."""
+    steepest: float  # greatest slope
 
 
 class Stems(NamedTuple):
     """Stems of a window, relative to its origin."""
 
-    line: F8
-    """(n, 8) foot, unit axis, widest radius, and how far the stem bends off the axis at most."""
+    line: F8  # (n, 8) foot, unit axis, widest radius, and how far the stem bends off the axis at most
     profile: F4
     """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and how far in x and y the
     middle of the circle is off the axis."""
-    plan: F4
-    """(3, n) x and y of the middle, and radius, of a circle around the stem as seen from above."""
-    bounds: F4
-    """(n, 9) foot, unit axis, lowest and highest end along the axis, reach beside it."""
-    surface: U4
-    """(n, 2) of root flare and stem."""
-    flare_m: F4
-    """(n,) height along the axis at which the flare ends."""
+    plan: F4  # (3, n) x and y of the middle, and radius, of a circle around the stem as seen from above
+    bounds: F4  # (n, 9) foot, unit axis, lowest and highest end along the axis, reach beside it
+    surface: U4  # (n, 2) of root flare and stem
+    flare_m: F4  # (n,) height along the axis at which the flare ends
 
 
 class Medium(NamedTuple):
     """Far medium of a window, relative to the window's origin."""
 
-    near_m: float
-    """Range at which it begins; nothing where it is infinite."""
-    corner_m: tuple[float, float, float]
-    """Corner of the grid of bricks."""
-    corner: tuple[int, int, int]
-    """Corner of the grid, in voxels of the world."""
+    near_m: float  # range at which it begins; nothing where it is infinite
+    corner_m: tuple[float, float, float]  # corner of the grid of bricks
+    corner: tuple[int, int, int]  # corner of the grid, in voxels of the world
     brick: U8
     """(x, y, z, 2) of each brick which voxels hold anything, as in `Block`, and the number of the first of them."""
-    record: U4
-    """(m,) of voxels, as in `Block`, and of some that are in other windows only."""
-    first_owner: U4
-    """(m,) of each of them."""
-    owner: U8
-    """(o,) as in `Block`."""
-    surface: U4
-    """(x / 10, y / 10, 9) first surfaces of each tile and of those around it."""
-    cosine: F4
-    """(laws, knots, QUANTILES) as in `Cloud`."""
+    record: U4  # (m,) of voxels, as in `Block`, and of some that are in other windows only
+    first_owner: U4  # (m,) of each of them
+    owner: U8  # (o,) as in `Block`
+    surface: U4  # (x / 10, y / 10, 9) first surfaces of each tile and of those around it
+    cosine: F4  # (laws, knots, QUANTILES) as in `Cloud`
     ground: Ground
     stems: Stems
     seed: int
 
 
-AHEAD = 16
-"""Slabs that are looked at before the voxels in them: without branches that nobody can foretell."""
+AHEAD = 16  # slabs that are looked at before the voxels in them: without branches that nobody can foretell
 
-AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))
-"""Offsets of further rows of lanes in `Lanes.row`."""
+AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))  # offsets of further rows of lanes in `Lanes.row`
 
 
 class Lanes(NamedTuple):
@@ -85,43 +67,29 @@ class Lanes(NamedTuple):
 
     row: F4
     """(88,) rows of eight as in `Batch.row`, then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the axis and cosine at which a lane meets a stem."""
-    origin_m: F4
-    """(3, 8) of these rows."""
-    direction: F4
-    """(3, 8) likewise."""
-    range_m: F4
-    """(8,) likewise, in: what each has met, or where its light is given up. Out: what it meets first."""
-    cosine: F4
-    """(8,) likewise."""
-    surface: U4
-    """(8,) likewise."""
+    origin_m: F4  # (3, 8) of these rows
+    direction: F4  # (3, 8) likewise
+    range_m: F4  # (8,) likewise, in: what each has met, or where its light is given up. Out: what it meets first.
+    cosine: F4  # (8,) likewise
+    surface: U4  # (8,) likewise
     line: F4
     """(48,) scratch, rows of eight: place across at the grid's corner and its change per metre, in 8ths of voxels, on both
     axes; then place along and its inverse change per metre of range."""
-    place: U4
-    """(AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record."""
-    code: U4
-    """(AHEAD,) scratch: these records."""
-    hash: U4
-    """(AHEAD,) scratch: hashes of the places of these voxels."""
-    lit: U8
-    """(AHEAD,) scratch: bits of the lanes before whose middles there is a leaf in these voxels."""
+    place: U4  # (AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record
+    code: U4  # (AHEAD,) scratch: these records
+    hash: U4  # (AHEAD,) scratch: hashes of the places of these voxels
+    lit: U8  # (AHEAD,) scratch: bits of the lanes before whose middles there is a leaf in these voxels
 
 
 class Pulse(NamedTuple):
     """A pulse on its way through a medium."""
 
     lanes: Lanes
-    n: int
-    """Number of its lanes."""
-    near_m: np.float32
-    """Range at which the medium begins."""
-    axis: F4
-    """(6 or more,) origin and direction of its middle."""
-    aside_m: np.float32
-    """Greatest distance from the middle at which lanes begin."""
-    spread: np.float32
-    """Greatest growth of that distance per metre of range."""
+    n: int  # number of its lanes
+    near_m: np.float32  # range at which the medium begins
+    axis: F4  # (6 or more,) origin and direction of its middle
+    aside_m: np.float32  # greatest distance from the middle at which lanes begin
+    spread: np.float32  # greatest growth of that distance per metre of range
 
 
 def lanes() -> Lanes:

@@ -78,13 +78,10 @@ def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
 class Weights(NamedTuple):
     """Weights of a voxel's codes for light of an elevation between two knots."""
 
-    bits: np.uint32
-    """First bit of the code of the lower knot."""
+    bits: np.uint32  # first bit of the code of the lower knot
     low: np.float32
-    high: np.float32
-    """Times the length of a slab."""
-    knot: int
-    """The nearest."""
+    high: np.float32  # times the length of a slab
+    knot: int  # the nearest
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)

@@ -22,36 +22,28 @@ from vlp16emu.types import F4, U8
 
 f4, u4 = np.float32, np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
-_FEW = 4
-"""Voxels whose leaves are looked at together."""
+_FEW = 4  # voxels whose leaves are looked at together
 
 
 class Passage(NamedTuple):
     """Medium and scratch of a cast, for `kernel.go_on`."""
 
     medium: Medium
-    lanes: Lanes
-    """Scratch of the cast's own; `ahead` likewise."""
+    lanes: Lanes  # scratch of the cast's own; `ahead` likewise
     ahead: Seen
 
 
 class _Way(NamedTuple):
     """The middle of a pulse on its way through a grid, slab by slab."""
 
-    main: int
-    """Axis across the slabs."""
+    main: int  # axis across the slabs
     one: int
     two: int
-    k: int
-    """Slab in which the medium begins: all others are counted from it."""
-    step: int
-    """Upwards or downwards."""
-    length: np.float32
-    """Metres of range from slab to slab."""
-    to_middle: np.float32
-    """Range at the middle of slab k."""
-    p1: np.float32
-    """Place in voxels along the axes one and two at the middle of slab k, and its change per slab."""
+    k: int  # slab in which the medium begins: all others are counted from it
+    step: int  # upwards or downwards
+    length: np.float32  # metres of range from slab to slab
+    to_middle: np.float32  # range at the middle of slab k
+    p1: np.float32  # place in voxels along the axes one and two at the middle of slab k, and its change per slab
     p2: np.float32
     d1: np.float32
     d2: np.float32
@@ -60,14 +52,10 @@ class _Way(NamedTuple):
 class _Grid(NamedTuple):
     """A grid along the axes main, one and two."""
 
-    size: tuple[int, int, int]
-    """Size in voxels."""
-    stride: tuple[np.uint32, np.uint32, np.uint32]
-    """Stride from brick to brick."""
-    shift: tuple[np.uint32, np.uint32, np.uint32]
-    """Bits in a brick from voxel to voxel."""
-    corner: tuple[int, int, int]
-    """Corner in voxels of the world."""
+    size: tuple[int, int, int]  # size in voxels
+    stride: tuple[np.uint32, np.uint32, np.uint32]  # stride from brick to brick
+    shift: tuple[np.uint32, np.uint32, np.uint32]  # bits in a brick from voxel to voxel
+    corner: tuple[int, int, int]  # corner in voxels of the world
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)

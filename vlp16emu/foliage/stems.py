@@ -18,47 +18,34 @@ from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4
 
 f4 = np.float32
-_BLOCK = 8
-"""Stems that are looked at together."""
-_ROWS = 9
-"""Rows of a block: foot, unit axis, lowest and highest end along the axis, reach beside it."""
+_BLOCK = 8  # stems that are looked at together
+_ROWS = 9  # rows of a block: foot, unit axis, lowest and highest end along the axis, reach beside it
 _LOW, _HIGH, _REACH = 6 * _BLOCK, 7 * _BLOCK, 8 * _BLOCK
-_ROUNDING_M = f4(0.01)
-"""More than float32 rounds within 200 m."""
-_WIDE = 0.7
-"""Sine, and cosine, of the half-width of a sector beyond which all stems of the window are listed."""
+_ROUNDING_M = f4(0.01)  # more than float32 rounds within 200 m
+_WIDE = 0.7  # sine, and cosine, of the half-width of a sector beyond which all stems of the window are listed
 
 
 class Seen(NamedTuple):
     """Stems that some pulses may meet, nearest first; room for all of a window."""
 
-    row: F4
-    """(blocks * 72,) of each block of eight `_ROWS` rows."""
-    stem: I4
-    """(8 * blocks,) their numbers."""
-    from_m: F4
-    """(8 * blocks,) least range at which each may be met."""
-    is_seen: U1
-    """(8 * blocks,) scratch."""
-    total: I8
-    """(1,) how many there are."""
+    row: F4  # (blocks * 72,) of each block of eight `_ROWS` rows
+    stem: I4  # (8 * blocks,) their numbers
+    from_m: F4  # (8 * blocks,) least range at which each may be met
+    is_seen: U1  # (8 * blocks,) scratch
+    total: I8  # (1,) how many there are
 
 
 class _Sector(NamedTuple):
     """Directions of pulses as seen from above; all are in it if its middle is (0, 0)."""
 
     x_m: float
-    y_m: float
-    """A place, from which the pulses begin within `away_m`."""
+    y_m: float  # a place, from which the pulses begin within `away_m`
     away_m: float
     mx: float
-    my: float
-    """Unit vector along the middle."""
-    right: tuple[float, float]
-    """Cosine and sine of the edge to the right, from the middle; `left` likewise."""
+    my: float  # unit vector along the middle
+    right: tuple[float, float]  # cosine and sine of the edge to the right, from the middle; `left` likewise
     left: tuple[float, float]
-    level: float
-    """Least length of a pulse's unit direction as seen from above."""
+    level: float  # least length of a pulse's unit direction as seen from above
 
 
 def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:

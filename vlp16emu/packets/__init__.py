@@ -1,7 +1,6 @@
 """The wire: how returns become the bytes of a VLP-16, and how those bytes are read back."""
 
 from vlp16emu.packets.capture import Capture, CapturedUnit, chosen_unit, units_in
-from vlp16emu.packets.clock import Clock, PacketClock, UnitClock, check_stamps, packet_clock, unit_clocks
 from vlp16emu.packets.data import azimuth_cdeg, data_payloads, pack_data, returns_in, timestamp_us
 from vlp16emu.packets.decode import (
     JUMP_NS,
@@ -12,7 +11,6 @@ from vlp16emu.packets.decode import (
     decode_data,
     decode_position,
     faults_in,
-    frame_named,
     scan_starts,
 )
 from vlp16emu.packets.frames import FACTORY_LINK, Link
@@ -36,4 +34,12 @@ from vlp16emu.packets.position import (
     position_due_ns,
     positions_from_ns,
 )
-from vlp16emu.packets.reading import CaptureReader, PacketChunk, Summary
+from vlp16emu.packets.reading import (
+    CaptureReader,
+    Clock,
+    PacketChunk,
+    PacketClock,
+    UnitClock,
+    packet_clock,
+    unit_clocks,
+)

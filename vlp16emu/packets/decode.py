@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import InputError, PacketError
+from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
@@ -188,16 +188,6 @@ def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
     turn = np.cumsum(wrap.astype(np.int64) - ((step_deg > 180.0) & (step_deg > can_turn_deg)))
     scan = np.maximum.accumulate(turn) + np.cumsum(jump)
     return np.flatnonzero(np.diff(np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), scan]), prepend=-1))
-
-
-def frame_named(name: str, *, where: str = "frame") -> PointFrame:
-    """Find the frame of points by its name; `where` is what error lines call the choice.
-
-    Raises InputError if there is none of that name.
-    """
-    if name not in tuple(PointFrame):
-        raise InputError(where, f"found {name}", " or ".join(PointFrame))
-    return PointFrame(name)
 
 
 def decode_position(payload: bytes) -> PositionFields:

@@ -1,7 +1,13 @@
-"""A capture as points, chunk by chunk, and what it holds in numbers."""
+"""Captures read back: the UTC of their packets, their points chunk by chunk, and what they hold in numbers.
 
-from collections.abc import Iterator
+A packet says when it was fired past an hour that it does not name, on a clock that follows UTC only with lock to GPS. So UTC
+is by the sensor's clock, by the sentences of its GPS receiver, or by the host that captured the packets.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -9,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
-from vlp16emu.errors import CaptureError, PacketError
+from vlp16emu.errors import CaptureError, InputError, PacketError
+from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram
-from vlp16emu.packets.clock import Clock, PacketClock
 from vlp16emu.packets.decode import (
     SENSOR_R_MANUAL,
     PointFrame,
@@ -23,22 +29,158 @@ from vlp16emu.packets.decode import (
     faults_in,
     scan_starts,
 )
-from vlp16emu.packets.layout import (
-    AZIMUTH_CODES,
-    BLOCK_PERIOD_NS,
-    BLOCKS_PER_PACKET,
-    DATA_BYTES,
-    DISTANCE_LSB_M,
-    FACTORY_BYTE,
-    POSITION_BYTES,
-    RECORDS_PER_PACKET,
-    RETURN_MODE_BYTE,
-)
-from vlp16emu.types import I8, U1, U2, ReturnMode, SensorModel
-from vlp16emu.units import HOUR_NS, S_NS
+from vlp16emu.packets.nmea import rmc_time
+from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.types import I8, U1, U2, PpsState, ReturnMode, SensorModel
+from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
+_STEADY_NS = S_NS  # steps of the sensor's clock up to this leave its hour alone, whatever the host's clock does
+_CLOSE_NS = S_NS  # a clock so close to the host's is taken for one that follows UTC, if no position packet says it
+_LOOKED_AT = 10_000  # packets of a unit among which its first position packet is looked for: 7 s in dual return
+_PERIOD_NS = {layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()}
 _CHUNK = 2_000  # packets decoded at once: 0.8 million records, some 50 MB of points
 _BLOCK_RECORDS = 32
+
+
+class Clock(StrEnum):
+    """Source of the time of packets."""
+
+    SENSOR = "sensor"  # The sensor's clock, in the hour that is nearest to the capture's stamp
+    GPS = "gps"  # The sensor's clock, in the hour that the first valid sentence of the GPS receiver names
+    HOST = "host"
+    """The capture's stamp, less the time in which a packet fills: as a ROS driver without `gps_time` sees it."""
+
+
+class PacketClock:
+    """Turns the stamps of the packets of one sensor into UTC, packet by packet in order.
+
+    Parameters
+    ----------
+    clock : source of the time
+    host_behind_ns : by how much capture stamps are behind UTC, as far as the choice of the hour is concerned
+    """
+
+    def __init__(self, clock: Clock = Clock.SENSOR, host_behind_ns: int = 0) -> None:
+        self.clock, self._host_behind_ns = clock, host_behind_ns
+        self._before: tuple[int, int] | None = None
+        self.host_ahead_ns: int | None = None
+        """Capture stamp of the first packet less its end on the sensor's clock; None before the first one."""
+
+    def sensor_ns(self, stamp_ns: int, timestamp_us: int) -> int:
+        """Return UTC of a packet's first pulse by the sensor's clock; the hour is found again after each gap."""
+        clock_ns = timestamp_us * US_NS
+        near_ns = stamp_ns + self._host_behind_ns
+        if self._before is not None:
+            stamp_before_ns, before_ns = self._before
+            step_ns = (clock_ns - before_ns + HOUR_NS // 2) % HOUR_NS - HOUR_NS // 2
+            near_ns = before_ns + (step_ns if abs(step_ns) <= _STEADY_NS else stamp_ns - stamp_before_ns)
+        t_ns = clock_ns + round((near_ns - clock_ns) / HOUR_NS) * HOUR_NS
+        self._before = stamp_ns, t_ns
+        return t_ns
+
+    def packet_ns(self, stamp_ns: int, timestamp_us: int, mode: int) -> tuple[int, int]:
+        """Return UTC of a packet's first pulse, by the sensor's clock and by the chosen one; `mode` is its return-mode byte."""
+        sensor_ns, fired_ns = self.sensor_ns(stamp_ns, timestamp_us), stamp_ns - _PERIOD_NS.get(mode, 0)
+        if self.host_ahead_ns is None:
+            self.host_ahead_ns = fired_ns - sensor_ns
+        return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
+
+    def position_ns(self, stamp_ns: int, timestamp_us: int) -> int:
+        """Return UTC of a position packet by the chosen clock."""
+        return stamp_ns if self.clock is Clock.HOST else self.sensor_ns(stamp_ns, timestamp_us)
+
+
+class UnitClock(NamedTuple):
+    """Clock of a unit, by its first packets."""
+
+    clock: Clock  # The chosen one, or the default: the sensor's if it is locked, else the host's
+    locked: bool | None  # State of the pulse per second in the first position packet; None without one
+    host_behind_ns: int
+    first_ns: int  # UTC of the first data packet by the clock
+
+    def make(self) -> PacketClock:
+        """Return a clock for the unit's packets, from the first on."""
+        return PacketClock(self.clock, self.host_behind_ns)
+
+
+def unit_clocks(
+    path: Path, units: Sequence[CapturedUnit | None], name: str | None = None, *, where: str = "clock"
+) -> list[UnitClock]:
+    """Choose the clock of each unit of a capture.
+
+    Parameters
+    ----------
+    units : None stands for all packets
+    name : "sensor", "gps" or "host"; without one the sensor's clock for a unit that is locked to GPS, or that has no position
+        packets and is within a second of the host; else the host's, in which everything else of a recording is stamped
+    where : how error lines call the choice
+
+    Raises CaptureError if the file is no capture; InputError if there is no such clock, or no valid sentence for "gps".
+    """
+    if name not in (None, *Clock):
+        raise InputError(where, f"found {name}", ", ".join(Clock))
+    seen = [_Seen() for _ in units]
+    with Capture(path) as capture:
+        for datagram in capture:
+            for unit, of in zip(units, seen, strict=True):
+                if unit is None or unit.owns(datagram):
+                    of.take(datagram)
+            if all(of.is_known(wants_sentence=name == Clock.GPS) for of in seen):
+                break
+    return [of.clock(path, name, where) for of in seen]
+
+
+def packet_clock(
+    path: Path, unit: CapturedUnit | None, name: str | None = None, *, where: str = "clock"
+) -> PacketClock:
+    """Return the clock for the packets of one unit, as `unit_clocks`; by default the sensor's for a pipe, which is read only once."""
+    if path.is_fifo() and name != Clock.GPS and (name is None or name in tuple(Clock)):
+        return PacketClock(Clock(name or Clock.SENSOR))
+    return unit_clocks(path, [unit], name, where=where)[0].make()
+
+
+class _Seen:
+    """First packets of a unit."""
+
+    def __init__(self) -> None:
+        self.data: Datagram | None = None
+        self.pps: PpsState | None = None
+        self.behind_ns: int | None = None
+        self.count = 0
+
+    def take(self, datagram: Datagram) -> None:
+        self.count += 1
+        if len(datagram.payload) == layout.DATA_BYTES:
+            self.data = self.data or datagram
+        elif len(datagram.payload) == layout.POSITION_BYTES and (self.pps is None or self.behind_ns is None):
+            try:
+                fields = decode_position(datagram.payload)
+                self.pps = fields.pps if self.pps is None else self.pps
+                second_ns, valid = rmc_time(fields.sentence)
+            except PacketError:
+                return
+            if second_ns is not None and valid and self.behind_ns is None:
+                self.behind_ns = second_ns - datagram.stamp_ns
+
+    def is_known(self, *, wants_sentence: bool) -> bool:
+        """Return whether more packets would change nothing."""
+        if self.data is None:
+            return False
+        return self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT
+
+    def clock(self, path: Path, name: str | None, where: str) -> UnitClock:
+        locked = None if self.pps is None else self.pps is PpsState.LOCKED
+        behind_ns = self.behind_ns or 0 if name == Clock.GPS else 0
+        if name == Clock.GPS and self.behind_ns is None:
+            raise InputError(where, f"no valid sentence of a GPS receiver in {path}", "sensor or host")
+        if self.data is None:
+            return UnitClock(Clock(name or Clock.SENSOR), locked, behind_ns, 0)
+        fields = np.frombuffer(self.data.payload, layout.DATA_PAYLOAD)[0]
+        stamps = self.data.stamp_ns, int(fields["timestamp_us"]), int(fields["return_mode"])
+        sensor_ns, host_ns = PacketClock(Clock.HOST, behind_ns).packet_ns(*stamps)
+        follows_utc = locked if locked is not None else abs(host_ns - sensor_ns) <= _CLOSE_NS
+        clock = Clock(name) if name else Clock.SENSOR if follows_utc else Clock.HOST
+        return UnitClock(clock, locked, behind_ns, host_ns if clock is Clock.HOST else sensor_ns)
 
 
 class PacketChunk(NamedTuple):
@@ -67,22 +209,22 @@ class PacketChunk(NamedTuple):
 class Summary:
     """Contents of a capture in numbers."""
 
+    model: SensorModel
+    return_mode: str  # One mode, or several with commas if it changes
+    rpm: float
     packets: int
     position_packets: int
     other_datagrams: int
-    model: SensorModel
-    return_mode: str  # One mode, or several with commas if it changes
     points: int
     no_returns: int
     scans: int  # Turns of the head, begun ones at both ends included
     records_per_scan: int | None  # Median of the whole turns, no-returns counted; None without a whole turn
-    rpm: float
-    first_stamp_ns: int  # UTC, of the capture, at the first data packet
+    range_m: dict[str, float] | None  # Least, median and greatest of the returns; None without returns
+    start_utc: str  # Stamp of the first data packet in the capture
     duration_s: float  # From the first data packet to the last, by the sensor's clock
     clock: Clock  # Where UTC comes from
     host_ahead_s: float  # Capture stamps less the sensor's clock, in the hour nearest to them, at the first data packet
-    range_m: tuple[float, float, float] | None  # Minimum, median and maximum of the returns; None without returns
-    gps: PositionFields | None  # The last position packet
+    gps: dict[str, str] | None  # Pulse and sentence of the last position packet
     cut: bool  # The file ends in the middle of a packet
     repeats: int  # Packets left out as the capture has them before
 
@@ -136,7 +278,7 @@ class CaptureReader:
         """
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
-            payloads = payloads.reshape(len(held), DATA_BYTES)
+            payloads = payloads.reshape(len(held), layout.DATA_BYTES)
             faults = faults_in(data_fields(payloads), self._factory, self._model)
             sound = np.ones(len(held), np.bool_)
             sound[[fault.packet for fault in faults]] = False
@@ -157,31 +299,34 @@ class CaptureReader:
         """Summary of what has been read, once all points have been taken."""
         azimuth_cdeg, modes = np.concatenate(self._azimuth_cdeg), np.concatenate(self._modes)
         packet_ns = np.concatenate(self._packet_ns)
-        block_ns = np.arange(BLOCKS_PER_PACKET) * BLOCK_PERIOD_NS
+        block_ns = np.arange(layout.BLOCKS_PER_PACKET) * layout.BLOCK_PERIOD_NS
         starts = scan_starts(azimuth_cdeg.ravel() / 100, (packet_ns[:, None] + block_ns).ravel())
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS
-        names = {code: mode for mode, code in RETURN_MODE_BYTE.items()}
+        names = {code: mode for mode, code in layout.RETURN_MODE_BYTE.items()}
         points = int(self._codes[1:].sum())
+        start, gps = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=self.first_stamp_ns // US_NS), self._gps
         return Summary(
-            packets=len(azimuth_cdeg),
-            position_packets=self._positions,
-            other_datagrams=self._others,
             model=next(
-                (model for model in SensorModel if FACTORY_BYTE[model] == self._factory),
+                (model for model in SensorModel if layout.FACTORY_BYTE[model] == self._factory),
                 self._model or SensorModel.VLP_16,
             ),
             return_mode=", ".join(names[code] for code in dict.fromkeys(modes.tolist())),
+            rpm=round(_rpm(azimuth_cdeg, modes), 2),
+            packets=len(azimuth_cdeg),
+            position_packets=self._positions,
+            other_datagrams=self._others,
             points=points,
-            no_returns=len(azimuth_cdeg) * RECORDS_PER_PACKET - points,
+            no_returns=len(azimuth_cdeg) * layout.RECORDS_PER_PACKET - points,
             scans=len(starts),
             records_per_scan=int(np.median(whole)) if len(whole) else None,
-            rpm=_rpm(azimuth_cdeg, modes),
-            first_stamp_ns=self.first_stamp_ns,
+            range_m=self._ranges_m() if points else None,
+            start_utc=start.isoformat().replace("+00:00", "Z"),
             duration_s=int(packet_ns[-1] - packet_ns[0]) / S_NS,
             clock=self.clock.clock,
-            host_ahead_s=(self.clock.host_ahead_ns or 0) / S_NS,
-            range_m=self._ranges_m() if points else None,
-            gps=self._gps,
+            host_ahead_s=round((self.clock.host_ahead_ns or 0) / S_NS, 6),
+            gps={"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()}
+            if gps
+            else None,
             cut=self._capture.cut,
             repeats=self._capture.repeated,
         )
@@ -193,7 +338,7 @@ class CaptureReader:
             for datagram in self._capture:
                 if self._unit is not None and not self._unit.owns(datagram):
                     continue
-                if len(datagram.payload) != DATA_BYTES:
+                if len(datagram.payload) != layout.DATA_BYTES:
                     self._note_other(datagram)
                     continue
                 self.first_stamp_ns = self.first_stamp_ns or datagram.stamp_ns
@@ -228,7 +373,7 @@ class CaptureReader:
         return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, utc_ns, fields, number)
 
     def _note_other(self, datagram: Datagram) -> None:
-        if len(datagram.payload) != POSITION_BYTES:
+        if len(datagram.payload) != layout.POSITION_BYTES:
             self._others += 1
             return
         self._positions += 1
@@ -240,24 +385,26 @@ class CaptureReader:
             where = f"{self._path}: frame {datagram.number}: {error.where}"
             raise PacketError(where, error.found, error.expected) from None
 
-    def _ranges_m(self) -> tuple[float, float, float]:
+    def _ranges_m(self) -> dict[str, float]:
         below = np.cumsum(self._codes[1:])
-        shares = (1, -(-below[-1] // 2), below[-1])
-        low, middle, high = (float(code + 1) * DISTANCE_LSB_M for code in np.searchsorted(below, shares))
-        return low, middle, high
+        codes = np.searchsorted(below, (1, -(-below[-1] // 2), below[-1])).tolist()
+        return {
+            name: round((n + 1) * layout.DISTANCE_LSB_M, 3)
+            for name, n in zip(("min", "median", "max"), codes, strict=True)
+        }
 
 
 def _rpm(azimuth_cdeg: U2, modes: U1) -> float:
     """Return the mean speed of the rotor over packets, from azimuths (n, 12) of their blocks and return modes (n,)."""
     turned_cdeg = turning_ns = 0
     for mode in np.unique(modes):
-        stride = (
-            2 if mode == RETURN_MODE_BYTE[ReturnMode.DUAL] else 1
+        stride = 1 + (
+            mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL]
         )  # blocks 0 and 1 of dual return share their azimuth
         own_cdeg: I8 = azimuth_cdeg[modes == mode, ::stride].astype(np.int64)
-        step_cdeg: I8 = np.diff(own_cdeg) % AZIMUTH_CODES
+        step_cdeg: I8 = np.diff(own_cdeg) % layout.AZIMUTH_CODES
         # A far wider step than its neighbours is the edge of a field of view.
         even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
         turned_cdeg += int(step_cdeg[even].sum())
-        turning_ns += int(even.sum()) * BLOCK_PERIOD_NS
-    return turned_cdeg / AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60
+        turning_ns += int(even.sum()) * layout.BLOCK_PERIOD_NS
+    return turned_cdeg / layout.AZIMUTH_CODES / max(turning_ns / S_NS, 1e-9) * 60

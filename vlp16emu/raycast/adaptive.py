@@ -18,15 +18,13 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, NO_SURFACE, U4
 
 _NONE = np.uint32(NO_SURFACE)
-_LEAST_SQUARED = np.float32(1e-12)
-"""Least square of a range, in m2."""
+_LEAST_SQUARED = np.float32(1e-12)  # least square of a range, in m2
 _PER_RAY = 5200.0
 """Error that a ray must take off, over the 3.5th power of the target, so that scenes/reference_forest and birch_walk come out at their
 target or below, from 0.02 to 0.05 m: in m-2.5, fitted."""
 _MOST = 0.65
 """No error is estimated to be more, in resolutions: half of one for another echo, and what eight rays of one echo leave."""
-_EVENNESS = 0.27
-"""Variance of a share by a round or two of sub-rays over that by random points; see `beam`."""
+_EVENNESS = 0.27  # variance of a share by a round or two of sub-rays over that by random points; see `beam`
 _DOUBT = 0.75
 """Chance that sub-rays decide whether an echo is seen, over the greatest there is: what asks for another round. Chosen on
 scenes/reference_forest: with 6 % more rays a third of the echoes that were lost or invented are left out."""
@@ -37,17 +35,12 @@ _PLAIN = 0.4, 2.0
 class RayBudget(NamedTuple):
     """Number of sub-rays that the pulses of a beam need."""
 
-    most: int
-    """Most sub-rays of a pulse."""
-    adaptive: bool
-    """True if `enough` decides after each round."""
-    worth_m: float
-    """Error that each ray must take off; see `worth_of_ray_m`."""
+    most: int  # most sub-rays of a pulse
+    adaptive: bool  # true if `enough` decides after each round
+    worth_m: float  # error that each ray must take off; see `worth_of_ray_m`
     resolution_m: float
-    threshold: float
-    """Amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen."""
-    amplitude_noise: float
-    """One sigma."""
+    threshold: float  # amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen
+    amplitude_noise: float  # one sigma
 
 
 def worth_of_ray_m(target_m: float) -> float:

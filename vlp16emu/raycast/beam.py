@@ -28,10 +28,8 @@ from vlp16emu.types import F4, F8, Firings
 
 _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / (_PLASTIC * _PLASTIC)))
-ROUND = 8
-"""Sub-rays per round: a packet."""
-_Y = 4 * ROUND
-"""Offset of the row of the first direction, which holds a coordinate of the profile until then."""
+ROUND = 8  # sub-rays per round: a packet
+_Y = 4 * ROUND  # offset of the row of the first direction, which holds a coordinate of the profile until then
 _TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
 """Revolutions at once, in which what stands in one direction stays in the cache; and, over all of them, sub-rays of a
 direction as a rule, and at most."""
@@ -45,14 +43,11 @@ class Footprint:
     """The light of a unit's pulses: how it is spread, and by how many rays it is followed."""
 
     section: Beam
-    seed: int = 0
-    """Of the unit."""
-    resolution_m: float = 0.0
-    """Echoes farther apart than this are separate."""
+    seed: int = 0  # of the unit
+    resolution_m: float = 0.0  # echoes farther apart than this are separate
     threshold: float = 0.0
     """Amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen."""
-    amplitude_noise: float = 0.0
-    """Of the receiver, one sigma."""
+    amplitude_noise: float = 0.0  # of the receiver, one sigma
 
     def changed(self, **settings: object) -> "Footprint":
         """Return this light with other settings of its section."""
@@ -93,8 +88,7 @@ class Footprint:
         return np.array([1e-3 * width for width in (*section.spot_mm, *section.divergence_mrad)]) / 4
 
 
-LINE = Footprint(Beam(model="none", spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0)))
-"""Light without width."""
+LINE = Footprint(Beam(model="none", spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0)))  # light without width
 
 
 def _ring_radii() -> F8:
@@ -130,8 +124,7 @@ _SUPPORT = np.array(
 _REACH = np.append(np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()).astype(
     np.float32
 )
-FARTHEST = float(_REACH[-1])
-"""Greatest distance of a sub-ray from the middle, in standard deviations."""
+FARTHEST = float(_REACH[-1])  # greatest distance of a sub-ray from the middle, in standard deviations
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

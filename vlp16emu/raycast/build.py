@@ -22,14 +22,10 @@ from vlp16emu.types import F4, F8, I8, U4, U8, Mesh, Window
 class Shape(NamedTuple):
     """Shape in pieces, ready for Embree."""
 
-    faces: tuple[Faces, ...]
-    """Faces of each mesh, in order of pieces."""
-    begin: I8
-    """(pieces + 1, meshes) first face of each piece."""
-    boxes_m: F8
-    """(pieces, 2, 3) around each piece."""
-    radius_m: float
-    """Greatest distance of a corner from the shape's origin."""
+    faces: tuple[Faces, ...]  # faces of each mesh, in order of pieces
+    begin: I8  # (pieces + 1, meshes) first face of each piece
+    boxes_m: F8  # (pieces, 2, 3) around each piece
+    radius_m: float  # greatest distance of a corner from the shape's origin
 
 
 def shape_of(meshes: Sequence[Mesh]) -> Shape:
@@ -262,8 +258,7 @@ def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I
     return np.concatenate(tables), np.repeat(begin, counts) + piece * np.repeat(each, counts)
 
 
-_MOST_KNOTS = 129
-"""RTC_MAX_TIME_STEP_COUNT (Embree 4, rtcore_common.h)."""
+_MOST_KNOTS = 129  # RTC_MAX_TIME_STEP_COUNT (Embree 4, rtcore_common.h)
 
 rtc.library()  # kernels of this file and of those that cast are linked with it
 _set_count = types.ExternalFunction("rtcSetGeometryTimeStepCount", types.void(types.uintp, types.uint32))
@@ -275,14 +270,10 @@ _set_transform = types.ExternalFunction(
 class InstanceMotion(NamedTuple):
     """Motion of the instances of a scene."""
 
-    start_ns: int
-    """UTC of the first knot."""
-    span_ns: int
-    """Time from the first knot to the last; 0 if nothing moves."""
-    shear: F4
-    """(k, n, 2) as in `Sway`, of all placements; no knots where nothing moves."""
-    foot_m: F8
-    """(n,) height in the window at which a placement does not move; empty where nothing moves."""
+    start_ns: int  # UTC of the first knot
+    span_ns: int  # time from the first knot to the last; 0 if nothing moves
+    shear: F4  # (k, n, 2) as in `Sway`, of all placements; no knots where nothing moves
+    foot_m: F8  # (n,) height in the window at which a placement does not move; empty where nothing moves
 
     def times(self, t_ns: I8) -> F4:
         """Return ray times 0..1 at UTC instants of any shape, clipped to the span."""

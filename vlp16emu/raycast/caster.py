@@ -13,8 +13,7 @@ from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.types import F8, Firings, Hits, Window, World
 
 _RINGS = 16
-_SECTORS = 16
-"""Rings of equal solid angle, and rays on each: 256 rays measure a share to 0.03."""
+_SECTORS = 16  # rings of equal solid angle, and rays on each: 256 rays measure a share to 0.03
 
 
 class Geometry(Protocol):

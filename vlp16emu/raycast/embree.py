@@ -23,8 +23,7 @@ SCENE_FLAGS = 1 << 2 | 1 << 3
 """Robust, so that no box is missed by rounding, and with the filter of a query's arguments."""
 FLAG_COHERENT = 1 << 16
 """Rays of a packet are near each other: nearly doubles the speed of neighbouring azimuths of one laser."""
-FLAG_FILTER = 1 << 1
-"""The filter of a query's arguments is asked for each candidate, of whatever geometry."""
+FLAG_FILTER = 1 << 1  # the filter of a query's arguments is asked for each candidate, of whatever geometry
 
 _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),

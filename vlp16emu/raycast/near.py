@@ -28,12 +28,9 @@ class Stages(NamedTuple):
     """Stages that rays go through, one after the other."""
 
     near: Target
-    reach_m: float
-    """Range at which the next stages begin."""
-    beyond: Target | None = None
-    """Faces that are cast at any range beyond."""
-    passage: Any = None
-    """Far medium, by the overload of `kernel.go_on`."""
+    reach_m: float  # range at which the next stages begin
+    beyond: Target | None = None  # faces that are cast at any range beyond
+    passage: Any = None  # far medium, by the overload of `kernel.go_on`
 
 
 class EmbreeGeometry:

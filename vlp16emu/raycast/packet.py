@@ -22,8 +22,7 @@ from vlp16emu.raycast.build import knot_at
 from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
-PACKET = 8
-"""Rays per packet; 16 is slower without AVX-512."""
+PACKET = 8  # rays per packet; 16 is slower without AVX-512
 
 LEVEL = np.float32(sin(math.radians(20.0)))
 """Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
@@ -33,8 +32,7 @@ _intersect = types.ExternalFunction("rtcIntersect8", types.void(types.uintp, typ
 
 ORG, _TNEAR, DIR, TIME, _TFAR, _MASK, _ID, _FLAGS, _SIZE = (PACKET * row for row in (0, 3, 4, 7, 8, 9, 10, 11, 21))
 """Offsets of the rows of RTCRayHit8, each of eight 4-byte words (rtcore_ray.h)."""
-_HIT_PRIMITIVE, _HIT_MESH, _HIT_INSTANCE = 5, 6, 7
-"""Rows of the RTCHitN of a candidate."""
+_HIT_PRIMITIVE, _HIT_MESH, _HIT_INSTANCE = 5, 6, 7  # rows of the RTCHitN of a candidate
 _ALIGN = 64
 NONE = np.uint32(0xFFFFFFFF)
 _NO_INSTANCES = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -50,26 +48,16 @@ _LIMIT, _NORMAL, _FACING, _STATE = (PACKET * row for row in (0, 1, 4, 5))
 class Target(NamedTuple):
     """Faces that rays are cast against."""
 
-    scene: int
-    """Address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing."""
-    steep: int
-    """Address of the scene for rays that are not `LEVEL`; 0 also if no such ray is cast."""
-    window_origin_m: F8
-    """(3,) taken from the origins in float64, before the step to float32."""
-    first_surface: U4
-    """(n,) per instance, as in `Window`."""
-    shape_T_window: F8
-    """(n, 3, 4) per instance, at rest."""
-    row: I8
-    """(n,) per instance: the row of `buffers` at which the meshes of its piece begin."""
-    buffers: U8
-    """(b, 2) addresses of the corners of a mesh, and of the triangles of it that are in a piece."""
-    shear: F4
-    """(knots, n, 2) per instance, as in `build.InstanceMotion`."""
-    foot_m: F8
-    """(n,) per instance: height in the window at which nothing moves; empty where nothing moves at all."""
-    reflectance: F4
-    """(m,) of the surfaces."""
+    scene: int  # address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing
+    steep: int  # address of the scene for rays that are not `LEVEL`; 0 also if no such ray is cast
+    window_origin_m: F8  # (3,) taken from the origins in float64, before the step to float32
+    first_surface: U4  # (n,) per instance, as in `Window`
+    shape_T_window: F8  # (n, 3, 4) per instance, at rest
+    row: I8  # (n,) per instance: the row of `buffers` at which the meshes of its piece begin
+    buffers: U8  # (b, 2) addresses of the corners of a mesh, and of the triangles of it that are in a piece
+    shear: F4  # (knots, n, 2) per instance, as in `build.InstanceMotion`
+    foot_m: F8  # (n,) per instance: height in the window at which nothing moves; empty where nothing moves at all
+    reflectance: F4  # (m,) of the surfaces
 
 
 class RayPacket(NamedTuple):
@@ -82,14 +70,10 @@ class RayPacket(NamedTuple):
     arguments: U8
     own: F4
     """(64,) the first rows of `rays`, with the least range that counts: Embree turns its rays into instances and back."""
-    state: F8
-    """(40,) likewise."""
-    instance: U4
-    """(8,) that a ray meets, or `NONE`."""
-    face: U8
-    """(8,) of it: number of the mesh in the upper half, of the triangle in the lower."""
-    desk: U8
-    """(11,) addresses for `_decide`."""
+    state: F8  # (40,) likewise
+    instance: U4  # (8,) that a ray meets, or `NONE`
+    face: U8  # (8,) of it: number of the mesh in the upper half, of the triangle in the lower
+    desk: U8  # (11,) addresses for `_decide`
 
 
 _Vector = tuple[float, float, float]

@@ -12,8 +12,7 @@ import numpy as np
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, I8, U4, Mesh
 
-Faces = tuple[F4, U4]
-"""Vertices (v, 3) in metres, and triangles (t, 3)."""
+Faces = tuple[F4, U4]  # vertices (v, 3) in metres, and triangles (t, 3)
 
 _SLAB_M = 1.5
 """Height of a slab: with bodies apart a fifth less time for what is near in `scenes/reference_forest`; 1 m and 2 m gain as much

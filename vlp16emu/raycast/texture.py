@@ -15,12 +15,9 @@ from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart
 _GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.2, 0.1, 0.15
 """Sizes of patches, of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are equal as
 often, and differ as much, as on real sensors, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
-_SAME_M = 0.1
-"""Sub-rays of a pulse that end within this of each other end on one patch."""
-_SPREAD = math.sqrt(3.0)
-"""Half-width of an even distribution of variance one."""
-_CELL_BITS = 3
-"""Eight patches across have a contrast of their own: a wall, a floor or bark is made of such surfaces."""
+_SAME_M = 0.1  # sub-rays of a pulse that end within this of each other end on one patch
+_SPREAD = math.sqrt(3.0)  # half-width of an even distribution of variance one
+_CELL_BITS = 3  # eight patches across have a contrast of their own: a wall, a floor or bark is made of such surfaces
 _LN_STRENGTH = 1.2
 """Spread of the logarithm of the contrast over surfaces: the scatter of reflectivity, with white errors, has 0.65 to 0.74 on real units."""
 _NORMAL = np.array([0.078, 0.237, 0.402, 0.579, 0.776, 1.01, 1.318, 1.863])

@@ -29,16 +29,12 @@ from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, NO_SURFACE, U2, U4
 
-COLUMNS = 5
-"""Columns of a table of nodes, or of peaks."""
-RANGE, AMPLITUDE = 0, 1
-"""Columns of both: in metres, and as in `DetectorConstants`."""
-OPEN = 2
-"""Column of peaks: the amplitude, or 0 once the peak is dealt with."""
+COLUMNS = 5  # columns of a table of nodes, or of peaks
+RANGE, AMPLITUDE = 0, 1  # columns of both: in metres, and as in `DetectorConstants`
+OPEN = 2  # column of peaks: the amplitude, or 0 once the peak is dealt with
 _RAY, _PART = 2, 3  # columns of nodes while they are gathered: sub-rays that are in none yet, and their light
 _HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_waveform` gives at their places
-NODE_M = 0.15
-"""Greatest span of the sub-rays that are taken as one."""
+NODE_M = 0.15  # greatest span of the sub-rays that are taken as one
 _LN2 = 0.6931471805599453
 _Light = tuple[float, float, float]
 """Mean and variance of the places of light, and its height, as `_waveform` returns them."""
@@ -54,8 +50,7 @@ class SubRays(NamedTuple):
     range_m: F4
     surface: U4
     cos_incidence: F4
-    reflectance: F4
-    """(m,) of the surfaces."""
+    reflectance: F4  # (m,) of the surfaces
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)

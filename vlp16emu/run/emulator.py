@@ -21,8 +21,7 @@ from vlp16emu.run.options import RecordOptions, TruthPlace, TruthTo, stream_opti
 from vlp16emu.run.record import record
 from vlp16emu.run.report import Recording, Streamed
 from vlp16emu.run.stream import stream_run
-from vlp16emu.scenario import Scenario, find, load
-from vlp16emu.scenario.find import named_files
+from vlp16emu.scenario import Scenario, find, load, named_files
 from vlp16emu.types import Packet, Returns, Scan
 
 Scene = str | Path | Mapping[str, Any] | Scenario

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Unit
-from vlp16emu.engine.position import number_at
+from vlp16emu.engine.engine import number_at
 from vlp16emu.errors import InputError
 from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import write_json

@@ -1,11 +1,16 @@
 """The scenario file as a frozen tree, with the tables of its own: `[capture]` and `[[rig]]`. Defaults live here and nowhere else."""
 
+import ast
+import inspect
 from datetime import UTC, datetime
+from functools import cache
 from ipaddress import IPv4Address
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     AwareDatetime,
+    BaseModel,
     BeforeValidator,
     Field,
     GetCoreSchemaHandler,
@@ -13,6 +18,7 @@ from pydantic import (
     ValidationInfo,
     field_validator,
 )
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from vlp16emu.doors import door, has_door
@@ -269,3 +275,47 @@ class Scenario(Section):
 
 def _is_locked(sensor: Sensor | FreeSensor | None) -> bool:
     return isinstance(sensor, Sensor) and sensor.phase_lock_deg is not None
+
+
+class _InOurWords(GenerateJsonSchema):
+    """Leave out the titles that repeat the keys, and describe keys by their docstrings.
+
+    Pydantic's `use_attribute_docstrings` parses the source of all sections at each start of the program, for 0.1 s.
+    """
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        """Add the descriptions of a section's keys."""
+        table, section = super().model_schema(schema), schema["cls"]
+        for name, text in _docstrings(section).items():
+            field = section.model_fields.get(name)
+            if field is not None and field.description is None:
+                table["properties"][field.alias or name]["description"] = text
+        return table
+
+    def field_title_should_be_set(self, schema: CoreSchema | Any) -> bool:  # noqa: ARG002  # pydantic's signature
+        """Leave titles out: they would only repeat the keys."""
+        return False
+
+
+@cache
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a scene file; the same object every time, so do not write to it."""
+    tree = Scenario.model_json_schema(schema_generator=_InOurWords)
+    return {"$schema": GenerateJsonSchema.schema_dialect} | tree | {"title": "vlp16emu scene"}
+
+
+def _docstrings(section: type[BaseModel]) -> dict[str, str]:
+    """Return the strings that follow the keys of a section and of its base classes."""
+    found: dict[str, str] = {}
+    for owner in reversed(section.__mro__[: section.__mro__.index(BaseModel)]):
+        try:
+            source = inspect.getsource(owner)
+        except OSError:  # a class without source, made from a table, describes its keys itself
+            continue
+        (body,) = ast.parse(source).body
+        assert isinstance(body, ast.ClassDef)
+        for key, text in pairwise(body.body):
+            match key, text:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
+                    found[name] = inspect.cleandoc(words)
+    return found

@@ -3,7 +3,6 @@
 import hashlib
 import os
 import struct
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,8 +30,6 @@ _RECORD_HEADER = struct.Struct("<4I")
 class PcapResult:
     """Contents of a file."""
 
-    data_packets: int
-    position_packets: int
     bytes: int  # Size of the file
     sha256: str  # SHA-256 of the whole file, hexadecimal
     messages: Mapping[str, int] | None = None  # Messages of a bag by topic
@@ -58,8 +55,7 @@ class PcapSink(PacketSink):
         self.path = path
         self._is_stdout = path == STDOUT
         self._links = links
-        self._sent = Counter[PacketKind]()
-        self._bytes, self._failed = 0, False
+        self._sent, self._bytes, self._failed = 0, 0, False
         self._hash = hashlib.sha256()
         self._output = OutputFile(path, buffering=0)
         self._file = self._output.file
@@ -89,17 +85,12 @@ class PcapSink(PacketSink):
         frame = self._frame(packet)
         seconds, rest_ns = divmod(packet.due_ns, S_NS)
         self._write(_RECORD_HEADER.pack(seconds, rest_ns // US_NS, len(frame), len(frame)) + frame)
-        self._sent[packet.kind] += 1
+        self._sent += 1
 
     @property
     def result(self) -> PcapResult:
         """Contents so far."""
-        return PcapResult(
-            data_packets=self._sent[PacketKind.DATA],
-            position_packets=self._sent[PacketKind.POSITION],
-            bytes=self._bytes,
-            sha256=self._hash.hexdigest(),
-        )
+        return PcapResult(self._bytes, self._hash.hexdigest())
 
     def _frame(self, packet: Packet) -> bytes:
         link = self._links[packet.unit]
@@ -117,7 +108,7 @@ class PcapSink(PacketSink):
                 written += self._file.write(record[written:])
         except OSError as error:
             self._failed = True
-            name, sent = "standard output" if self._is_stdout else self.path, self._sent.total()
+            name, sent = "standard output" if self._is_stdout else self.path, self._sent
             kept = f"the {sent} packets before it are in {self._output.place}" if sent else "no file is written"
             raise RunError(f"{name}: {error.strerror} at packet {sent + 1}; {kept}") from error
         self._hash.update(record)

@@ -1,4 +1,4 @@
-"""The protocol of sinks, and a list of packets as the simplest one."""
+"""The protocol of sinks."""
 
 from typing import Protocol, Self
 
@@ -20,14 +20,3 @@ class PacketSink(Protocol):
 
     def send(self, packet: Packet) -> None:
         """Let one packet leave at once."""
-
-
-class MemorySink(PacketSink):
-    """Keeps every packet it is sent, in `packets`."""
-
-    def __init__(self) -> None:
-        self.packets: list[Packet] = []
-
-    def send(self, packet: Packet) -> None:
-        """Append the packet."""
-        self.packets.append(packet)

@@ -14,7 +14,7 @@ from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import S_NS
 
-settings.register_profile("long", max_examples=10_000)  # pytest --hypothesis-profile=long tests/device/test_web_fuzz.py
+settings.register_profile("long", max_examples=10_000)  # pytest --hypothesis-profile=long tests/extras/bench
 
 INFO = DeviceInfo("11001000000001", SensorModel.VLP_16, bytes.fromhex("607688380001"))
 

@@ -5,11 +5,11 @@ from datetime import UTC, datetime
 import numpy as np
 import pynmea2
 import pytest
+from listening import MemorySink
 
 from vlp16emu.extras.bench.gps_in import GpsInSink, GpsLine
 from vlp16emu.packets import decode_position, pack_position
 from vlp16emu.packets.nmea import rmc
-from vlp16emu.sinks import MemorySink
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, US_NS
 

@@ -3,9 +3,9 @@
 from threading import Event
 
 import pytest
+from listening import MemorySink
 
 from vlp16emu.extras.bench.retime import NowSink, stamp_ns
-from vlp16emu.sinks import MemorySink
 from vlp16emu.types import Packet, PacketKind
 
 S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000

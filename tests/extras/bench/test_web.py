@@ -413,7 +413,6 @@ FORMS = {
     "setting/net gateway=127.0.0.1&dhcp=on": {"gateway": "127.0.0.1", "dhcp": True},
     "setting/phaselock enabled=on&offset=12345": {"phase_lock_on": True, "phase_lock_cdeg": 12_345},
 }
-"""Values of each key by itself are in `test_web_fuzz.py`."""
 
 
 def by_curl(web, path, body):

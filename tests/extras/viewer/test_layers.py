@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.extras.viewer.layers import LAYERS, colours_of, layers_of_scan
+from vlp16emu.extras.viewer.layers import LAYERS, coloured, layers_of_scan
 from vlp16emu.types import Mesh
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
@@ -26,7 +26,7 @@ def test_every_layer_shows_a_difference(emulator):
     assert (np.abs(world_m) <= [15.1, 9.1, 6.1]).all()
     assert layers_of_scan(scan) == LAYERS
     for layer in LAYERS:
-        colours = colours_of(scan, layer, {})
+        colours = coloured(scan, layer, {})[0]
         assert colours.shape == world_m.shape
         if layer not in ("natural", "part", "species", "class"):  # nothing grows in a hall
             assert len(np.unique(colours, axis=0)) > 3, layer

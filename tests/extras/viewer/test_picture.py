@@ -139,7 +139,7 @@ def test_a_scene_becomes_a_picture(tmp_path):
 def test_a_missing_library_is_named_before_anything_is_simulated(tmp_path, monkeypatch, capsys, name, library):
     """Without the library of a suffix one line names it, and no emulator has been made."""
     monkeypatch.setitem(sys.modules, library, None)
-    monkeypatch.setattr("vlp16emu.cli.look.make_emulator", None)
+    monkeypatch.setattr("vlp16emu.cli.write.make_emulator", None)
     assert run(["picture", "static_bench", str(tmp_path / name)]) == 2
     assert "pip install 'vlp16emu[picture]'" in capsys.readouterr().err
 

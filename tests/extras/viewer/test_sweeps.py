@@ -11,7 +11,7 @@ from vlp16emu.run.options import TruthTo
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from vlp16emu.extras.viewer.layers import LAYERS, colours_of, layers_of_scan
+from vlp16emu.extras.viewer.layers import LAYERS, coloured, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -63,7 +63,7 @@ def test_points_of_a_capture_are_where_the_scene_has_them(run):
     error_m = sweep.scan.distance_m - sweep.scan.labels.range_m
     assert 0.003 < np.median(np.abs(error_m)) < 0.02
     assert not sweep.faults
-    red, _, blue = colours_of(sweep.scan, "range error", {}).T.astype(int)
+    red, _, blue = coloured(sweep.scan, "range error", {})[0].T.astype(int)
     assert (blue > red)[error_m < -0.01].all()
     assert (red > blue)[error_m > 0.01].all()
 

@@ -106,8 +106,8 @@ def front(rows: Sequence[Row]) -> list[Row]:
 
     The paper's beam errors do not count: they are there to be compared with, not to be chosen.
     """
-    kept = list[Row]()
-    for row in sorted(_to_choose(rows), key=lambda row: (row.us_per_pulse, row.errors.mean_error_m)):
+    kept, chosen = list[Row](), (row for row in rows if row.kind is not Kind.BEAM_ERROR)
+    for row in sorted(chosen, key=lambda row: (row.us_per_pulse, row.errors.mean_error_m)):
         if not kept or row.errors.mean_error_m < kept[-1].errors.mean_error_m:
             kept.append(row)
     return kept
@@ -117,14 +117,11 @@ def choices(rows: Sequence[Row]) -> dict[str, float]:
     """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for."""
     found: dict[str, float] = {}
     for wanted_m in WANTED_M:
-        good = [row for row in _to_choose(rows) if row.errors.mean_error_m <= wanted_m]
+        within = [row for row in rows if row.errors.mean_error_m <= wanted_m]
+        good = [row for row in within if row.kind is not Kind.BEAM_ERROR]
         if good:
             found[min(good, key=lambda row: row.us_per_pulse).name] = wanted_m
     return found
-
-
-def _to_choose(rows: Sequence[Row]) -> list[Row]:
-    return [row for row in rows if row.kind is not Kind.BEAM_ERROR]
 
 
 _SIZE_PX = 1100, 480
@@ -492,8 +489,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
 def is_two(distance_m: F4) -> NDArray[np.bool_]:
     """Return whether pulses have two returns in dual return, by their distances (..., 3)."""
     is_apart = distance_m[..., _STRONGEST] != distance_m[..., _LAST]
-    two: NDArray[np.bool_] = is_apart | (distance_m[..., _SECOND] > 0)
-    return two
+    return np.asarray(is_apart | (distance_m[..., _SECOND] > 0))
 
 
 def _means(returns: Returns, reach_m: float) -> dict[str, float]:

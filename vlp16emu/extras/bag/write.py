@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vlp16emu.engine import Engine
-from vlp16emu.errors import InputError, PacketError, readable
+from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
 from vlp16emu.extras.slam import Rig, written_beside
@@ -29,7 +29,7 @@ from vlp16emu.packets import (
     CaptureReader,
     Clock,
     PacketClock,
-    check_stamps,
+    UnitClock,
     chosen_unit,
     unit_clocks,
     units_in,
@@ -139,8 +139,6 @@ class BagSink(PacketSink):
                 return hashlib.file_digest(opened, "sha256").hexdigest()
 
         return PcapResult(
-            data_packets=self._sent[PacketKind.DATA],
-            position_packets=self._sent[PacketKind.POSITION],
             bytes=sum(file.stat().st_size for file in files),
             sha256=", ".join(map(sha256, files)),
             messages=dict(sorted(self.bag.counts.items())),
@@ -236,7 +234,7 @@ def write_bag(
     every = units_in(capture, required=True)
     units = every if unit is None else [chosen_unit(capture, unit, where="--unit") or every[0]]
     clocks = unit_clocks(capture, units, clock, where="--clock")
-    check_stamps(capture, clocks, LATEST_NS)
+    _check_stamps(capture, clocks)
     made, frames = [one.make() for one in clocks], _frames(len(units))
     true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every))
 
@@ -272,6 +270,14 @@ def write_bag(
         "repeats": datagrams.repeated,  # packets left out as they came before
         "interrupted": stop.is_set(),
     }
+
+
+def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
+    """Refuse a capture whose first packets are before 1970 or after what bags can hold."""
+    for of in clocks:
+        if not 0 <= of.first_ns <= LATEST_NS:
+            found = f"a first packet at {of.first_ns / S_NS:.3f} s since 1970 by the {of.clock}'s clock"
+            raise CaptureError(str(capture), found, f"0 to {LATEST_NS // S_NS} s; --clock chooses another")
 
 
 def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 
 from vlp16emu.engine import Unit
-from vlp16emu.engine.position import number_at
+from vlp16emu.engine.engine import number_at
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.packets import position_due_ns
 from vlp16emu.random import Purpose, generator, uniform

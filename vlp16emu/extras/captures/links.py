@@ -94,8 +94,13 @@ class Unwrapper:
 def _ip_in(link_type: int, frame: bytes) -> Ip | None:
     """Find the innermost IP packet; None if there is none that is whole to its body."""
     begin = 0
-    if link_type in _WRAPPED:
-        link_type, begin = _unwrapped(link_type, frame)
+    if link_type in _WRAPPED:  # a header that names its length, and perhaps the link type behind it
+        form, length_at, kind_at = _WRAPPED[link_type]
+        try:
+            (begin,) = struct.unpack_from(form, frame, length_at)
+            link_type = _WIFI if kind_at is None else struct.unpack_from("<I", frame, kind_at)[0]
+        except struct.error:
+            return None
     if link_type in _ETHERTYPE_AT:
         kind_at, body = begin + _ETHERTYPE_AT[link_type], begin + _BODY_AT[link_type]
         kind = int.from_bytes(frame[kind_at : kind_at + 2])
@@ -104,8 +109,10 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
         at = begin + _BARE_IP_AT[link_type]
     elif link_type in _PPP_AT:
         at = _behind_ppp(frame, begin + _PPP_AT[link_type])
-    elif link_type in (_WIFI, _NFLOG):
-        at = _behind_wifi(frame, begin) if link_type == _WIFI else _behind_nflog(frame)
+    elif link_type == _WIFI:
+        at = _behind_wifi(frame, begin)
+    elif link_type == _NFLOG:
+        at = _behind_nflog(frame)
     else:
         return None
     ip = None
@@ -117,16 +124,6 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
         if at is None:
             return ip
     return ip
-
-
-def _unwrapped(link_type: int, frame: bytes) -> tuple[int, int]:
-    """Return the link type behind a header that names its length, and where its frame begins."""
-    form, length_at, kind_at = _WRAPPED[link_type]
-    try:
-        (length,) = struct.unpack_from(form, frame, length_at)
-        return _WIFI if kind_at is None else struct.unpack_from("<I", frame, kind_at)[0], length
-    except struct.error:
-        return -1, 0
 
 
 def _behind_wifi(frame: bytes, at: int) -> int | None:

@@ -31,11 +31,6 @@ def _schemes() -> Mapping[str, Mapping[str, Any]]:
     return toml(files("vlp16emu.extras.clouds").joinpath("labels.toml").read_text("utf-8"))
 
 
-def scheme_names() -> tuple[str, ...]:
-    """Return the names of all schemes."""
-    return tuple(_schemes())
-
-
 class LabelScheme:
     """Numbers of classes by semantic class and plant part, from a table of labels.toml."""
 
@@ -50,14 +45,13 @@ class LabelScheme:
 
     def codes(self, semantic: NDArray[np.uint8], part: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Classes (n,) of points by `Semantic` (n,) and `PlantPart` (n,)."""
-        codes: NDArray[np.uint8] = self._codes[semantic, part]
-        return codes
+        return np.asarray(self._codes[semantic, part])
 
 
 def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
     """Return a scheme by its name; InputError, in the name of `where`, if there is none."""
     if name not in _schemes():
-        raise InputError(where, f"found {name}", ", ".join(scheme_names()))
+        raise InputError(where, f"found {name}", ", ".join(_schemes()))
     return LabelScheme(name, _schemes()[name])
 
 
@@ -170,12 +164,9 @@ SCENE_COLUMNS = (
     Column("laser", "<u2", ("laser",), 0, ("laser",)),
     Column("return_number", "|u1", ("return_number",), 0, ("return_number",)),
 )  # columns of points of a scene
+_LABELS = {"semantic": "|u1", "part": "|u1", "leaf_wood": "|u1", "instance": "<u4", "species": "<u2"}
 TRUTH_COLUMNS = (
-    Column("semantic", "|u1", ("semantic",), 0, ("semantic",)),
-    Column("part", "|u1", ("part",), 0, ("part",)),
-    Column("leaf_wood", "|u1", ("leaf_wood",), 0, ("leaf_wood",)),
-    Column("instance", "<u4", ("instance",), 0, ("instance",)),
-    Column("species", "<u2", ("species",), 0, ("species",)),
+    *(Column(name, dtype, (name,), 0, (name,)) for name, dtype in _LABELS.items()),
     Column("reflectance", "<f4", ("reflectance",), 4, ("reflectance",)),
 )  # columns of the surface behind each point of a scene
 

@@ -63,8 +63,7 @@ class Trajectory:
     def has(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """(n,) whether instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
         at_ns = t_ns + self._offset_ns
-        inside: NDArray[np.bool_] = (at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS)
-        return inside
+        return np.asarray((at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS))
 
     def poses_at(self, t_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""

@@ -113,15 +113,11 @@ def write_points(
     )
 
 
-def _about(scenario: Scenario, number: int, labels: cloud.LabelScheme | None) -> cloud.CloudAbout:
-    comments = cloud.scene_comments()
-    gps = scenario.gps
-    return cloud.CloudAbout(
-        comments=comments if labels is None else (*comments, f"label: {labels.name}, {labels.source}"),
-        start_utc=scenario.start_utc,
-        origin=(gps.latitude_deg, gps.longitude_deg, gps.height_m),
-        unit=number + 1,
-    )
+def _about(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) -> cloud.CloudAbout:
+    comments, gps = cloud.scene_comments(), scenario.gps
+    labels = (f"label: {scheme.name}, {scheme.source}",) if scheme else ()
+    origin = gps.latitude_deg, gps.longitude_deg, gps.height_m
+    return cloud.CloudAbout((*comments, *labels), scenario.start_utc, origin, number + 1)
 
 
 def _blocks(

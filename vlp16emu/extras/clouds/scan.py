@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.engine import Engine, Unit
+from vlp16emu.errors import InputError
 from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
@@ -21,7 +22,6 @@ from vlp16emu.packets import (
     PointFrame,
     Points,
     chosen_unit,
-    frame_named,
     packet_clock,
     scan_starts,
 )
@@ -129,9 +129,11 @@ def decode(
     packet is not a VLP-16's; InputError if there is no such frame, clock or unit, or there are several units and none
     is named.
     """
+    if frame not in tuple(PointFrame):
+        raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
-    reader = CaptureReader(path, chosen, frame_named(frame), clock=packet_clock(path, chosen, clock))
+    reader = CaptureReader(path, chosen, PointFrame(frame), clock=packet_clock(path, chosen, clock))
     return scans_in(reader, lambda _: {})
 
 

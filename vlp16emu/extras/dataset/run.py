@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import signal
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,8 +34,7 @@ from vlp16emu.extras.options import DatasetOptions
 from vlp16emu.output import OutputFile, lock
 from vlp16emu.random import Purpose, generator
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.scenario import Scenario, load
-from vlp16emu.scenario.find import find
+from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.settings import Fraction, Section, toml
 from vlp16emu.types import U4
@@ -194,14 +193,6 @@ def finished(out: Path, walk: DatasetWalk) -> Entry | None:
     return None
 
 
-def list_files(folder: Path, walk: DatasetWalk, beams: int) -> Entry:
-    """Write the list of a walk that is complete in a folder, and return it."""
-    files = [_described(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()]
-    entry = identity(walk) | {"beams": beams, "files": files}
-    (folder / _LIST).write_text(f"{json.dumps(entry, indent=2)}\n", encoding="utf-8")
-    return entry
-
-
 def take_place(made: Path, final: Path) -> None:
     """Move a complete folder to its place, from which the listed files of an earlier run go; RunError if it cannot go there."""
     try:
@@ -214,24 +205,6 @@ def take_place(made: Path, final: Path) -> None:
         made.rename(final)
     except OSError as error:
         raise RunError(f"{final}: {error.strerror}; what is made so far is kept") from None
-
-
-def check_manifest(path: Path) -> None:
-    """Raise OutputError if there is a file in the place of the manifest that is none of ours."""
-    if path.exists():
-        expected = "the manifest of a dataset"
-        with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
-            text = path.read_text(encoding="utf-8")
-        if not _is_ours(_tree(text)):
-            raise OutputError(str(path), "is none of ours", expected)
-
-
-def write_manifest(path: Path, entries: Iterable[Entry]) -> bytes:
-    """Write the manifest of some walks, and return its bytes."""
-    text = json.dumps({"written_by": _WRITTEN_BY, "walks": list(entries)}, indent=2) + "\n"
-    with OutputFile(path) as file, file.writing() as opened:
-        opened.write(text.encode())
-    return text.encode()
 
 
 def identity(walk: DatasetWalk) -> Entry:
@@ -253,23 +226,21 @@ def _ours(folder: Path) -> set[Path]:
 def _listed(folder: Path) -> Entry:
     """Return the list of a folder of ours; empty if there is none."""
     try:
-        tree = _tree((folder / _LIST).read_text(encoding="utf-8"))
+        tree = _of_ours((folder / _LIST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    files = tree.get("files") if _is_ours(tree) else None
+    files = tree.get("files")
     is_list = isinstance(files, list) and all(isinstance(file, dict) and "path" in file for file in files)
     return tree if is_list else {}
 
 
-def _tree(text: str) -> Any:
+def _of_ours(text: str) -> Entry:
+    """Return a JSON table that a dataset has written; empty if it is none."""
     try:
-        return json.loads(text)
+        tree = json.loads(text)
     except (ValueError, RecursionError):
-        return None
-
-
-def _is_ours(tree: Any) -> bool:
-    return isinstance(tree, dict) and str(tree.get("written_by")).startswith("vlp16emu ")
+        return {}
+    return tree if isinstance(tree, dict) and str(tree.get("written_by")).startswith("vlp16emu ") else {}
 
 
 def _described(path: Path, folder: Path) -> Entry:
@@ -362,7 +333,12 @@ def make_dataset(
     walks = walks[slice(*(asked.share or (None,)))]
     path, parts = out / "manifest{}.json".format(".{}-{}".format(*asked.share) if asked.share else ""), out / PARTS
     with _locked(out):
-        check_manifest(path)
+        if path.exists():
+            expected = "the manifest of a dataset"
+            with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
+                text = path.read_text(encoding="utf-8")
+            if not _of_ours(text):
+                raise OutputError(str(path), "is none of ours", expected)
         entries = {walk.number: entry for walk in walks if (entry := finished(out, walk))}
         missing = [walk for walk in walks if walk.number not in entries]
         done_s = sum(walk.scenario.duration_s for walk in walks if walk.number in entries)
@@ -376,10 +352,13 @@ def make_dataset(
                 progress(done_s := done_s + walk.scenario.duration_s)
         finally:
             rmtree(parts, ignore_errors=True)
-            text = write_manifest(path, (entry for _, entry in sorted(entries.items())))
+            listed = [entry for _, entry in sorted(entries.items())]
+            text = json.dumps({"written_by": _WRITTEN_BY, "walks": listed}, indent=2) + "\n"
+            with OutputFile(path) as file, file.writing() as opened:
+                opened.write(text.encode())
     return DatasetResult(
         manifest=str(path),
-        sha256=hashlib.sha256(text).hexdigest(),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
         walks=len(walks),
         made=len(missing),
         bytes=sum(file["bytes"] for entry in entries.values() for file in entry["files"]),
@@ -413,7 +392,10 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
             _LAST.clear()
         _LAST[:] = [emulator := Emulator(walk.scenario, threads=threads, like=next(iter(_LAST), None))]
         LAYOUTS[walk.layout](emulator, folder)
-        entry = list_files(folder, walk, len(emulator.parts.units[0].head.beams.elevation_deg))
+        files = [_described(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()]
+        beams = len(emulator.parts.units[0].head.beams.elevation_deg)
+        entry = identity(walk) | {"beams": beams, "files": files}
+        (folder / _LIST).write_text(f"{json.dumps(entry, indent=2)}\n", encoding="utf-8")
     except OSError as error:
         raise RunError(f"walk {walk.name}: {error.strerror}; what is made so far is kept") from None
     return walk, folder, entry

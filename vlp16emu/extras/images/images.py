@@ -101,18 +101,16 @@ class PictureFolder:
             with self._new(f"{layer}/{name}.png") as file:
                 self._image.fromarray(np.ascontiguousarray(pixels, kind)).save(file, "PNG")
                 self.bytes += file.tell()
+        channels = {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()}
+        header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
         with self._new(f"exr/{name}.exr") as file:
-            self._write_exr(file, {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()})
+            try:
+                with self._exr.File(header, {key: np.ascontiguousarray(of) for key, of in channels.items()}) as image:
+                    image.write(file.name)
+            except RuntimeError as error:
+                raise RunError(f"{file.name}: {error}") from None
         self.bytes += (self._path / "exr" / f"{name}.exr").stat().st_size
         self._poses.append(tum_rows(pose))
-
-    def _write_exr(self, file: BinaryIO, channels: Mapping[str, NDArray[Any]]) -> None:
-        header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
-        try:
-            with self._exr.File(header, {key: np.ascontiguousarray(channels[key]) for key in channels}) as image:
-                image.write(file.name)
-        except RuntimeError as error:
-            raise RunError(f"{file.name}: {error}") from None
 
 
 _BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

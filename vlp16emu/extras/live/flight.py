@@ -14,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from vlp16emu.engine.position import make_receiver
+from vlp16emu.engine.engine import make_receiver
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.bench.options import PosesIn
@@ -82,24 +82,21 @@ class PoseReceiver:
     def _run(self) -> None:
         """Body of the thread: of poses that are there at once the last one counts, so a flood costs no more than a few."""
         while not self._over.is_set():
-            if select.select([self._socket], [], [], _LISTEN_S)[0]:
-                self._take()
-                self._over.wait(_MERGED_S)
-
-    def _take(self) -> None:
-        """Hand on the last pose among the datagrams that have come."""
-        last = None
-        with suppress(BlockingIOError):
-            for _ in range(_MOST):
-                payload = self._socket.recv(POSE_BYTES + 1)
-                if is_pose(payload):
-                    last = payload
-                else:
-                    self.malformed += 1
-        if last is not None:
-            pose = unpack_pose(last)
-            with suppress(InputError):  # `put` counts what is no pose
-                self._put(pose.position_m, pose.quaternion, pose.t_ns)
+            if not select.select([self._socket], [], [], _LISTEN_S)[0]:
+                continue
+            last = None
+            with suppress(BlockingIOError):
+                for _ in range(_MOST):
+                    payload = self._socket.recv(POSE_BYTES + 1)
+                    if is_pose(payload):
+                        last = payload
+                    else:
+                        self.malformed += 1
+            if last is not None:
+                pose = unpack_pose(last)
+                with suppress(InputError):  # `put` counts what is no pose
+                    self._put(pose.position_m, pose.quaternion, pose.t_ns)
+            self._over.wait(_MERGED_S)
 
 
 _POLL_S = 0.05  # how often a run that waits for the first pose looks whether it shall end
@@ -220,9 +217,13 @@ class Flight(PacketSink):
         if packet.fired_ns is not None:
             while uses and uses[0][0] <= packet.fired_ns:
                 self._latency.add(now_ns - uses.popleft()[1])
-        last = self._motion.poses.last
-        if last is not None:
-            self._watch(last.arrived_ns, now_ns)
+        if (last := self._motion.poses.last) is not None:
+            if self._lost_ns is None and now_ns - last.arrived_ns > LOST_NS:
+                self._lost_ns, since_s = last.arrived_ns, self._motion.since_s(last.arrived_ns)
+                self._news(f"poses lost: none since {since_s:.1f} s; the body comes to rest")
+            elif self._lost_ns is not None and last.arrived_ns > self._lost_ns:
+                gap_s, self._lost_ns = (last.arrived_ns - self._lost_ns) / S_NS, None
+                self._news(f"poses are back after {gap_s:.1f} s")
         if self._file and now_ns >= self._write_at_ns:
             self._write_at_ns = now_ns + _ROWS_NS
             # Which window a block has is settled before the next one begins.
@@ -251,16 +252,6 @@ class Flight(PacketSink):
             latency_max_us=late.max_ns * 1e-3,
             flown=str(self._flown) if self._flown else None,
         )
-
-    def _watch(self, arrived_ns: int, now_ns: int) -> None:
-        """Report at once where poses are lost, and where they are back."""
-        if self._lost_ns is None and now_ns - arrived_ns > LOST_NS:
-            self._lost_ns = arrived_ns
-            self._news(f"poses lost: none since {self._motion.since_s(arrived_ns):.1f} s; the body comes to rest")
-        elif self._lost_ns is not None and arrived_ns > self._lost_ns:
-            gap_s = (arrived_ns - self._lost_ns) / S_NS
-            self._lost_ns = None
-            self._news(f"poses are back after {gap_s:.1f} s")
 
     def _write(self, stop: int) -> None:
         knots = self._motion.knots

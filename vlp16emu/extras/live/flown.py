@@ -11,9 +11,8 @@ import sys
 from bisect import bisect_right
 from collections.abc import Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +43,7 @@ _COLUMNS = {
 FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 
 
-@dataclass(frozen=True, slots=True)
-class Flown:
+class Flown(NamedTuple):
     """A table of knots."""
 
     states: NDArray[np.float64]  # (n, 13), a step apart, from the first pulse on
@@ -73,9 +71,15 @@ def read_flown(path: Path) -> Flown:
             raise TrajectoryError(table.where(number, "t_s"), f"found {table.cells['t_s'][number]}", expected)
     states = table.numbers(*POSE, *_RATES)
     unit_lengths(table, states[:, 3:7])
-    names = enumerate(table.texts("cell"))
-    cells = tuple((i, _cell(table.where(i, "cell"), text)) for i, text in names if text or i == 0)
-    return Flown(states, cells)
+    cells = list[tuple[int, Cell]]()
+    for i, text in enumerate(table.texts("cell")):
+        if text or i == 0:
+            try:
+                x, y, z = map(int, text.split())
+            except ValueError:
+                raise TrajectoryError(table.where(i, "cell"), f"found {text!r}", "three whole numbers") from None
+            cells.append((i, (x, y, z)))
+    return Flown(states, tuple(cells))
 
 
 class FlownMotion(Knots):
@@ -92,14 +96,6 @@ class FlownMotion(Knots):
         """Return the windows that were in use; parameters as of `engine.windows.windows_of`."""
         cells = [(number // STEPS, cell) for number, cell in self.flown.cells]
         return CellWindows(parts, start_ns, batching, threads, cells)
-
-
-def _cell(where: str, text: str) -> Cell:
-    try:
-        x, y, z = map(int, text.split())
-    except ValueError:
-        raise TrajectoryError(where, f"found {text!r}", "three whole numbers") from None
-    return x, y, z
 
 
 _WIDE_M, _HIGH_M = 16.0, 32.0  # size of a box on the map, and its height

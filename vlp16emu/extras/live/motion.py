@@ -95,7 +95,13 @@ class PoseInput:
             self.refused += 1
             raise
         with self._lock:
-            at_ns = now_ns if t_ns is None else t_ns + self._offset(now_ns - t_ns, now_ns)
+            at_ns = now_ns
+            if t_ns is not None:  # the sender's clock, by how long after its stamp the present pose came
+                offset_ns, crept_ns = now_ns - t_ns, (now_ns - self._offset_at_ns) * _CREEP_NS_S // S_NS
+                if self._offset_ns is not None and offset_ns <= self._offset_ns + _RESTART_NS:
+                    offset_ns = min(offset_ns, self._offset_ns + crept_ns)
+                self._offset_ns, self._offset_at_ns = offset_ns, now_ns
+                at_ns = t_ns + offset_ns
             last = self.last
             if last is not None:
                 if at_ns <= last.at_ns:
@@ -113,14 +119,6 @@ class PoseInput:
     def wait(self, seconds: float) -> bool:
         """Wait for the first pose, and return whether it has come."""
         return self._came.wait(seconds)
-
-    def _offset(self, offset_ns: int, now_ns: int) -> int:
-        """Find what to add to stamps of a sender, from how long after its stamp the present pose came."""
-        crept_ns = (now_ns - self._offset_at_ns) * _CREEP_NS_S // S_NS
-        if self._offset_ns is not None and offset_ns <= self._offset_ns + _RESTART_NS:
-            offset_ns = min(offset_ns, self._offset_ns + crept_ns)
-        self._offset_ns, self._offset_at_ns = offset_ns, now_ns
-        return offset_ns
 
     def _with_rates(self, at_ns: int, pose: Array) -> Array:
         """Add to a pose (7,) the rates since the youngest pose that is old enough, and keep it for those to come."""
@@ -265,18 +263,15 @@ class LiveMotion:
                     early_ns = self._zero_ns + knots.last_ns - _AHEAD_NS - now_ns
                     if early_ns > 0:
                         break
-                    knots.append(self._next(knots))
+                    seen = self._seen()
+                    if seen is not self._used:
+                        self._used = seen
+                        self.first_uses.append((self._start_ns + knots.last_ns, seen.arrived_ns))
+                    since_s = (self._zero_ns + knots.last_ns - seen.at_ns) / S_NS
+                    knots.append(self._after(knots.last_state, seen.state, since_s))
                 else:
                     return knots
             self._sleep(early_ns / S_NS)
-
-    def _next(self, knots: Knots) -> Array:
-        seen = self._seen()
-        if seen is not self._used:
-            self._used = seen
-            self.first_uses.append((self._start_ns + knots.last_ns, seen.arrived_ns))
-        since_s = (self._zero_ns + knots.last_ns - seen.at_ns) / S_NS
-        return self._after(knots.last_state, seen.state, since_s)
 
     def _after(self, state: Array, seen: Array, since_s: float) -> Array:
         out = np.empty(STATE)

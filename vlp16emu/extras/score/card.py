@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
+from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.options import ScoreInputs, TrajectoryErrors
 from vlp16emu.extras.plots import INK, SOFT, plotted
 from vlp16emu.extras.score import measures
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.paths import RPE_DELTA_M, PathScore, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
-from vlp16emu.types import F8, PlantPart, Semantic
+from vlp16emu.types import PlantPart, Semantic
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,7 +106,12 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
 
     InputError if a file is wrong, or is given without its ground truth; MissingExtraError if the library of a file is not installed.
     """
-    _check(inputs)
+    if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
+        raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
+    if inputs.points and not inputs.truth_points:
+        raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
+    if inputs.stems and not inputs.inventory:
+        raise InputError("--stems", "found no true trees", "--inventory, of `vlp16emu forest --inventory`")
     card = ScoreCard(inputs)
     true = read_cloud(inputs.truth_points) if inputs.truth_points else None
     if inputs.trajectory:
@@ -116,7 +122,13 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
             f"poses, {card.path.left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
         )
     if inputs.map:
-        _score_map(card, read_cloud(inputs.map)["xyz"], true)
+        found = read_cloud(inputs.map)["xyz"]
+        centre_m = Trajectory(inputs.truth, inputs.unit, TrajectoryErrors()).first_m[:2]
+        card.scores["infra_d_per_m2"] = measures.density_per_m2(found[:, :2], centre_m, REGION_M)
+        card.scores["infra_nuc"] = measures.uniformity(found[:, :2], centre_m, REGION_M)
+        card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
+        if true is not None:
+            card.scores |= measures.cloud_distances(found, true["xyz"], WITHIN_M)
     if inputs.points and true is not None:
         _score_labels(card, read_cloud(inputs.points), true)
     if inputs.stems and inputs.inventory:
@@ -124,31 +136,10 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
     return card
 
 
-def _check(inputs: ScoreInputs) -> None:
-    if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
-        raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
-    if inputs.points and not inputs.truth_points:
-        raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
-    if inputs.stems and not inputs.inventory:
-        raise InputError("--stems", "found no true trees", "--inventory, of `vlp16emu forest --inventory`")
-
-
 def _need(true: Cloud, *names: str) -> None:
     for name in names:
         if name not in true:
             raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
-
-
-def _score_map(card: ScoreCard, found: F8, true: Cloud | None) -> None:
-    """Score a map by itself, and against true points if they are given."""
-    from vlp16emu.extras.clouds.deskew import Trajectory
-
-    centre_m = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors()).first_m[:2]
-    card.scores["infra_d_per_m2"] = measures.density_per_m2(found[:, :2], centre_m, REGION_M)
-    card.scores["infra_nuc"] = measures.uniformity(found[:, :2], centre_m, REGION_M)
-    card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
-    if true is not None:
-        card.scores |= measures.cloud_distances(found, true["xyz"], WITHIN_M)
 
 
 def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:

@@ -147,8 +147,7 @@ def _overlaps(found: F8, true: F8) -> F8:
     both = np.prod(np.clip(high - low, 0, None), axis=-1)
     volumes = [np.prod(boxes[:, 1] - boxes[:, 0], axis=-1) for boxes in (found, true)]
     either = volumes[0][:, None] + volumes[1] - both
-    overlaps: F8 = np.divide(both, either, out=np.zeros_like(both), where=either > 0)
-    return overlaps
+    return np.asarray(np.divide(both, either, out=np.zeros_like(both), where=either > 0))
 
 
 def _average_precision(overlap: F8, limit: float) -> float:

@@ -70,8 +70,7 @@ class StandSection:
         """Return which points (n, 2) lie in the strip, or beyond its ends by less than `lead_m`."""
         along_m, into_m = self.coordinates(xy_m)
         lengthwise = (along_m >= -lead_m) & (along_m <= self.length_m + lead_m)
-        inside: NDArray[np.bool_] = lengthwise & (np.abs(into_m) <= self.depth_m / 2)
-        return inside
+        return np.asarray(lengthwise & (np.abs(into_m) <= self.depth_m / 2))
 
     def within(self, low_m: F8, high_m: F8) -> "StandSection":
         """Return the strip, shortened about its middle until its ends and their marks lie in a rectangle with corners (2,)."""

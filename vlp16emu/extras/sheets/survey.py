@@ -197,8 +197,7 @@ class Survey:
 
     def inside(self, xy_m: F8) -> NDArray[np.bool_]:
         """Return which points (k, 2) lie within the radius."""
-        within: NDArray[np.bool_] = Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m
-        return within
+        return np.asarray(Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m)
 
 
 def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: F8 | None = None) -> Survey:
@@ -301,8 +300,7 @@ def cells_near(way_xy_m: F8, radius_m: float) -> F8:
     high = np.ceil((way_xy_m.max(axis=0) + radius_m) / CELL_M)
     x_m, y_m = (CELL_M * (np.arange(a, b) + 0.5) for a, b in zip(low, high, strict=True))
     cells = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
-    near: F8 = cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m]
-    return near
+    return np.asarray(cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m])
 
 
 def relief(cells_xy_m: F8, height_m: HeightField) -> Relief:

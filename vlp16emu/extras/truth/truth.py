@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
-from vlp16emu.engine.position import number_at, positions_due
+from vlp16emu.engine.engine import number_at, positions_due
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
@@ -30,8 +30,7 @@ from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.run.stream import PacketFeed
-from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.find import named_files
+from vlp16emu.scenario import Scenario, named_files
 from vlp16emu.sensor.settings import Sensor, on_the_wire
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns

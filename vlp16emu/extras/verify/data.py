@@ -198,8 +198,7 @@ class DataChunk:
         gap_us = np.where(is_odd, self.forward_cdeg[:-1] - usual_cdeg, 0.0).sum(axis=1) / rate_cdeg_us
         tolerance_us = _GAP_TOLERANCE_CDEG / rate_cdeg_us + _GAP_TOLERANCE * gap_us
         self.gap_ms = gap_us / 1e3
-        is_explained: NDArray[np.bool_] = is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us)
-        return is_explained
+        return np.asarray(is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us))
 
     def _find_late(self, takes_longer: NDArray[np.bool_]) -> None:
         """Hold time stamps against capture stamps; packets (n,) that take longer have a gap of the revolution inside."""

@@ -20,8 +20,7 @@ from vlp16emu.motion.route import Route
 from vlp16emu.motion.settings import Walk
 from vlp16emu.motion.way_points import way_points
 from vlp16emu.output import OutputFile
-from vlp16emu.scenario import Scenario, find, load
-from vlp16emu.scenario.find import named_files
+from vlp16emu.scenario import Scenario, find, load, named_files
 from vlp16emu.types import F8
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m

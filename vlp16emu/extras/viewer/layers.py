@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.plots import Rgb, colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.extras.plots import PART_RGB, Rgb, colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.types import F8, SURFACE, U1, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
@@ -19,15 +19,6 @@ _LABELLED = ("natural", "class", "part", "species", "instance")
 MEASURED = ("range", "reflectivity", "ring", "time")
 LAYERS = (*_LABELLED, *MEASURED, "range error")
 
-PART_RGB: dict[PlantPart, Rgb] = {
-    PlantPart.NONE: (150, 128, 94),
-    PlantPart.STEM: (122, 72, 40),
-    PlantPart.BRANCH_FIRST_ORDER: (206, 128, 46),
-    PlantPart.BRANCH_HIGHER_ORDER: (236, 190, 84),
-    PlantPart.LEAF: (70, 150, 70),
-    PlantPart.ROOT_FLARE: (160, 40, 60),
-    PlantPart.DEAD_BRANCH: (130, 110, 150),
-}  # colours of the layer "part"
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
@@ -43,19 +34,20 @@ def layers_of_scan(scan: Scan) -> tuple[str, ...]:
     return MEASURED if scan.labels is None else LAYERS
 
 
-def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> U1:
-    """Return the colours (n, 3) of the points of a sweep by one of its layers; `species` are names by number."""
+def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, Entries]:
+    """Return the colours (n, 3) of the points of a sweep by one of its layers, and the legend of what it shows; `species` are names by number."""
     if scan.labels is None or layer not in _LABELLED:
-        values, (least, most, _) = _measured(scan, layer)
-        return colours_of_scale(values, least, most)
+        values, scale = _measured(scan, layer)
+        return colours_of_scale(values, *scale[:2]), scale
+    labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "species"}.get(layer, layer))
+    different, which = np.unique(labels, return_inverse=True)
+    named, other, of_instance = _named(layer, species), ("", colour_of_kind("ground")), layer == "instance"
+    legend = None if of_instance else dict(named[n] for n in different.tolist() if n in named)
     if layer == "natural":
         surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
         for name in ("semantic", "part", "species"):
             surfaces[name] = getattr(scan.labels, name)
-        return surface_colours(surfaces, species)
-    different, which = np.unique(_labels(scan, layer), return_inverse=True)
-    named, other = _named(layer, species), ("", colour_of_kind("ground"))
-    of_instance = layer == "instance"
+        return surface_colours(surfaces, species), legend
 
     def rgb(value: int) -> Rgb:
         if not of_instance or not value:
@@ -63,17 +55,7 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> U1:
         red, green, blue = colorsys.hsv_to_rgb(value * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (value % 2))
         return round(255 * red), round(255 * green), round(255 * blue)
 
-    return np.array([rgb(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()]
-
-
-def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
-    """Return the legend of a layer, of what a sweep shows."""
-    if scan.labels is None or layer not in _LABELLED:
-        return _measured(scan, layer)[1]
-    named = _named(layer, species)
-    return (
-        None if layer == "instance" else dict(named[n] for n in np.unique(_labels(scan, layer)).tolist() if n in named)
-    )
+    return np.array([rgb(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()], legend
 
 
 def colours_of_scale(values: F8, least: float, most: float) -> U1:
@@ -83,17 +65,12 @@ def colours_of_scale(values: F8, least: float, most: float) -> U1:
     return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
 
 
-def _labels(scan: Scan, layer: str) -> NDArray[Any]:
-    labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "species"}.get(layer, layer))
-    return labels
-
-
 def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]:
     if layer == "class":
         named = {kind.value: (name := kind.name.lower(), colour_of_kind(name)) for kind in Semantic}
         return named | {Semantic.TREE.value: ("tree", colour_of_species("european_beech"))}
     if layer == "part":
-        return {part.value: (part.name.lower(), rgb) for part, rgb in PART_RGB.items()}
+        return {part.value: (part.name.lower(), PART_RGB[part.name.lower()]) for part in PlantPart}
     return {number: (name, colour_of_species(name)) for number, name in species.items()}
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.extras.sheets.survey import survey, way_m
 from vlp16emu.extras.viewer.editor import Draft, Editor
-from vlp16emu.extras.viewer.layers import boxed, colours_of, entries_of, layers_of_scan, legend_of
+from vlp16emu.extras.viewer.layers import boxed, coloured, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import SceneSweeps, Sweep, Sweeps
 from vlp16emu.forest.stand.forest import ForestWorld
@@ -113,16 +113,17 @@ class SweepView:
             return ""
         points_m = np.concatenate([sweep.world_m for sweep in sweeps])
         middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
-        rgb = np.concatenate([colours_of(sweep.scan, layer, self._species) for sweep in sweeps])
+        made = [coloured(sweep.scan, layer, self._species) for sweep in sweeps]
         look: dict[str, Any] = {"precision": "float32", "point_shape": "circle", "point_shading": "flat"}
         look |= {"point_size": size_cm / 100, "position": middle_m}
-        self._scene.add_point_cloud("/sweep", (points_m - middle_m).astype(np.float32), rgb, **look)
+        rgb, shown_m = np.concatenate([colours for colours, _ in made]), (points_m - middle_m).astype(np.float32)
+        self._scene.add_point_cloud("/sweep", shown_m, rgb, **look)
         if (world_T_sensor := scan.world_T_sensor) is not None:
             self._frame.position = world_T_sensor[:3, 3]
             self._frame.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
         if self._root is not None:
             self._root.visible = self._stand.value is True
-        legend = legend_of(entries_of(scan, layer, self._species))
+        legend = legend_of(made[-1][1])
         if legend != self._legend.content:
             self._legend.content = legend
         return f"{len(points_m):,} points by {layer}".replace(",", " ")

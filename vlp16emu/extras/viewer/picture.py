@@ -19,7 +19,7 @@ from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.images.images import species_of
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
-from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
+from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.packets.layout import LASERS
@@ -193,7 +193,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
         if suffix == ".png":
             for _ in images:
                 pass
-            _still(file, drawing, entries_of(first.scan, colour, species))
+            _still(file, drawing, coloured(first.scan, colour, species)[1])
         else:
             _film(file, (drawing.marked(sweep) for sweep in images), look, suffix)
     made = {"file": str(path), "revolutions": drawing.revolutions, "points": drawing.points, "colour": colour}
@@ -291,7 +291,7 @@ class _Drawing(Canvas):
                 self.add(view.pixels(view.circles_m), np.full(view.circles_m.shape, _CIRCLE_RGB, np.uint8))
             place = view.places(sweep)
             shown = ~np.isnan(place[:, 0])
-            self.add(view.pixels(place[shown]), colours_of(sweep.scan, self.colour, self._species)[shown])
+            self.add(view.pixels(place[shown]), coloured(sweep.scan, self.colour, self._species)[0][shown])
             self.points += int(shown.sum())
             self.revolutions += 1
             yield sweep

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from listening import MemorySink
 
 from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
@@ -15,7 +16,7 @@ from vlp16emu.extras.bench.faults import arriving
 from vlp16emu.packets import FACTORY_LINK, position_due_ns
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
-from vlp16emu.sinks import MemorySink, Pacer, UdpSink, stream
+from vlp16emu.sinks import Pacer, UdpSink, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
