@@ -12,12 +12,13 @@ from scipy.stats import norm
 
 from stability_cases.lab import PULSES, beam, cast, faces, opened, pulses, wall
 from stability_cases.row import Row, refused
+from vlp16emu.extras.meshes.files import PartMesh, UserMesh
+from vlp16emu.extras.meshes.furnished import Furnished, Furniture
+from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings, Mesh
-from vlp16emu.world.furnished import Furnished, Furniture
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.settings import Hall, MeshFile, MeshPlace
-from vlp16emu.world.user_mesh import PartMesh, UserMesh
+from vlp16emu.world.settings import Hall
 
 Array = NDArray[np.float64]
 
