@@ -220,15 +220,12 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
         return unit
     section, start_ns = unit.section, scenario.start_ns
     gps = DisturbedGps.of(scenario.gps, events, start_ns)
-    wobbles = [event for event in events if event.kind == "rpm_wobble"]
-    rotor = replace(
-        unit.head.rotor,
-        spins=spins(unit, events, start_ns),
-        wobbles=tuple(
-            Wobbling(event.begin_ns, event.end_ns - event.begin_ns, event.amplitude_rpm, event.period_s)
-            for event in wobbles
-        ),
+    wobbles = (
+        Wobbling(one.begin_ns, one.end_ns - one.begin_ns, one.amplitude_rpm, one.period_s)
+        for one in events
+        if one.kind == "rpm_wobble"
     )
+    rotor = replace(unit.head.rotor, spins=spins(unit, events, start_ns), wobbles=tuple(wobbles))
     head = replace(unit.head, rotor=rotor, clock=Clock(clock_spans(section, events, gps, start_ns)))
     silences_ns = tuple((event.begin_ns, event.end_ns) for event in events if event.effect == "power")
     optics = [event for event in events if event.effect == "optics"]
