@@ -78,14 +78,9 @@ class DisturbedGps(GpsInput):
     @classmethod
     def of(cls, gps: Gps, events: Iterable[Event], start_ns: int) -> "DisturbedGps":
         """Return the input of a sensor to which `events` happen."""
-        return cls(
-            gps.connected,
-            seconds_to_ns(gps.sentence_delay_s),
-            seconds_to_ns(gps.pps_window_s),
-            gps.requires_valid,
-            tuple(event for event in events if event.effect in ("gps", "power")),
-            start_ns,
-        )
+        spans_ns = seconds_to_ns(gps.sentence_delay_s), seconds_to_ns(gps.pps_window_s)
+        own = tuple(event for event in events if event.effect in ("gps", "power"))
+        return cls(gps.connected, *spans_ns, gps.requires_valid, own, start_ns)
 
     def spans_ns(self, state: PpsState) -> _Spans:
         """Spans of UTC in which the pulse is in a state, in order."""

@@ -153,7 +153,7 @@ def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
     since_ns = chunk.clock_ns - chunk.packet_ns[points.packet]
     kept = ~twins(points)
     as_they_are = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
-    arrays = {"t_ns": chunk.t_ns, "ring": points.ring.astype(np.uint16), **labels}
+    arrays: dict[str, NDArray[Any]] = {"t_ns": chunk.t_ns, "ring": points.ring.astype(np.uint16), **labels}
     arrays |= {name: getattr(points, name) for name in as_they_are}
     return Chunk(
         t_ns=(chunk.utc_ns[:, None] + block_ns)[is_reading],

@@ -198,11 +198,9 @@ class LiveMotion:
     def require_open(self) -> None:
         """Raise `TrajectoryError` if no poses come in, as nobody streams."""
         if not self.is_open:
-            raise TrajectoryError(
-                "motion.kind",
-                'found "live", whose poses come in while `vlp16emu stream` runs',
-                'motion.flown = "FILE", what a stream has written with --flown, beside it',
-            )
+            found = 'found "live", whose poses come in while `vlp16emu stream` runs'
+            expected = 'motion.flown = "FILE", what a stream has written with --flown, beside it'
+            raise TrajectoryError("motion.kind", found, expected)
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None) -> bool:
         """Take a pose; parameters, result and errors as of `PoseInput.put`."""
