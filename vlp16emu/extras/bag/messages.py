@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
+from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
 from vlp16emu.extras.truth.truth import given_mount, transform
-from vlp16emu.motion.imu import GRAVITY_M_S2
 from vlp16emu.packets import (
     DATA_PAYLOAD,
     JUMP_NS,

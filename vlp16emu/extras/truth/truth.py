@@ -18,12 +18,11 @@ from vlp16emu.engine.engine import number_at, positions_due
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
+from vlp16emu.extras.imu.sampler import ImuSampler, Inertial
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
 from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.motion import Gps, Mount
-from vlp16emu.motion.geodesy import to_geodetic
-from vlp16emu.motion.gnss import Receiver
-from vlp16emu.motion.imu import ImuSampler, Inertial
+from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.emulator import Emulator

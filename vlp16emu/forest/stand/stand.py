@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
@@ -19,7 +20,6 @@ from vlp16emu.forest.stand.points import PointPattern, pattern_of
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
 from vlp16emu.types import Array, HeightField
-from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
 TREE = np.dtype(  # one tree
@@ -277,8 +277,10 @@ class Stand:
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
         base_m = own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
-        sizes = (float(size[0]) for size in (dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2))
-        return CrownKey(own.species.name, variant, *sizes, self._section.season, self._section.dead_branches)
+        sizes = dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2
+        dbh, height, base, width, leaves = (float(size[0]) for size in sizes)
+        how = self._section.season, self._section.dead_branches
+        return CrownKey(own.species.name, variant, dbh, height, base, width, leaves, *how)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:
