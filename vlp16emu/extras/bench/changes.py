@@ -28,8 +28,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 class Wobbling:
     """A sine on top of the speed, for a time."""
 
-    from_ns: int
-    """Since the start."""
+    from_ns: int  # since the start
     lasts_ns: int
     amplitude_rpm: float
     period_s: float

@@ -356,13 +356,8 @@ def draw_sheet(file: BinaryIO, seen: Survey, section: StandSection, drawn: U1, *
 
         draw_plan(place(_FOOT_IN + side_in + _GAP_IN, plan_width_in, plan_in), seen, section)
         corner = (1 - (_LEGEND_IN + 0.2) / _WIDTH_IN, 1 - _HEAD_IN / height_in)
-        looks: dict[str, Any] = {
-            "loc": "upper left",
-            "frameon": False,
-            "fontsize": 9,
-            "labelcolor": INK,
-            "labelspacing": 0.7,
-        }
+        looks: dict[str, Any] = {"loc": "upper left", "frameon": False, "fontsize": 9}
+        looks |= {"labelcolor": INK, "labelspacing": 0.7}
         figure.legend(handles=legend_entries(seen), bbox_to_anchor=corner, **looks)
         draw_side(place(_FOOT_IN, side_width_in, side_in), seen, section, drawn)
         figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.38 / height_in, title, size=15, color=INK, weight="bold")

@@ -78,8 +78,7 @@ class Rig:
     """What a configuration depends on; the default is what `protocol/slam` is for."""
 
     rpm: float = 600.0
-    base_T_lidar: F8 | None = None
-    """(4, 4) extrinsics, as the next; None if they are the identity, or change."""
+    base_T_lidar: F8 | None = None  # (4, 4) extrinsics, as the next; None if they are the identity, or change
     base_T_imu: F8 | None = None
     imu: Mapping[str, Any] | None = None  # section of the scene
     lidar_frame: str = "velodyne"
