@@ -72,12 +72,7 @@ def _root(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Carry out one command line.
-
-    Returns
-    -------
-    Exit code: 0 done, 1 failed while running or rules broken, 2 bad input, 130 interrupted
-    """
+    """Carry out one command line, and return its exit code: 0 done, 1 failed or rules broken, 2 bad input, 130 interrupted."""
     try:
         first = next((word for word in arguments if not word.startswith("-")), None)
         is_verb = first is not None and has_door(first, "verbs")
