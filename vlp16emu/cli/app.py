@@ -136,7 +136,8 @@ def _code_of(error: OSError, code: int | None) -> int:
         if error.filename is None and error.errno in _OF_WRITING:  # of a long text nothing is left to be flushed
             raise error
     except OSError:  # it is standard output that cannot be written
-        _drop_output()
+        # What is left of our output goes nowhere: Python would try to write it at exit, and complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     else:
         where = "the system" if error.filename is None else error.filename
         _complain(f"{where}: {error.strerror or error}")
@@ -158,11 +159,6 @@ def _interrupt(_signal: int, _frame: object) -> None:
     timer.daemon = True
     timer.start()
     raise KeyboardInterrupt
-
-
-def _drop_output() -> None:
-    """Send what is left of our output nowhere: Python would try to write it at exit, and complain."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(message: str) -> None:
