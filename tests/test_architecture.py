@@ -32,7 +32,6 @@ FLOORS = (
         "errors",
         "explain",
         "kernels",
-        "options",
         "output",
         "random",
         "settings",

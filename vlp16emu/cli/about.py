@@ -26,7 +26,7 @@ from vlp16emu.cli.printer import (
 )
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
-from vlp16emu.options import Option
+from vlp16emu.run.options import Option
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

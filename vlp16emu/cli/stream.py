@@ -16,8 +16,7 @@ from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.options import Option
-from vlp16emu.run.options import ReplayOptions, stream_options
+from vlp16emu.run.options import Option, ReplayOptions, stream_options
 
 if TYPE_CHECKING:
     from vlp16emu.engine import Unit

@@ -13,8 +13,17 @@ from vlp16emu.cli.printer import finish, size
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
-from vlp16emu.options import Option, options_of
-from vlp16emu.run.options import BagOptions, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
+from vlp16emu.run.options import (
+    BagOptions,
+    Option,
+    Span,
+    TruthPackets,
+    TruthRate,
+    TruthReturns,
+    TruthTo,
+    WhichUnit,
+    options_of,
+)
 
 if TYPE_CHECKING:
     import viser

@@ -25,7 +25,7 @@ from vlp16emu.raycast.build import Placed
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recalled
-from vlp16emu.types import F4, F8, U1, Mesh, ShapeKey, Window, World
+from vlp16emu.types import F4, F8, U1, Mesh, ShapeKey, Window
 
 STRAY_M = 1.0
 """Greatest distance of a sensor from the positions of its window."""
@@ -39,20 +39,8 @@ _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uin
 """Cloud of a library before anything is measured, if only stems and ground are far."""
 
 
-def _recalled_cloud(world: World, key: ShapeKey, parts: U1) -> Cloud:
-    """Return the cloud of a shape, of `PlantPart`s (meshes,), from the store if it has it."""
-    name = world.shape_name(key)
-    return recalled(name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(world.shape(key), parts))
-
-
 class Far:
-    """Maker of the media of windows.
-
-    Parameters
-    ----------
-    world : describes tiles and grows shapes
-    workers : where shapes are measured and blocks made side by side
-    """
+    """Maker of the media of windows of a world; `workers` measure shapes and make blocks side by side."""
 
     def __init__(self, world: TiledWorld, workers: Executor) -> None:
         self._world, self._workers = world, workers
@@ -119,8 +107,9 @@ class Far:
         if not new:
             return
 
-        def measured(named: tuple[ShapeKey, U1]) -> Cloud:
-            return _recalled_cloud(self._world, *named)
+        def measured(of: tuple[ShapeKey, U1]) -> Cloud:
+            (key, parts), name = of, self._world.shape_name(of[0])
+            return recalled(name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._world.shape(key), parts))
 
         self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
         self._place = {key: number for number, key in enumerate(self._clouds)}
@@ -234,18 +223,7 @@ class FarGeometry(EmbreeGeometry):
 
 
 def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Find the pieces that light of some range may meet.
-
-    Parameters
-    ----------
-    placed : n pieces
-    track_m : (t, 3) positions of the sensors
-    reach_m : range of the light
-
-    Returns
-    -------
-    Those that any ray may meet (n,), and those that level ones may
-    """
+    """Return which of n pieces light of a range may meet from positions (t, 3): any ray (n,), and level ones (n,)."""
     window, placement = placed.window, placed.placement
     world_T_shape, half_m = window.world_T_shape[placement], np.diff(placed.boxes_m, axis=1)[:, 0] / 2
     at_m = matvec(world_T_shape[..., :3], placed.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
@@ -299,13 +277,10 @@ class FarCaster(EmbreeCaster):
 
 def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
     used, shape = np.unique(window.shape[keep], return_inverse=True)
-    sway = window.sway
-    if sway is not None:
+    if (sway := window.sway) is not None:
         moves = keep[sway.placement]
-        number = np.cumsum(keep) - 1
-        sway = replace(
-            sway, placement=number[sway.placement[moves]], foot_z_m=sway.foot_z_m[moves], shear=sway.shear[:, moves]
-        )
+        placement = (np.cumsum(keep) - 1)[sway.placement[moves]]
+        sway = replace(sway, placement=placement, foot_z_m=sway.foot_z_m[moves], shear=sway.shear[:, moves])
     return Window(
         origin_m=window.origin_m,
         shapes=tuple(window.shapes[number] for number in used.tolist()),

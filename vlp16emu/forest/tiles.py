@@ -82,7 +82,17 @@ def _cuts(ground: _Ground) -> Mask:
         cut[half::step, half::step] = middle > _OFF_M
         cut[::step, half::step], cut[half::step, ::step] = across > _OFF_M, up > _OFF_M
         off_m = np.fmax.reduce([middle, across[:-1], across[1:], up[:, :-1], up[:, 1:]])
-    _support(cut)
+    # Each cut rests on those of the coarser squares around it.
+    for step in reversed(_LOOKED_AT):
+        half, tips = step // 2, cut[::step, ::step]
+        sides, ends, centres = cut[::step, half::step], cut[half::step, ::step], cut[half::step, half::step]
+        centres |= sides[:-1] | sides[1:] | ends[:, :-1] | ends[:, 1:]
+        if step < _FINEST:
+            falling = centres & _is_anti(ground.side, step)
+            tips[:-1, :-1] |= falling
+            tips[1:, 1:] |= falling
+            tips[:-1, 1:] |= centres & ~falling
+            tips[1:, :-1] |= centres & ~falling
     return cut
 
 
@@ -100,19 +110,6 @@ def _is_anti(side: int, step: int) -> Mask:
     """Return which squares of `step` are cut from south-east to north-west: those that meet in the middle of a larger one in turn."""
     n = np.arange(side // step)
     return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
-
-
-def _support(cut: Mask) -> None:
-    for step in reversed(_LOOKED_AT):
-        half, corner = step // 2, cut[::step, ::step]
-        across, up, middle = cut[::step, half::step], cut[half::step, ::step], cut[half::step, half::step]
-        middle |= across[:-1] | across[1:] | up[:, :-1] | up[:, 1:]
-        if step < _FINEST:
-            anti = middle & _is_anti(len(cut), step)
-            corner[:-1, :-1] |= anti
-            corner[1:, 1:] |= anti
-            corner[:-1, 1:] |= middle & ~anti
-            corner[1:, :-1] |= middle & ~anti
 
 
 def _bisected(triangles: IntArray, cut: Mask) -> IntArray:

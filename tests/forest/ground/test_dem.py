@@ -134,24 +134,16 @@ def test_a_path_beyond_the_file_is_refused(bumpy):
 
 
 def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):
-    """A cell without height counts as far as its two cells of influence reach, and is named by row, column and place."""
+    """A cell without height counts as far as its two cells of influence reach, is named by row, column and place, and has the nearest height."""
     heights = np.zeros((30, 40))
-    heights[4, 9] = np.nan  # fifth row from the north, at (9, 25)
+    heights[4, 9], heights[4, 8] = np.nan, 3.0  # fifth row from the north, at (9, 25)
     dem = dem_of(heights, tmp_path, 1.0, (999.5, 1999.5), (1000.0, 2000.0, 0.0))
     path = np.array([[9.0, 14.0], [30.0, 14.0]])
+    assert dem.height_m(np.array([9.0]), np.array([25.0])).tolist() == [3.0]
     dem.check(path, 8.0)
     message = r"row 5, column 10: no height at \(9.0, 25.0\) m \(E 1009.0, N 2025.0\), 11.0 m from the path; expected"
     with pytest.raises(GeometryError, match=message):
         dem.check(path, 8.5)
-
-
-def test_what_cannot_be_seen_goes_on_level(tmp_path):
-    """Outside the grid and in gaps the height stays finite: that of the nearest cell."""
-    heights = np.arange(12.0).reshape(3, 4)
-    heights[0, :2] = np.nan
-    dem = dem_of(heights, tmp_path)
-    x, y = np.array([0.0, -50.0, 3.0, 60.0]), np.array([2.0, 0.0, -9.0, 70.0])
-    assert dem.height_m(x, y) == pytest.approx([4.0, 8.0, 11.0, 3.0])
 
 
 @pytest.mark.parametrize(
@@ -195,13 +187,10 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
     [
         (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
         (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
-        (
-            np.array([[1, -9999], [2, 3]]),
-            "ground.npy: row 1, column 2: found -9999; expected heights from -500 to 9000 m, NaN or",
-        ),
+        (np.array([[1, -9999], [2, 3]]), "ground.npy: row 1, column 2: found -9999; expected heights from -500 to 9000 m, NaN or"),
         (np.array([[1, 2], [1e308, -3.4e38]]), r"row 2, column 1: found 1e\+308 and 1 more such; expected heights"),
     ],
-)
+)  # fmt: skip
 def test_a_bad_array_is_refused(tmp_path, heights, message):
     """An array that is no grid of heights is named with what it is."""
     with pytest.raises(GeometryError, match=message):

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from forest.quads import areas_m2, corners, normals, zeniths
+from forest.kit import areas_m2, corners, normals, zeniths
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -108,10 +108,8 @@ def test_tubes_show_their_outside():
         assert (first.faces[90:] >= 49).all(), key.species
         # About the middle of the open end the missing lid has no volume.
         a, b, c = np.moveaxis((vertices - vertices[:6].mean(axis=0))[faces], 1, 0)
-        radius, length = (
-            np.linalg.norm(vertices[0] - vertices[:6].mean(axis=0)),
-            np.linalg.norm(vertices[48] - vertices[0]),
-        )
+        radius = np.linalg.norm(vertices[0] - vertices[:6].mean(axis=0))
+        length = np.linalg.norm(vertices[48] - vertices[0])
         volume = (a * np.cross(b, c)).sum() / 6
         assert 0.2 * np.pi * radius**2 * length < volume < np.pi * radius**2 * length, key.species
 
@@ -167,7 +165,8 @@ def test_young_trees_have_not_shed_what_died_in_the_last_years():
 
 
 def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
-    """Off, they are missing and all else is the same to the byte; on, they start on the axis below the crown base."""
+    """Off, they are missing and all else is the same to the byte; on, they start on the axis below the crown base. A snag has no others."""
+    assert [len(mesh.faces) > 0 for mesh in grown(KEYS["snag"])] == [False, False, False, True]
     for name, key in KEYS.items():
         assert CROWN_PARTS[3] == PlantPart.DEAD_BRANCH, name
         living, bare = grown(key), grown(replace(key, dead_branches=True))
@@ -181,26 +180,21 @@ def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
 
 def test_spruce_keeps_dead_branches_down_to_a_foot_as_free_as_measured():
     """The lowest branches of 40 spruces begin 0.3 m above the ground or on average 0.2 m higher; of pines above 5 m."""
-    lowest_m = {
-        name: np.array(
-            [
-                KEYS[name].crown_base_m + min(part.nodes_m[:, 0, 2].min(initial=0.0) for part in parts[:2])
-                for parts in bole(name)
-            ]
-        )
-        for name in ("norway_spruce", "scots_pine")
-    }
-    assert lowest_m["norway_spruce"].min() > 0.29
-    assert lowest_m["norway_spruce"].mean() == pytest.approx(0.5, abs=0.2)
-    assert lowest_m["scots_pine"].min() > 5.0
+
+    def lowest_m(name):
+        parts = ([part.nodes_m[:, 0, 2].min(initial=0.0) for part in one[:2]] for one in bole(name))
+        return KEYS[name].crown_base_m + np.array([min(both) for both in parts])
+
+    assert lowest_m("norway_spruce").min() > 0.29
+    assert lowest_m("norway_spruce").mean() == pytest.approx(0.5, abs=0.2)
+    assert lowest_m("scots_pine").min() > 5.0
 
 
 def test_branches_below_the_crown_die_and_fall_with_depth():
     """Within one `living_depth_m` 1 - 1/e live, in the next 1/e of that; the lower half bears fewer; dead ones have twigs."""
     habit = species_table()["norway_spruce"].crown
-    living, dead, twigs = (
-        [-part.nodes_m[:, 0, 2] for part in parts] for parts in zip(*bole("norway_spruce"), strict=True)
-    )
+    all_parts = zip(*bole("norway_spruce"), strict=True)
+    living, dead, twigs = ([-part.nodes_m[:, 0, 2] for part in parts] for parts in all_parts)
     alive, all_m = np.concatenate(living), np.concatenate([*living, *dead])
     for stretch in (0, 1):
         limits = habit.living_depth_m * np.array([stretch, stretch + 1])
@@ -213,20 +207,13 @@ def test_branches_below_the_crown_die_and_fall_with_depth():
 
 def test_needles_of_pine_sit_in_tufts_at_the_ends_of_twigs():
     """No shoot of a pine leaves the first half of its twig, and those of a spruce leave all of it."""
-    twigs = Branches(
-        np.linspace([0.0, 0, 0], [1, 0, 0], 3)[None].repeat(50, 0), np.zeros(50), np.ones(50), np.full(50, 0.01)
-    )
+    nodes_m = np.linspace([0.0, 0, 0], [1, 0, 0], 3)[None].repeat(50, 0)
+    twigs = Branches(nodes_m, np.zeros(50), np.ones(50), np.full(50, 0.01))
     for name, bare in (("scots_pine", 0.55), ("norway_spruce", 0.0)):
         mesh = foliage_mesh(np.random.default_rng(1), species_table()[name].foliage, twigs, 5.0)
         base_m = corners(mesh)[:, :2].mean(axis=1)[:, 0]
         assert base_m.min() == pytest.approx(bare, abs=0.02), name
         assert base_m.max() == pytest.approx(1.0, abs=0.02), name
-
-
-def test_a_snag_bears_only_dead_branches():
-    """A dead tree has neither leaves nor living branches."""
-    meshes = grown(KEYS["snag"])
-    assert [len(mesh.faces) > 0 for mesh in meshes] == [False, False, False, True]
 
 
 @pytest.mark.parametrize("name", ["european_beech", "scots_pine", "english_oak"])

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from forest.quads import areas_m2, corners
+from forest.kit import areas_m2, corners, trees_of
 from scipy import stats
 
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
-from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.plants.stem import axis_m, stem_forms, stem_rings
 from vlp16emu.forest.settings import Ivy
-from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
 
@@ -17,15 +15,17 @@ SECTION = Ivy(share=0.3, height_m=(2.0, 6.0))
 
 
 @pytest.fixture(scope="module")
+def covered(make_forest):
+    return make_forest(ivy=SECTION)
+
+
+@pytest.fixture(scope="module")
 def trees():
     """Trees with bent stems, anywhere."""
     rng, n = np.random.default_rng(3), 3000
-    trees = np.zeros(n, TREE)
-    trees["species"] = species_table()["european_beech"].number
-    trees["x_m"], trees["y_m"] = rng.uniform(-500, 500, (2, n))
-    trees["dbh_m"], trees["height_m"], trees["crown_base_m"] = 0.35, 24.0, 9.0
-    trees["crown_width_m"], trees["lean_deg"], trees["form"] = 6.0, 2.0, rng.integers(1, 2**63, n)
-    return trees
+    x_m, y_m = rng.uniform(-500, 500, (2, n))
+    size = {"dbh_m": 0.35, "height_m": 24.0, "crown_base_m": 9.0, "crown_width_m": 6.0, "lean_deg": 2.0}
+    return trees_of(["european_beech"] * n, x_m=x_m, y_m=y_m, form=rng.integers(1, 2**63, n), **size)
 
 
 def test_a_share_of_stems_has_ivy_up_to_heights_in_the_range(trees):
@@ -60,9 +60,9 @@ def test_leaves_hang_on_the_bark(trees):
         assert 0.85 * top_m < base[:, 2].max() <= top_m
 
 
-def test_ivy_is_leaf_of_its_tree_and_in_the_medium(make_forest, track_m):
+def test_ivy_is_leaf_of_its_tree_and_in_the_medium(covered, track_m):
     """In a forest its surfaces have class tree, part leaf and the number of a tree; a tile seen from afar has it too."""
-    forest = make_forest(ivy=SECTION)
+    forest = covered
     window = forest.window(track_m)
     own = np.flatnonzero([isinstance(window.shapes[i], IvyKey) for i in window.shape])
     rows, trees = window.surfaces[window.first_surface[own]], forest.trees(track_m)
@@ -79,9 +79,9 @@ def test_ivy_is_leaf_of_its_tree_and_in_the_medium(make_forest, track_m):
     assert np.hypot(*(at_m[:, :2].mean(axis=0) - [tree["x_m"], tree["y_m"]])) < 1.0
 
 
-def test_without_ivy_nothing_changes(make_forest, forest, track_m):
+def test_without_ivy_nothing_changes(covered, forest, track_m):
     """By default no stem has ivy, and stems and crowns stand as they do beside it."""
-    bare, covered = forest.window(track_m), make_forest(ivy=SECTION).window(track_m)
+    bare, window = forest.window(track_m), covered.window(track_m)
     assert not any(isinstance(key, IvyKey) for key in bare.shapes)
-    kept = [not isinstance(covered.shapes[i], IvyKey) for i in covered.shape]
-    assert np.array_equal(covered.world_T_shape[kept], bare.world_T_shape)
+    kept = [not isinstance(window.shapes[i], IvyKey) for i in window.shape]
+    assert np.array_equal(window.world_T_shape[kept], bare.world_T_shape)

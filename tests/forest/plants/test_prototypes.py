@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forest.quads import areas_m2, corners, zeniths
+from forest.kit import areas_m2, corners, zeniths
 from scipy import stats
 
 from vlp16emu.forest.plants.prototypes import (

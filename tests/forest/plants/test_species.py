@@ -3,12 +3,11 @@
 import re
 from importlib import resources
 
-import numpy as np
 import pytest
+from forest.kit import trees_of
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.plants.species import flora, species_table, tapers
-from vlp16emu.forest.stand.stand import TREE
 
 TEXT = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
 
@@ -31,27 +30,10 @@ def write(tmp_path):
 
 def test_numbers_are_unique_and_never_change():
     """Species numbers stand in recorded labels, so they are fixed for ever."""
-    assert {name: species.number for name, species in species_table().items()} == {
-        "silver_birch": 1,
-        "norway_spruce": 2,
-        "scots_pine": 3,
-        "european_beech": 4,
-        "english_oak": 5,
-        "sycamore": 6,
-        "douglas_fir": 7,
-        "sugar_maple": 8,
-        "red_maple": 9,
-        "white_oak": 10,
-        "black_walnut": 11,
-        "snag": 12,
-    }
-    assert {name: shrub.number for name, shrub in flora().shrubs.items()} == {
-        "hazel": 101,
-        "elder": 102,
-        "hawthorn": 103,
-        "dogwood": 104,
-        "honeysuckle": 105,
-    }
+    trees = "silver_birch norway_spruce scots_pine european_beech english_oak sycamore douglas_fir"
+    trees += " sugar_maple red_maple white_oak black_walnut snag"
+    numbers = [*enumerate(trees.split(), 1), *enumerate(["hazel", "elder", "hawthorn", "dogwood", "honeysuckle"], 101)]
+    assert flora().names == dict(numbers)
 
 
 def test_every_equation_and_optical_number_says_where_it_comes_from():
@@ -74,9 +56,7 @@ def test_a_users_plants_come_after_our_own(write):
     assert list(table) == [*species_table(), "holm_oak"]
     assert table["holm_oak"].taper == species_table()["english_oak"].taper
     assert list(flora(path).shrubs) == [*flora().shrubs, "filbert"]
-    trees = np.zeros(2, TREE)
-    trees["species"] = [1000, 1]
-    assert tapers(trees, table=table).shape == (2, 13)
+    assert tapers(trees_of(["silver_birch"] * 2, species=[1000, 1]), table=table).shape == (2, 13)
     assert "holm_oak" not in species_table()
 
 
@@ -113,14 +93,10 @@ def test_a_wrong_file_is_reported_by_file_species_and_key(write, old, new, messa
     assert "\n" not in str(error.value)
 
 
-def test_two_plants_with_one_number_are_distinguished(write):
-    """Numbers of a file must differ among its trees and shrubs."""
+def test_two_plants_with_one_number_and_a_missing_file_are_refused(write, tmp_path):
+    """Numbers of a file must differ among its trees and shrubs, and a path that leads nowhere is named."""
     path = write(own_oak() + own_oak().replace("holm_oak", "cork_oak"))
     with pytest.raises(GeometryError, match=r"cork_oak\.number: found 1000, which is that of holm_oak"):
         species_table(path)
-
-
-def test_a_missing_file_is_an_input_error(tmp_path):
-    """A path that leads nowhere is named, not traced back."""
     with pytest.raises(GeometryError, match=r"none\.toml: no such file"):
         species_table(tmp_path / "none.toml")

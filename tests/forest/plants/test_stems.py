@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 import trimesh
+from forest.kit import feet_m, trees_of
 from scipy import stats
 from scipy.spatial import ConvexHull
 
@@ -16,7 +17,6 @@ from vlp16emu.forest.plants.stem import (
     ROOT_SIDES,
     STEM_PARTS,
     axis_m,
-    lean_rotation,
     polygon_m2,
     root_points,
     second_leaders,
@@ -27,7 +27,6 @@ from vlp16emu.forest.plants.stem import (
     vertex_angles,
 )
 from vlp16emu.forest.stand.inventory import branch_circles, far_stems
-from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import PlantPart
 
 TABLE = species_table()
@@ -38,16 +37,11 @@ def slope(x, y):
     return 0.2 * x - 0.1 * y
 
 
-def make_trees(name, count=1, dbh_m=0.35):
-    trees = np.zeros(count, TREE)
-    trees["species"], trees["dbh_m"] = TABLE[name].number, dbh_m
-    trees["height_m"] = 6.0 + 50 * trees["dbh_m"]
-    trees["crown_base_m"], trees["crown_width_m"] = 0.5 * trees["height_m"], 16 * trees["dbh_m"]
-    trees["form"] = 1 + np.arange(count)
-    trees["x_m"], trees["crown_azimuth_deg"] = 3.0 * np.arange(count), 23.0 * np.arange(count)
-    trees["z_m"] = slope(trees["x_m"], trees["y_m"])
-    trees["lean_deg"], trees["lean_towards_deg"] = 2.0, 40.0 * np.arange(count)
-    return trees
+def make_trees(name, count=1, dbh_m=0.35, **fields):
+    n, height_m = np.arange(count), 6.0 + 50 * np.array(dbh_m)
+    place = {"x_m": 3.0 * n, "z_m": slope(3.0 * n, 0.0), "lean_deg": 2.0, "lean_towards_deg": 40.0 * n}
+    size = {"dbh_m": dbh_m, "height_m": height_m, "crown_base_m": 0.5 * height_m, "crown_width_m": 16 * np.array(dbh_m)}
+    return trees_of([name] * count, **{**place, **size, "form": 1 + n, "crown_azimuth_deg": 23.0 * n, **fields})
 
 
 def sections_m(trees, ring=BREAST_RING, **changes):
@@ -92,8 +86,8 @@ def test_area_at_breast_height_is_that_of_the_dbh(name):
 @pytest.mark.parametrize("name", ["english_oak", "silver_birch", "european_beech", "snag"])
 def test_stems_are_closed_and_buried(name):
     """Forked, crooked or straight, flare and stem are watertight together and show their outside; the lowest ring lies under a slope."""
-    trees = make_trees(name, 14)
-    trees["dbh_m"], trees["form"][::7] = np.linspace(0.08, 0.9, 14), 0
+    trees = make_trees(name, 14, height_m=23.5, crown_base_m=11.75, crown_width_m=5.6, dbh_m=np.linspace(0.08, 0.9, 14))
+    trees["form"][::7] = 0
     meshes = stem_meshes(trees, np.zeros(3), slope)
     sides = stem_rings(trees).sides
     for flare, stem, count in zip(meshes[::2], meshes[1::2], sides, strict=True):
@@ -125,8 +119,7 @@ def test_sections_have_the_area_of_published_tapers():
 @pytest.mark.parametrize("name", ["norway_spruce", "english_oak", "silver_birch"])
 def test_boles_bow_as_far_as_the_table_says(name):
     """Mean bow over the length of the bole is that of the species, all directions are as frequent, no bow leaves the stem."""
-    trees = make_trees(name, 1500, 0.5)
-    trees["crown_base_m"] = 5.0
+    trees = make_trees(name, 1500, 0.5, crown_base_m=5.0)
     forms = stem_forms(trees)
     shares = np.linspace(0, 1, 101)
     bow_m = np.hypot(*forms.bends[:, 0].T)
@@ -253,8 +246,7 @@ def test_stems_from_afar_run_where_those_of_the_mesh_run():
     far, rings = far_stems(trees, 7), stem_rings(trees)
     middle_m = far["foot_m"][:, None] + far["along_m"][..., None] * far["axis"][:, None].astype(float)
     middle_m[..., :2] += np.moveaxis(far["aside_m"], 1, 2)
-    foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
-    expected_m = foot_m[:, None] + axis_m(trees, rings.forms, rings.above_ground_m)
+    expected_m = feet_m(trees)[:, None] + axis_m(trees, rings.forms, rings.above_ground_m)
     assert np.abs(middle_m[:4, :-1] - expected_m).max() < 1e-5
     assert np.allclose(far["radius_m"][:4, :-1], rings.radius_m)
     forked = rings.forked.tolist()
@@ -263,10 +255,8 @@ def test_stems_from_afar_run_where_those_of_the_mesh_run():
 
 
 def test_a_stem_is_the_same_in_any_company():
-    """Grown alone a stem has the bytes that it has among others, in any order."""
-    trees = np.concatenate(
-        [make_trees(name, 4, dbh_m) for name, dbh_m in (("english_oak", 0.2), ("norway_spruce", 0.5))]
-    )
+    """Grown alone a stem, roots and all, has the bytes that it has among others, in any order."""
+    trees = np.concatenate([make_trees("english_oak", 4, 0.2), make_trees("norway_spruce", 4, 0.5)])
     together = stem_meshes(trees, np.zeros(3), slope)
     for i in range(len(trees)):
         alone = stem_meshes(trees[i : i + 1], np.zeros(3), slope)
@@ -287,83 +277,45 @@ def test_without_a_form_stems_are_straight_and_round():
     assert np.ptp(sections_m(trees), axis=1).max() < 1e-12
 
 
-DBH_CM = [5.0, 12.0, 18.0, 35.0, 49.9, 50.1, 80.0, 120.0]
-
-
-def hillside(x, y):
-    return 0.2 * x - 0.1 * y + 3.0
-
-
-def straight_trees(lean_deg, species=1):
-    trees = np.zeros(len(DBH_CM), TREE)
-    trees["species"] = species
-    trees["x_m"], trees["y_m"] = 500_000.0 + 2.5 * np.arange(len(DBH_CM)), 7.0
-    trees["z_m"] = hillside(trees["x_m"], trees["y_m"])
-    trees["dbh_m"] = np.array(DBH_CM) / 100
-    trees["height_m"] = 3.0 + 0.4 * np.array(DBH_CM)
-    trees["lean_deg"], trees["lean_towards_deg"] = lean_deg, 40.0 * np.arange(len(DBH_CM))
-    trees["crown_azimuth_deg"] = 17.0
-    return trees
-
-
-def grow(trees):
-    """Origin of the tile, and of each tree its flare and its stem."""
-    origin_m = np.array([500_000.0, 0.0, np.round(hillside(500_000.0, 0.0))])
-    meshes = stem_meshes(trees, origin_m, hillside)
-    assert len(meshes) == len(STEM_PARTS) * len(trees)
-    return origin_m, list(zip(meshes[::2], meshes[1::2], strict=True))
-
-
-def sides_of(tree):
-    """How many sides a section has."""
-    return 16 + 8 * int(np.searchsorted([0.16, 0.3, 0.45], tree["dbh_m"]))
+def straight(lean_deg, name="silver_birch"):
+    """Straight trees of eight sizes far from the origin; of each its record, the sides of a section, its flare and its stem from the foot."""
+    dbh_m = np.array([0.05, 0.12, 0.18, 0.35, 0.499, 0.501, 0.8, 1.2])
+    place = {"x_m": 500_000.0 + 2.5 * np.arange(8), "y_m": 7.0, "lean_deg": lean_deg, "form": 0}
+    trees = make_trees(name, 8, dbh_m, **place)
+    trees["z_m"] = slope(trees["x_m"], trees["y_m"])
+    origin_m = np.array([500_000.0, 0.0, np.round(slope(500_000.0, 0.0))])
+    meshes = [mesh.vertices_m.astype(np.float64) for mesh in stem_meshes(trees, origin_m, slope)]
+    sides = 16 + 8 * np.searchsorted([0.16, 0.3, 0.45], dbh_m)
+    foot_m = feet_m(trees) - origin_m
+    pairs = zip(meshes[::2], meshes[1::2], strict=True)
+    return [
+        (*one, flare - at_m, stem - at_m) for *one, at_m, (flare, stem) in zip(trees, sides, foot_m, pairs, strict=True)
+    ]
 
 
 def test_the_root_flare_ends_half_a_metre_up():
     """The flare's highest vertices and the stem's lowest are the same ring, 0.5 m above the foot."""
     assert STEM_PARTS == (PlantPart.ROOT_FLARE, PlantPart.STEM)
-    trees = straight_trees(0.0)
-    origin_m, stems = grow(trees)
-    for tree, (flare, stem) in zip(trees, stems, strict=True):
-        sides = sides_of(tree)
-        assert np.array_equal(flare.vertices_m[-sides:], stem.vertices_m[:sides])
-        above = stem.vertices_m[:sides, 2] + origin_m[2] - tree["z_m"]
-        assert above == pytest.approx(np.full(sides, 0.5), abs=5e-6)
+    for _, sides, flare_m, stem_m in straight(0.0):
+        assert np.array_equal(flare_m[-sides:], stem_m[:sides])
+        assert stem_m[:sides, 2] == pytest.approx(np.full(sides, 0.5), abs=5e-6)
 
 
 def test_tip_is_at_the_height_and_leans():
-    """The tip is `height_m` above the foot, aside by height times the tangent of the lean."""
-    trees = straight_trees(8.0)
-    origin_m, stems = grow(trees)
-    for tree, (_, stem) in zip(trees, stems, strict=True):
-        tip = stem.vertices_m[-1].astype(np.float64) + origin_m - [tree["x_m"], tree["y_m"], tree["z_m"]]
-        assert tip[2] == pytest.approx(tree["height_m"], abs=1e-5)
-        assert np.hypot(*tip[:2]) == pytest.approx(tree["height_m"] * np.tan(np.radians(8.0)), abs=1e-5)
+    """The tip is `height_m` above the foot, aside towards the lean by height times its tangent."""
+    for tree, _, _, stem_m in straight(8.0):
+        aside_m, towards = tree["height_m"] * np.tan(np.radians(8.0)), np.radians(tree["lean_towards_deg"])
+        expected_m = [aside_m * np.cos(towards), aside_m * np.sin(towards), tree["height_m"]]
+        assert stem_m[-1] == pytest.approx(np.array(expected_m), abs=1e-5)
 
 
 def test_a_snag_breaks_off_at_full_width():
     """A dead tree's highest ring is over 0.4 of breast height, and its tip stands off the axis."""
-    trees = straight_trees(0.0, 12)
-    origin_m, stems = grow(trees)
-    for tree, (_, stem) in zip(trees, stems, strict=True):
-        foot = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) - origin_m
-        sides = sides_of(tree)
-        ring, tip = stem.vertices_m[-1 - sides : -1] - foot, stem.vertices_m[-1] - foot
-        width_m = 2 * np.hypot(*ring[:, :2].T).mean()
+    for tree, sides, _, stem_m in straight(0.0, "snag"):
+        width_m = 2 * np.hypot(*stem_m[-1 - sides : -1, :2].T).mean()
         assert width_m > 0.4 * tree["dbh_m"]
-        assert np.hypot(*tip[:2]) == pytest.approx(0.4 * width_m, rel=0.02)
-        assert tip[2] == pytest.approx(tree["height_m"], abs=1e-4)
-
-
-def test_lean_rotation_tips_the_vertical_without_twist():
-    """The rotation is proper, tips z towards its direction, and leaves the level axis across it alone."""
-    lean, towards = np.array([0.0, 5.0, 30.0]), np.array([10.0, 200.0, 75.0])
-    for R, tilt, angle in zip(lean_rotation(lean, towards), np.radians(lean), np.radians(towards), strict=True):
-        assert np.allclose(R @ R.T, np.eye(3))
-        expected = [np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)]
-        assert np.allclose(R[:, 2], expected)
-        across = np.array([-np.sin(angle), np.cos(angle), 0.0])
-        assert np.allclose(R @ across, across)
+        assert np.hypot(*stem_m[-1, :2]) == pytest.approx(0.4 * width_m, rel=0.02)
+        assert stem_m[-1, 2] == pytest.approx(tree["height_m"], abs=1e-4)
 
 
 N_OLD = 400
@@ -377,14 +329,12 @@ def steep(x, y):
 @pytest.fixture(scope="module")
 def old_trees():
     """Beeches and spruces of 0.32 m to 0.8 m on a steep."""
-    rng, old_trees = np.random.default_rng(3), np.zeros(N_OLD, TREE)
-    old_trees["species"] = [species_table()[n].number for n in ("european_beech", "norway_spruce")] * (N_OLD // 2)
-    old_trees["x_m"], old_trees["y_m"] = rng.uniform(-500, 500, (2, N_OLD))
-    old_trees["z_m"] = steep(old_trees["x_m"], old_trees["y_m"])
-    old_trees["dbh_m"], old_trees["height_m"], old_trees["crown_base_m"] = rng.uniform(0.32, 0.8, N_OLD), 30.0, 12.0
-    old_trees["crown_width_m"], old_trees["form"] = 6.0, rng.integers(1, 2**63, N_OLD)
-    old_trees["crown_azimuth_deg"] = rng.uniform(0, 360, N_OLD)
-    return old_trees
+    rng = np.random.default_rng(3)
+    x_m, y_m = rng.uniform(-500, 500, (2, N_OLD))
+    place = {"x_m": x_m, "y_m": y_m, "z_m": steep(x_m, y_m), "dbh_m": rng.uniform(0.32, 0.8, N_OLD)}
+    size = {"height_m": 30.0, "crown_base_m": 12.0, "crown_width_m": 6.0}
+    forms = {"form": rng.integers(1, 2**63, N_OLD), "crown_azimuth_deg": rng.uniform(0, 360, N_OLD)}
+    return trees_of(["european_beech", "norway_spruce"] * (N_OLD // 2), **place, **size, **forms)
 
 
 def roots_of(old_trees, height_m=steep):
@@ -404,12 +354,13 @@ def test_old_spruces_and_beeches_have_roots_and_no_others(old_trees):
 
 
 def test_roots_run_along_the_ground_half_buried_and_dive(old_trees):
-    """They reach 0.5 m to 2 m from the butt, rise over the ground by less than half a DBH, and end in it."""
+    """They reach 0.5 m to 2 m from the butt, rise over the ground by less than half a DBH, 0.3 m over the foot at most, and end in it."""
     stem, points_m = roots_of(old_trees)
     rings_m = points_m[:, 1:-1].reshape(len(stem), ROOT_RINGS, ROOT_SIDES, 3)
     away_m = np.hypot(*np.moveaxis(points_m[:, -1, :2], -1, 0)) - 0.8 * stem_rings(old_trees).radius_m[stem, 1]
     assert (away_m > 0.5).all()
     assert away_m.max() < 2.2
+    assert points_m[..., 2].max() <= 0.3 + 1e-12
     x, y, z = np.moveaxis(rings_m, -1, 0)
     foot = old_trees[stem][:, None, None]
     over_m = z + foot["z_m"] - steep(x + foot["x_m"], y + foot["y_m"])
@@ -419,12 +370,6 @@ def test_roots_run_along_the_ground_half_buried_and_dive(old_trees):
     assert (over_m.max(axis=(1, 2)) < 0.5 * old_trees["dbh_m"][stem]).all()
     level = roots_of(old_trees, lambda x, y: old_trees["z_m"][stem][:, None] + 0 * x)[1]
     assert (level[:, -1, 2] < 0).all()
-
-
-def test_no_root_reaches_breast_height(old_trees):
-    """On a steep of 30 degrees no vertex of a root is higher than 0.3 m over the foot of its tree."""
-    _, points_m = roots_of(old_trees)
-    assert points_m[..., 2].max() <= 0.3 + 1e-12
 
 
 def test_stems_are_the_same_with_roots_and_without(old_trees, rootless):
@@ -445,13 +390,6 @@ def test_stems_are_the_same_with_roots_and_without(old_trees, rootless):
             assert root.volume > 0
 
 
-def test_the_roots_of_a_tree_are_its_own(old_trees):
-    """A tree alone has the roots that it has among others."""
-    stem, points_m = roots_of(old_trees)
-    for i in (0, 7, 200):
-        assert np.array_equal(roots_of(old_trees[i : i + 1])[1], points_m[stem == i])
-
-
 THREE = ["norway_spruce", "european_beech", "snag"]
 BRANCH_SIDES, BRANCH_RINGS = 6, 8
 FIRST, DEAD = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
@@ -459,15 +397,21 @@ FIRST, DEAD = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
 
 @pytest.fixture(scope="module")
 def three():
-    three = np.zeros(len(THREE), TREE)
-    three["id"] = 70 + np.arange(len(THREE))
-    three["species"] = [species_table()[name].number for name in THREE]
-    three["x_m"], three["y_m"], three["z_m"] = 6.0 * np.arange(len(THREE)), -3.0, 2.0
-    three["dbh_m"], three["height_m"] = 0.3, [24.0, 22.0, 12.0]
-    three["crown_base_m"], three["crown_width_m"] = [13.0, 11.0, 6.0], [4.8, 7.0, 2.0]
-    three["crown_azimuth_deg"] = [0.0, 30.0, 100.0]
-    three["lean_deg"], three["lean_towards_deg"] = [0.0, 3.0, 2.0], 70.0
-    return three
+    place = {
+        "id": [70, 71, 72],
+        "x_m": [0.0, 6.0, 12.0],
+        "y_m": -3.0,
+        "z_m": 2.0,
+        "crown_azimuth_deg": [0.0, 30.0, 100.0],
+    }
+    lean = {"lean_deg": [0.0, 3.0, 2.0], "lean_towards_deg": 70.0}
+    size = {
+        "dbh_m": 0.3,
+        "height_m": [24.0, 22.0, 12.0],
+        "crown_base_m": [13.0, 11.0, 6.0],
+        "crown_width_m": [4.8, 7.0, 2.0],
+    }
+    return trees_of(THREE, **place, **lean, **size)
 
 
 @pytest.fixture(scope="module")
@@ -522,13 +466,9 @@ def test_branches_begin_on_the_axis_and_thin_to_a_tip(three, circles):
         assert (own["radius_m"][:, -1] == 0).all()
 
 
-def test_a_dead_tree_has_dead_branches_alone(circles):
-    """A snag's branches are all dead; a spruce has living and dead ones, whose parts say so."""
+def test_a_dead_tree_has_dead_branches_alone(three, crowns, circles):
+    """A snag's branches are all dead; a spruce has living and dead ones, or the living alone, whose parts say so."""
     assert set(circles["part"][circles["tree"] == 72]) == {DEAD}
     assert set(circles["part"][circles["tree"] == 70]) == {FIRST, DEAD}
-
-
-def test_without_dead_branches_there_are_none(three, crowns):
-    """Of crowns without dead branches below, the living ones alone are listed."""
     bare = [CrownKey(*(getattr(key, name) for name in CrownKey.__slots__[:-1])) for key in crowns[:2]]
     assert set(branch_circles(three[:2], bare, seed=6)["part"]) == {FIRST}

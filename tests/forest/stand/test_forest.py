@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from forest.kit import feet_m
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import distance_m
@@ -33,13 +34,15 @@ def placed(window):
 
 
 @pytest.fixture(scope="module")
-def shape(forest):
-    """Meshes of a shape, which takes long to make."""
-    return cache(forest.shape)
+def small(make_forest):
+    """Trees within 15 m, and their meshes, which take long to make."""
+    forest = make_forest(reach_m=15.0)
+    return forest, cache(forest.shape)
 
 
-def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
+def test_surfaces_belong_to_the_meshes_they_show(small, track_m):
     """Each tile's rows are its ground and the stems of its trees in order; each crown's are the parts of one tree."""
+    forest, shape = small
     window, trees = forest.window(track_m), forest.trees(track_m)
     used = np.zeros(len(window.surfaces), int)
     meshes = {key: len(shape(key)) for key in window.shapes}
@@ -65,8 +68,9 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
     assert stems == trees["id"].tolist()
 
 
-def test_stems_and_crowns_are_where_the_records_say(forest, shape, track_m):
+def test_stems_and_crowns_are_where_the_records_say(small, track_m):
     """The tip of a stem's mesh, the top of its crown's axis and the tree record agree to a millimetre."""
+    forest, shape = small
     window, trees = forest.window(track_m), forest.trees(track_m)
     tips, tops = {}, {}
     for which, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
@@ -100,7 +104,7 @@ def test_crowns_are_as_wide_as_their_trees(forest, track_m):
 def test_everything_is_the_same_from_either_end(make_forest, with_layers):
     """Windows of a walk and of the walk back, tiles last to first, agree on every thing that they share: key, place and bytes."""
     path = np.array([[0.0, 0.0], [30.0, 4.0], [45.0, -3.0]])
-    there, back = (make_forest(path_xy_m=way, with_layers=with_layers) for way in (path, path[::-1]))
+    there, back = (make_forest(path_xy_m=way, with_layers=with_layers, reach_m=25.0) for way in (path, path[::-1]))
     tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 30)]
     first = [there.window(track) for track in tracks]
     second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
@@ -116,18 +120,11 @@ def test_everything_is_the_same_from_either_end(make_forest, with_layers):
     assert [mesh_bytes(there.shape(k)) for k in sample] == [mesh_bytes(back.shape(k)) for k in sample[::-1]][::-1]
 
 
-def test_numbers_are_unique_and_never_zero(forest):
-    """Along the whole path each tree has a number of its own, and no tree has the number of no tree."""
-    along = np.column_stack([np.linspace(0, 52, 30), np.zeros(30), np.full(30, 2.0)])
-    ids = forest.trees(along)["id"]
-    assert len(ids) > 400
-    assert len(np.unique(ids)) == len(ids)
-    assert ids.min() > 0
-
-
-def test_every_window_holds_all_that_is_in_reach(forest, track_m):
-    """All trees of the stand whose foot is within reach of the track are in the window."""
+def test_trees_have_numbers_of_their_own_and_a_window_holds_all_in_reach(forest, track_m):
+    """Along the path no two trees share a number, none has 0, and those with their foot within reach of a track are in its window."""
     everything = forest.trees(np.column_stack([np.linspace(-8, 60, 30), np.zeros(30), np.zeros(30)]))
+    assert len(np.unique(everything["id"])) == len(everything) > 400
+    assert everything["id"].min() > 0
     gap = np.hypot(everything["x_m"] - track_m[:, :1], everything["y_m"] - track_m[:, 1:2]).min(axis=0)
     assert set(everything["id"][gap < 40.0]) <= set(forest.trees(track_m)["id"])
 
@@ -148,40 +145,22 @@ def is_ground(key):
     return isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
 
 
-def instances(window):
-    """What stands and lies in a window, ground apart: instance -> its surface rows."""
-    names = np.array([is_ground(key) for key in window.shapes])
-    rows = {}
-    for shape, first in zip(window.shape, window.first_surface, strict=True):
-        if not names[shape]:
-            row = window.surfaces[first]
-            rows[int(row["instance"])] = row
-    return rows
-
-
 def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
-    """Trees, saplings, shrubs, stones, logs, stumps and low plants have numbers of their own, each with its semantic class."""
-    window, trees = full_forest.window(track_m), full_forest.trees(track_m)
-    rows = instances(window)
-    placements = sum(not is_ground(window.shapes[i]) for i in window.shape)
-    assert len(rows) == placements
-    assert min(rows) > 0
-    kinds = np.array([row["semantic"] for row in rows.values()])
-    counts = {kind: int((kinds == kind).sum()) for kind in Semantic}
-    assert counts[Semantic.TREE] == len(trees)
+    """Trees, saplings, shrubs, stones, logs, stumps and low plants have numbers of their own, a semantic class, and its material."""
+    window = full_forest.window(track_m)
+    no_ground = ~np.array([is_ground(key) for key in window.shapes])[window.shape]
+    rows = window.surfaces[window.first_surface[no_ground]]
+    assert len(np.unique(rows["instance"])) == len(rows)
+    assert rows["instance"].min() > 0
+    counts = {kind: int((rows["semantic"] == kind).sum()) for kind in Semantic}
+    assert counts[Semantic.TREE] == len(full_forest.trees(track_m))
     assert min(counts[k] for k in (Semantic.SHRUB, Semantic.STONE, Semantic.DEADWOOD, Semantic.GRASS)) > 20
-    for row in rows.values():
-        assert forest_material_fits(full_forest.materials[row["material"]], row)
-
-
-def forest_material_fits(name, row):
-    """Say whether a material's name goes with the semantic class of a row."""
-    low = ("grass", "herb", "fern", "dwarf shrub")
-    dead = ("litter",) if row["part"] == PlantPart.ROOT_FLARE else ("dead wood",)
-    fixed = {Semantic.STONE: ("stone",), Semantic.DEADWOOD: dead, Semantic.GRASS: low}
-    return name in fixed.get(Semantic(int(row["semantic"])), (name,)) and (
-        " bark" in name or name in (*low, "stone", "dead wood", "litter")
-    )
+    for row in rows:
+        name = full_forest.materials[row["material"]]
+        dead = "litter" if row["part"] == PlantPart.ROOT_FLARE else "dead wood"
+        grass = ("grass", "herb", "fern", "dwarf shrub")
+        fixed = {Semantic.STONE: ("stone",), Semantic.DEADWOOD: (dead,), Semantic.GRASS: grass}
+        assert name in fixed.get(Semantic(int(row["semantic"])), (name,) if " bark" in name else ())
 
 
 def test_moss_and_litter_are_not_seen_from_afar(full_forest, track_m):
@@ -218,7 +197,7 @@ def test_tiles_out_of_reach_are_forgotten(make_forest):
     path = np.column_stack([np.linspace(0, 1000, 101), np.zeros(101)])
     forest = make_forest(path_xy_m=path)
     one = len(forest.window(np.column_stack([path[:2], [2.0, 2.0]])).shapes)
-    for start in range(0, 100, 4):
+    for start in range(0, 100, 10):
         forest.trees(path[start : start + 4])
     assert forest._tile.cache_info().currsize <= forest._tile.cache_info().maxsize < 6 * one
 
@@ -228,12 +207,9 @@ def test_tiles_out_of_reach_are_forgotten(make_forest):
     [
         ({"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])}, r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite"),
         ({"path_xy_m": np.array([[0.0, 0.0], [9e4, 9e4]])}, "path_xy_m: spans 90 km x 90 km"),
-        (
-            {"stems_per_ha": 1.5e5, "species": [THIN]},
-            "found 150000 trees and things per hectare; expected at most 125000",
-        ),
+        ({"stems_per_ha": 1.5e5, "species": [THIN]}, "found 150000 trees and things per hectare; expected at most 125000"),
     ],
-)
+)  # fmt: skip
 def test_a_forest_that_cannot_be_is_refused(make_forest, changes, message):
     """Paths that are not finite or too long and stands too dense to number are named in one line."""
     with pytest.raises(GeometryError, match=message):
@@ -255,17 +231,10 @@ def test_a_track_may_stray_from_the_path(make_forest, aside_m):
             assert bare.far_tile(ix + dx, iy + dy).ground_m.shape == (85, 85)
 
 
-def test_an_unknown_shape_is_refused(forest):
-    """A key that is neither a tile nor a crown is a key error."""
-    with pytest.raises(KeyError):
-        forest.shape("tree")
-
-
 @pytest.mark.parametrize(("clearance_m", "warned"), [(20.0, False), (40.0, True)])
 def test_a_path_that_keeps_all_trees_out_of_sight_is_named(forest, track_m, caplog, clearance_m, warned):
     """A clearance of the range of the sensor leaves no stem that it sees."""
     section = forest.section.model_copy(update={"path_clearance_m": clearance_m})
     world, _ = ForestSite(section, 5).world(track_m[:, :2], reach_m=40.0, farthest_m=40.0, wind=None, start_ns=0)
-    trees = world.trees(track_m)
-    gap_m = distance_m(np.column_stack([trees["x_m"], trees["y_m"]]), track_m[:, :2])
+    gap_m = distance_m(feet_m(world.trees(track_m))[:, :2], track_m[:, :2])
     assert (gap_m.min() > 40.0) == warned == ("path_clearance_m = 40: leaves no tree" in caplog.text)

@@ -27,8 +27,10 @@ def read(tmp_path, text=LIST, origin_m=NO_ORIGIN):
 
 
 def test_a_list_is_read_as_it_stands(tmp_path):
-    """Place, species, diameter, height, crown and lean come from the list, in its order; other columns are ignored."""
+    """Place less the origin, species, diameter, height, crown and lean come from the list, in its order; other columns are ignored."""
     trees, table = read(tmp_path), species_table()
+    moved = read(tmp_path, origin_m=(1.0, 2.0, 300.0))
+    assert (moved["x_m"].tolist(), moved["y_m"].tolist()) == ([0.5, -4, 9], [0.5, 2, -9.25])
     assert trees["x_m"].tolist() == [1.5, -3, 10]
     assert trees["y_m"].tolist() == [2.5, 4, -7.25]
     names = ["norway_spruce", "silver_birch", "norway_spruce"]
@@ -56,13 +58,6 @@ def test_diameters_in_millimetres_are_refused(tmp_path):
     with pytest.raises(GeometryError, match=message):
         read(tmp_path, rows.format(205, 210, 222))
     assert read(tmp_path, rows.format(20.5, 210, 22.2))["dbh_m"].max() == 2.1
-
-
-def test_the_origin_moves_the_map_into_the_scene(tmp_path):
-    """Easting and northing of the origin are taken off the places."""
-    trees = read(tmp_path, origin_m=(1.0, 2.0, 300.0))
-    assert trees["x_m"].tolist() == [0.5, -4, 9]
-    assert trees["y_m"].tolist() == [0.5, 2, -9.25]
 
 
 def test_an_inventory_is_a_stem_list(tmp_path):
@@ -173,8 +168,9 @@ def make(tmp_path):
 
 
 def test_each_tree_stands_on_its_own_tile_and_on_the_ground(make):
-    """A tile has the trees whose foot lies in it, in the order of the list, and their feet are on the ground."""
+    """A tile has the trees whose foot lies in it, in the order of the list, and their feet are on the ground; two on 0.04 ha are 50 per ha."""
     stand = make()
+    assert stand.per_ha == pytest.approx(50)
     found = {(i, j): stand.trees(i, j) for i in range(-2, 3) for j in range(-2, 3)}
     places = {tile: trees["x_m"].tolist() for tile, trees in found.items() if len(trees)}
     assert places == {(0, 0): [3, 4], (-1, 0): [-3], (1, 0): [21], (0, -1): [19.5]}
@@ -183,16 +179,11 @@ def test_each_tree_stands_on_its_own_tile_and_on_the_ground(make):
     assert (trees["id"] == 0).all()
 
 
-def test_the_densest_tile_tells_how_dense_the_stand_is(make):
-    """Two trees on 0.04 ha are 50 per hectare."""
-    assert make().per_ha == pytest.approx(50)
-
-
 def test_crowns_are_prototypes_of_the_lists_own_trees(make):
     """Trees of one species, class and third of crown ratios share the crown of their mean; its leaves are the species' LAI on its projection."""
     stand = make()
     one, other = stand.trees(0, 0)
-    keys = [stand.crown(int(t["cohort"]), int(t["crown_class"]), int(t["crown_variant"])) for t in (one, other)]
+    keys = [stand.crown(*map(int, t[["cohort", "crown_class", "crown_variant"]])) for t in (one, other)]
     assert keys[0] == keys[1]
     key = keys[0]
     assert key.species == "silver_birch"

@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 import trimesh
+from forest.kit import feet_m
 
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.species import flora, species_table
@@ -75,9 +76,8 @@ def test_a_hall_keeps_its_sizes():
     pole = HallPole(name="pole", foot_m=(2.0, 1.0, 0.0), diameter_m=0.35, height_m=3.0)
     hall = HallWorld(Hall(kind="hall", length_m=10, width_m=8, height_m=4, poles=[pole]))
     track_m = np.array([[0.0, 0.0, 1.0]])
-    things = things_near(
-        hall.window(track_m), hall.shape, trees=np.zeros(0, np.uint32), path=Polyline(track_m[:, :2]), radius_m=np.inf
-    )
+    where = {"path": Polyline(track_m[:, :2]), "radius_m": np.inf}
+    things = things_near(hall.window(track_m), hall.shape, trees=np.zeros(0, np.uint32), **where)
     assert [one.kind for one in things] == ["ground", "other"]
     assert things[1].place_m.tolist() == [2.0, 1.0, 0.0]
     assert things[1].size_m == pytest.approx((0.35, 0.35, 3.0), abs=1e-4)
@@ -118,9 +118,8 @@ def test_a_piece_holds_what_is_wanted_and_ground_inside(full_forest, window, tre
 
 def test_a_piece_can_be_without_any_thing(full_forest, window):
     """With nothing wanted only ground is left, and no surface number is the one that means nothing."""
-    piece, grow = cut_out(
-        window, full_forest.shape, instances=np.zeros(0, np.uint32), inside=lambda xy_m: np.ones(len(xy_m), np.bool_)
-    )
+    place = {"instances": np.zeros(0, np.uint32), "inside": lambda xy_m: np.ones(len(xy_m), np.bool_)}
+    piece, grow = cut_out(window, full_forest.shape, **place)
     assert all(isinstance(key, TileKey) for key in piece.shapes)
     assert (piece.first_surface != NO_SURFACE).all()
     assert all(not len(mesh.faces) for mesh in grow(piece.shapes[0])[1:])
@@ -135,7 +134,7 @@ def near(full_forest, window, trees, track_m):
     """Trees and things within the radius of a twin."""
     way = Polyline(track_m[:, :2])
     things = things_near(window, full_forest.shape, trees=trees["id"], path=way, radius_m=TWIN_M)
-    return window, trees[way.distance_m(np.column_stack([trees["x_m"], trees["y_m"]])) <= TWIN_M], things, way
+    return window, trees[way.distance_m(feet_m(trees)[:, :2]) <= TWIN_M], things, way
 
 
 @pytest.fixture(scope="module")
@@ -143,13 +142,9 @@ def glb(full_forest, near):
     """The bytes of a twin, and how many instances it says that it holds."""
     window, trees, things, way = near
     places_m = {one.instance: one.place_m for one in things}
-    places_m |= {int(t["id"]): np.array([t["x_m"], t["y_m"], t["z_m"]]) for t in trees}
-    piece, grow = cut_out(
-        window,
-        full_forest.shape,
-        instances=np.array(list(places_m), np.uint32),
-        inside=lambda xy_m: way.distance_m(xy_m) <= TWIN_M,
-    )
+    places_m |= dict(zip(trees["id"].tolist(), feet_m(trees), strict=True))
+    place = {"instances": np.array(list(places_m), np.uint32), "inside": lambda xy_m: way.distance_m(xy_m) <= TWIN_M}
+    piece, grow = cut_out(window, full_forest.shape, **place)
     file, colours = io.BytesIO(), np.full((len(window.surfaces), 3), 128, np.uint8)
     count = write_glb(file, piece, grow, places_m=places_m, species=SPECIES, colours=colours)
     return file.getvalue(), count
@@ -188,10 +183,8 @@ def test_parts_say_in_numbers_what_their_names_say(header):
     node = next(n for n in header["nodes"] if n["name"].endswith("/stem") and n["name"].startswith("tree_"))
     name, species, _ = node["name"].split("/")
     extras = node["extras"]
-    assert extras["semantic"] == Semantic.TREE
-    assert extras["part"] == PlantPart.STEM
-    assert extras["instance"] == int(name.removeprefix("tree_"))
-    assert SPECIES[extras["species"]] == species
+    assert SPECIES[extras.pop("species")] == species
+    assert extras == {"semantic": Semantic.TREE, "part": PlantPart.STEM, "instance": int(name.removeprefix("tree_"))}
 
 
 def test_shapes_are_stored_once(header, near):

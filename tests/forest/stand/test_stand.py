@@ -1,7 +1,10 @@
 """Who stands where, and how large."""
 
+from functools import cache
+
 import numpy as np
 import pytest
+from forest.kit import feet_m, grown
 from scipy import stats
 from scipy.spatial import cKDTree
 
@@ -19,6 +22,7 @@ from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 FAR_XY_M = np.array([[0.0, 1e5]])
 BIRCH = SpeciesShare(species="silver_birch", share=0.25, dbh_cm=18.0, height_m=19.0)
 SPRUCE = SpeciesShare(species="norway_spruce", share=0.75, dbh_cm=24.0, height_m=21.0)
+PINE = SpeciesShare(species="scots_pine", share=1.0, dbh_cm=26.0, height_m=21.0)
 
 
 def make_stand(
@@ -37,8 +41,12 @@ def make_stand(
 
 @pytest.fixture(scope="module")
 def trees():
-    stand = make_stand()
-    return np.concatenate([stand.trees(ix, iy) for ix in range(14) for iy in range(14)])
+    return grown(make_stand(), 14)
+
+
+@pytest.fixture(scope="module")
+def spruces():
+    return grown(make_stand(species=(SPRUCE,), stems_per_ha=700.0), 12)
 
 
 @pytest.mark.parametrize("mix", [BIRCH, SPRUCE])
@@ -99,25 +107,18 @@ def of_classes(trees, columns):
     ("mix", "published"),
     [
         (SPRUCE, (0.066, 0.30, 0.12)),  # Burger 1953, Kantola and Makela 2004: 122 trees thicker than 10 cm
-        (
-            SpeciesShare(species="scots_pine", share=1.0, dbh_cm=26.0, height_m=21.0),
-            (0.061, 0.23, 0.19),
-        ),  # Vanninen; Hasenauer
-        (
-            SpeciesShare(species="silver_birch", share=1.0, dbh_cm=18.0, height_m=19.0),
-            (0.056, 0.26, 0.16),
-        ),  # Ilomaki; Hasenauer
+        (PINE, (0.061, 0.23, 0.19)),  # Vanninen; Hasenauer
+        (BIRCH, (0.056, 0.26, 0.16)),  # Ilomaki; Hasenauer
     ],
     ids=["spruce", "pine", "birch"],
 )
-def test_trees_of_one_size_vary_as_measured(mix, published):
+def test_trees_of_one_size_vary_as_measured(spruces, mix, published):
     """In classes of 5 cm, ln height, logit of crown ratio and ln crown width spread as published within 25 %, and correlate alike.
 
     Tall trees have narrow crowns, and long crowns are wide: -0.20 and 0.23 in 290 trees of the Biomass and Allometry Database and
     SamsaRaLight.
     """
-    stand = make_stand(species=(mix,), stems_per_ha=700.0)
-    trees = np.concatenate([stand.trees(ix, iy) for ix in range(12) for iy in range(12)])
+    trees = spruces if mix is SPRUCE else grown(make_stand(species=(mix,), stems_per_ha=700.0), 12)
     size = np.log(trees["dbh_m"])
     ratio = 1 - trees["crown_base_m"] / trees["height_m"]
     logs = np.log(trees["height_m"]), np.log(ratio / (1 - ratio)), np.log(trees["crown_width_m"])
@@ -129,14 +130,12 @@ def test_trees_of_one_size_vary_as_measured(mix, published):
     assert by_ratio == pytest.approx(0.23, abs=0.1)
 
 
-def test_neighbours_shorten_crowns():
+def test_neighbours_shorten_crowns(spruces):
     """Of spruces of one size those with more neighbours within 10 m have shorter crowns."""
-    stand = make_stand(species=(SPRUCE,), stems_per_ha=700.0)
-    trees = np.concatenate([stand.trees(ix, iy) for ix in range(12) for iy in range(12)])
-    places = np.column_stack([trees["x_m"], trees["y_m"]])
+    places = feet_m(spruces)[:, :2]
     near = cKDTree(places).query_ball_point(places, 10.0, return_length=True)
-    ratio = 1 - trees["crown_base_m"] / trees["height_m"]
-    rest = ratio - np.polyval(np.polyfit(trees["dbh_m"], ratio, 2), trees["dbh_m"])
+    ratio = 1 - spruces["crown_base_m"] / spruces["height_m"]
+    rest = ratio - np.polyval(np.polyfit(spruces["dbh_m"], ratio, 2), spruces["dbh_m"])
     inner = (places > 10).all(axis=1) & (places < 230).all(axis=1)
     assert stats.spearmanr(near[inner], rest[inner])[0] < -0.15
 
@@ -160,17 +159,19 @@ def test_crown_prototypes_are_scaled_little(trees):
     assert np.quantile(feet_m, [0.1, 0.5, 0.9]) == pytest.approx([-1.0, 0.5, 2.0], abs=1.0)
 
 
+def leaf_area_m2(stand, trees):
+    """Leaf area that crowns have by their prototypes, scaled by crown projection."""
+    crown = cache(stand.crown)
+    crowns = [crown(*kind, 0) for kind in trees[["cohort", "crown_class"]].tolist()]
+    wide = trees["crown_width_m"] / [one.crown_width_m for one in crowns]
+    return (wide**2 * [one.leaf_area_m2 for one in crowns]).sum()
+
+
 def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
-    """Leaves that the prototypes' crowns would carry, scaled by crown projection, cover 3/4 x 6 + 1/4 x 3 by share."""
-    stand = make_stand()
-    area_m2 = 0.0
-    for tree in trees:
-        crown = stand.crown(tree["cohort"], tree["crown_class"], 0)
-        area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
-    ground_m2 = (14 * 20.0) ** 2
+    """Leaves that the prototypes' crowns would carry cover 3/4 x 6 + 1/4 x 3 by share."""
     by_crown = [(trees["crown_width_m"][trees["species"] == n] ** 2).sum() for n in (1, 2)]
     expected = np.average([3.0, 6.0], weights=by_crown)
-    assert area_m2 / ground_m2 == pytest.approx(expected, rel=0.03)
+    assert leaf_area_m2(make_stand(), trees) / (14 * 20.0) ** 2 == pytest.approx(expected, rel=0.03)
 
 
 def test_a_sparse_stand_does_not_reach_that_index():
@@ -185,25 +186,18 @@ def test_storeys_share_the_ground_and_have_their_own_density():
     young = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=8.0, height_m=9.0)
     lower = Storey(stems_per_ha=300.0, species=[young], pattern=clumps)
     stand = make_stand(stems_per_ha=700.0, species=[SPRUCE], storeys=[lower])
-    trees = np.concatenate([stand.trees(ix, iy) for ix in range(8) for iy in range(8)])
-    ground_m2 = (8 * 20.0) ** 2
+    trees, ground_m2 = grown(stand, 8), (8 * 20.0) ** 2
     for storey, per_ha, wide in ((0, 700.0, 0.1), (1, 300.0, 0.2)):
         assert (trees["storey"] == storey).sum() / ground_m2 * 1e4 == pytest.approx(per_ha, rel=wide)
-    area_m2 = 0.0
-    for tree in trees:
-        crown = stand.crown(tree["cohort"], tree["crown_class"], 0)
-        area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
     by_crown = [(trees["crown_width_m"][trees["storey"] == n] ** 2).sum() for n in (0, 1)]
-    assert area_m2 / ground_m2 == pytest.approx(np.average([6.0, 3.0], weights=by_crown), rel=0.05)
+    expected = np.average([6.0, 3.0], weights=by_crown)
+    assert leaf_area_m2(stand, trees) / ground_m2 == pytest.approx(expected, rel=0.05)
 
 
-def test_basal_area_is_as_asked_for():
-    """Stems whose density follows from 30 m2 of basal area have 30 m2 within 4 %, over 10 hectares."""
+def test_basal_area_is_as_asked_for(trees):
+    """Stems of a stand as it grows, as many as follow from 30 m2 of basal area, have 30 m2 within 4 %."""
     per_ha = density_per_ha(Storey(basal_area_m2_per_ha=30.0, species=[BIRCH, SPRUCE]))
-    stand = make_stand(stems_per_ha=per_ha)
-    trees = np.concatenate([stand.trees(ix, iy) for ix in range(16) for iy in range(16)])
-    basal_m2 = np.pi / 4 * (trees["dbh_m"] ** 2).sum() / ((16 * 20.0) ** 2 / 10_000)
-    assert basal_m2 == pytest.approx(30.0, rel=0.04)
+    assert per_ha * np.mean(np.pi / 4 * trees["dbh_m"] ** 2) == pytest.approx(30.0, rel=0.04)
 
 
 def test_no_stem_stands_in_another():
@@ -231,7 +225,7 @@ def test_trees_in_the_open_keep_their_lower_branches():
 def test_two_storeys_of_one_species_keep_apart():
     """Old and young trees of one species in a mixture have the sizes and the crowns of their own line."""
     stand = make_stand(species=(BIRCH, BIRCH.model_copy(update={"dbh_cm": 8.0, "height_m": 9.0})))
-    trees = np.concatenate([stand.trees(ix, iy) for ix in range(6) for iy in range(6)])
+    trees = grown(stand, 6)
     for cohort, (dbh_m, height_m) in enumerate([(0.18, 19.0), (0.08, 9.0)]):
         own = trees[trees["cohort"] == cohort]
         assert np.sqrt((own["dbh_m"] ** 2).mean()) == pytest.approx(dbh_m, rel=0.05)
@@ -252,7 +246,7 @@ def test_path_is_kept_clear_of_stems():
         assert (distance_m(np.column_stack([x, y]), path) - radius[:, 0]).min() >= 2.0
     assert len(trees) < len(all_trees)
     gone = all_trees[~np.isin(all_trees["x_m"], trees["x_m"])]
-    assert distance_m(np.column_stack([gone["x_m"], gone["y_m"]]), path).max() < 2.8
+    assert distance_m(feet_m(gone)[:, :2], path).max() < 2.8
     assert np.array_equal(all_trees[np.isin(all_trees["x_m"], trees["x_m"])], trees)
 
 
@@ -272,8 +266,8 @@ def test_no_stem_stands_on_a_trail_and_the_density_is_as_set(pattern):
     trails = Trails(Terrain(trail_spacing_m=20.0, trail_towards_deg=15.0), seed=14)
     stand = make_stand(stems_per_ha=900.0, pattern=pattern, trails=trails)
     assert stand.per_ha == pytest.approx(900.0)
-    trees = np.concatenate([stand.trees(ix, iy) for ix in range(10) for iy in range(10)])
-    assert trails.are_free(np.column_stack([trees["x_m"], trees["y_m"]])).all()
+    trees = grown(stand, 10)
+    assert trails.are_free(feet_m(trees)[:, :2]).all()
     expected = 900.0 * (10 * 0.2) ** 2
     assert len(trees) == pytest.approx(expected, abs=3 * np.sqrt(expected) + 0.02 * expected)
 

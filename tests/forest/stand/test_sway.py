@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from forest.kit import trees_of
 from scipy.signal import lsim
 
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.forest.settings import Wind
-from vlp16emu.forest.stand.stand import REGENERATION, TREE
+from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.stand.wind import ACROSS, ALONG, KNOT_NS, Trees, TreeSway, gust_lines, mechanics, swings
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart
@@ -110,15 +111,9 @@ def make_wind(loose):
     return make
 
 
-def tree(species, **changed):
+def tree(species):
     """A tree of the canopy."""
-    plants = flora()
-    row = np.zeros(1, TREE)
-    row["species"] = plants.trees[species].number
-    usual = {"dbh_m": 0.24, "height_m": 21.0, "crown_base_m": 9.0, "crown_width_m": 4.0}
-    for key, value in (usual | changed).items():
-        row[key] = value
-    return row
+    return trees_of([species], dbh_m=0.24, height_m=21.0, crown_base_m=9.0, crown_width_m=4.0)
 
 
 def test_frequencies_are_those_of_the_paper():
@@ -154,21 +149,19 @@ def test_stems_of_their_own_are_the_stems_of_the_tile(full_forest, loose, track_
             rows = window.surfaces[window.first_surface[i] :][:2]
             meshes[int(rows["instance"][0])] = rows.tobytes(), loose.shape(key)
             places[int(rows["instance"][0])] = window.world_T_shape[i].tobytes()
+    tiles = [i for i, which in enumerate(rooted.shape) if isinstance(rooted.shapes[which], TileKey)]
     count = 0
-    for i, which in enumerate(rooted.shape):
-        if not isinstance(key := rooted.shapes[which], TileKey):
-            continue
-        _, *stems = full_forest.shape(key)
+    for i in tiles:
+        _, *stems = full_forest.shape(rooted.shapes[rooted.shape[i]])
         rows = rooted.surfaces[rooted.first_surface[i] + 1 :][: len(stems)]
         for n in range(0, len(stems), 2):
             number = int(rows["instance"][n])
             own_rows, own = meshes[number]
             assert own_rows == rows[n : n + 2].tobytes()
             assert places[number] == rooted.world_T_shape[i].tobytes()
-            assert all(
-                a.vertices_m.tobytes() == b.vertices_m.tobytes() and (a.faces == b.faces).all()
-                for a, b in zip(own, stems[n : n + 2], strict=True)
-            )
+            for a, b in zip(own, stems[n : n + 2], strict=True):
+                assert a.vertices_m.tobytes() == b.vertices_m.tobytes()
+                assert (a.faces == b.faces).all()
             count += 1
     assert count == len(meshes) > 100
 

@@ -347,12 +347,10 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
     yield before[0], before[1] + rates
 
 
-def _table(
-    path: Path, columns: Sequence[str], names: Sequence[str] | None = None, *, time: str = _TIME
-) -> Iterator[Row]:
+def _table(path: Path, columns: Sequence[str], names: Sequence[str] = (), *, time: str = _TIME) -> Iterator[Row]:
     """Yield the numbers of columns, and the time, of a CSV; or of a TUM file, which has no names of its own."""
     with readable(path, "a file of a --truth folder", InputError, most_bytes=_EVER_NS), path.open() as lines:
-        reader = csv.DictReader(lines, names, delimiter=" " if names else ",")
+        reader = csv.DictReader(lines, names or None, delimiter=" " if names else ",")
         if missing := {time, *columns} - set(reader.fieldnames or ()):
             raise InputError(f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}")
         for row in reader:

@@ -9,7 +9,6 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
 from vlp16emu.engine import Batching, Parts
@@ -19,10 +18,8 @@ from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, fo
 from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.types import Poses
+from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
-
-Array = NDArray[np.float64]
 
 LOST_NS = S_NS  # without a pose for so long, poses are lost
 
@@ -233,14 +230,14 @@ class LiveMotion:
         """All so far; None before the beginning."""
         return self._knots
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+    def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
 
         Raises `TrajectoryError` if nobody streams, and `CancelledError` if the stream ends before there is a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
         """Poses at UTC instants (n,) with their derivatives; the rest as of `poses_at`."""
         return self._knots_until(int(t_ns.max())).kinematics_at(t_ns)
 

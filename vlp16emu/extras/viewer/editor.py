@@ -119,9 +119,7 @@ class Draft:
             changed["way_points_m"] = [[x, y] for x, y, _ in course.points]
             changed |= dict.fromkeys(("way_points_file", "lawn_mower"))
             stops = [{"way_point": n, "pause_s": s} for n, (_, _, s) in enumerate(course.points, 1) if s]
-            stops += [
-                {"at_m": stop.at_m, "pause_s": stop.pause_s} for stop in self._walk.stops if stop.at_m is not None
-            ]
+            stops += [{"at_m": one.at_m, "pause_s": one.pause_s} for one in self._walk.stops if one.at_m is not None]
             changed["stops"] = stops or None
         if course.speed_m_s != first.speed_m_s:
             changed |= {"speed_m_s": course.speed_m_s, "run_time_s": None}

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.foliage.tiles import STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
-from vlp16emu.forest.plants.branches import Branches
 from vlp16emu.forest.plants.prototypes import (
     CROWN_PARTS,
     CrownKey,
@@ -196,26 +195,20 @@ def branch_circles(
         number = 1
         both = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
         for part, branches in zip(both, prototypes[key], strict=True):
-            circles = _stretched(branches, world_T_crown)
+            world_A, nodes_m = world_T_crown[:, :3], branches.nodes_m
+            along = np.gradient(nodes_m, axis=1)
+            longer = norm(matvec(world_A, along)) / norm(along)
+            circles = np.zeros(nodes_m.shape[:2], STEM_CIRCLE)
+            for axis, at_m in enumerate(np.moveaxis(matvec(world_A, nodes_m) + world_T_crown[:, 3], -1, 0)):
+                circles[f"{'xyz'[axis]}_m"] = at_m
+            # Area times length is volume, which the determinant stretches.
+            circles["radius_m"] = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
             circles["tree"], circles["leader"], circles["part"] = tree["id"], 1, part
             circles["branch"] = (number + np.arange(len(circles)))[:, None]
             circles["above_foot_m"] = circles["z_m"] - tree["z_m"]
             number += len(circles)
             found.append(circles.ravel())
     return np.concatenate(found)
-
-
-def _stretched(branches: Branches, world_T_crown: Array) -> NDArray[np.void]:
-    """Circles (n, m) of branches with m nodes, placed by a transform (3, 4)."""
-    world_A, nodes_m = world_T_crown[:, :3], branches.nodes_m
-    along = np.gradient(nodes_m, axis=1)
-    longer = norm(matvec(world_A, along)) / norm(along)
-    circles = np.zeros(nodes_m.shape[:2], STEM_CIRCLE)
-    for axis, at_m in enumerate(np.moveaxis(matvec(world_A, nodes_m) + world_T_crown[:, 3], -1, 0)):
-        circles[f"{'xyz'[axis]}_m"] = at_m
-    # Area times length is volume, which the determinant stretches.
-    circles["radius_m"] = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
-    return circles
 
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:

@@ -277,8 +277,10 @@ class Stand:
         larger = self._rivals_cm > dbh_cm[:, None]
         rivals = competition(self._rivals_m2, 10_000.0, larger, np.ones_like(larger))
         base_m = own.species.crown_base_m(dbh_cm, height_m, rivals, _LEVELS[variant])
-        sizes = (float(size[0]) for size in (dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2))
-        return CrownKey(own.species.name, variant, *sizes, self._section.season, self._section.dead_branches)
+        sizes = dbh_cm / 100, height_m, base_m, width_m, leaf_area_m2
+        dbh, height, base, width, leaves = (float(size[0]) for size in sizes)
+        how = self._section.season, self._section.dead_branches
+        return CrownKey(own.species.name, variant, dbh, height, base, width, leaves, *how)
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:

@@ -1,0 +1,45 @@
+"""Records of trees, stands grown tile by tile, and leaves of meshes as quads (n, 4, 3), as the tests of this room look at them."""
+
+from itertools import product
+
+import numpy as np
+
+from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.stand.stand import TREE
+
+
+def trees_of(names, **fields):
+    """Records (n,) `TREE` of species by name, upright and at the origin if nothing else is said."""
+    trees = np.zeros(len(names), TREE)
+    trees["species"] = [species_table()[name].number for name in names]
+    for field, values in fields.items():
+        trees[field] = values
+    return trees
+
+
+def grown(stand, across):
+    """All trees of a square of tiles, `across` along each side."""
+    return np.concatenate([stand.trees(*tile) for tile in product(range(across), repeat=2)])
+
+
+def feet_m(trees):
+    return np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+
+
+def corners(mesh):
+    return mesh.vertices_m[mesh.faces].astype(np.float64)
+
+
+def normals(quads):
+    """Vectors (n, 3) across quads, twice as long as their areas."""
+    a, b, c, d = np.moveaxis(quads, 1, 0)
+    return np.cross(c - a, d - b)
+
+
+def areas_m2(quads):
+    return np.linalg.norm(normals(quads), axis=1) / 2
+
+
+def zeniths(quads):
+    """Angles (n,) of normals from the vertical, at most a right one."""
+    return np.arccos(np.abs(normals(quads)[:, 2]) / areas_m2(quads) / 2)
