@@ -10,10 +10,9 @@ import trimesh
 from forest.kit import feet_m
 
 from vlp16emu.forest.plants.species import flora, species_table
-from vlp16emu.forest.stand.nearby import cut_out, things_near
 from vlp16emu.forest.stand.stand import REGENERATION
+from vlp16emu.forest.stand.twin import cut_out, things_near, write_glb
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.forest.twin import write_glb
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.polyline import Polyline
