@@ -177,18 +177,16 @@ def test_every_instance_is_one_node_with_its_labels(glb, header, near):
     assert children == {name.split("/")[0] for name in wanted}
 
 
-def test_parts_say_in_numbers_what_their_names_say(header):
-    """The extras of a part's node are the numbers of its class, part, instance and species."""
+def test_parts_say_in_numbers_what_their_names_say_and_share_meshes(header):
+    """The extras of a part's node are the numbers of its class, part, instance and species.
+
+    Stones, tufts and crowns of one prototype share its mesh: there are fewer meshes than nodes that show one.
+    """
     node = next(n for n in header["nodes"] if n["name"].endswith("/stem") and n["name"].startswith("tree_"))
     name, species, _ = node["name"].split("/")
     extras = node["extras"]
     assert SPECIES[extras.pop("species")] == species
-    assert extras == {"semantic": Semantic.TREE, "part": PlantPart.STEM, "instance": int(name.removeprefix("tree_"))}
-
-
-def test_shapes_are_stored_once(header, near):
-    """Stones, tufts and crowns of one prototype share its mesh: there are fewer meshes than nodes that show one."""
-    shown = [node["mesh"] for node in header["nodes"] if "mesh" in node]
+    assert extras == {"semantic": Semantic.TREE, "part": PlantPart.STEM, "instance": int(name.removeprefix("tree_"))}    shown = [node["mesh"] for node in header["nodes"] if "mesh" in node]
     assert sorted(set(shown)) == list(range(len(header["meshes"])))
     assert len(shown) > 2 * len(header["meshes"])
     stones = {n["mesh"] for n in header["nodes"] if n["name"].startswith("stone_") and "mesh" in n}
