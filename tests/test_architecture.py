@@ -32,7 +32,6 @@ FLOORS = (
         "errors",
         "explain",
         "kernels",
-        "options",
         "output",
         "random",
         "settings",
@@ -53,20 +52,21 @@ FOREST = ("settings", "purpose", "ground", "tiles", "plants", "stand", "make")
 
 EXTRAS_TAKE = {
     "accuracy": {"plots"},
-    "bag": {"slam", "truth"},
+    "bag": {"imu", "slam", "truth"},
+    "bench": {"imu"},
     "clouds": {"options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},
-    "plan": {"keep_up"},
+    "plan": {"keep_up", "meshes"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "options", "outputs", "plots", "truth"},
+    "images": {"camera", "meshes", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
-    "sheets": {"camera", "plots", "truth"},
+    "sheets": {"camera", "meshes", "plots", "truth"},
     "slam": {"truth"},
-    "truth": {"bench", "outputs"},
-    "viewer": {"camera", "clouds", "images", "options", "plots", "sheets", "verify"},
+    "truth": {"bench", "imu", "outputs"},
+    "viewer": {"camera", "clouds", "images", "live", "options", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
@@ -211,7 +211,7 @@ def test_a_trespass_would_be_seen():
     ):
         assert trespasses("motion/walk.py", ast.parse(f"def f():\n    {line}")), line
         assert trespasses("units.py", ast.parse(line)), line
-    assert not trespasses("foliage/far.py", ast.parse("from vlp16emu.world.polyline import distance_m"))
+    assert not trespasses("foliage/far.py", ast.parse("from vlp16emu.foliage.polyline import distance_m"))
     assert not trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.frames import HEADER"))
     assert not trespasses("motion/walk.py", ast.parse("from vlp16emu.world import Terrain"))
 

@@ -31,9 +31,9 @@ def field():
 
 def test_keys_of_the_field_are_those_that_are_not_given():
     """What the scene says stays; what it does not say is that of the field; without the word all is perfect."""
-    field = load(FIELD, {"imu.preset": "tactical", "motion.mast.pitch_hz": 5.0, "motion.mount.error_mm": 1.0})
+    field = load(FIELD, {"imu.preset": "tactical", "motion.mast.bending_hz": 5.0, "motion.mount.error_mm": 1.0})
     assert (field.imu.preset, field.imu.mount.error_deg) == ("tactical", 0.3)
-    assert (field.motion.mast.pitch_hz, field.motion.mast.roll_hz) == (5.0, 8.0)
+    assert (field.motion.mast.bending_hz, field.motion.mast.damping_ratio) == (5.0, 0.05)
     assert (field.motion.mount.error_mm, field.motion.mount.error_deg) == (1.0, 0.3)
     assert field.wind is None  # in a hall
     assert load("birch_walk", ["conditions=field"]).wind.speed_m_s == 2.0
@@ -116,13 +116,8 @@ def test_the_mast_leans_with_each_step(field):
     assert 0.05 < np.abs(lean_deg).max() < 0.5
     spectrum = np.abs(np.fft.rfft(lean_deg[:, 1] - lean_deg[:, 1].mean()))
     assert np.fft.rfftfreq(len(t_ns), 0.005)[spectrum.argmax()] == pytest.approx(1.85, abs=0.3)  # steps per second
-    stiff = carrier.bent(
-        Harness(
-            **dict.fromkeys(
-                [f"{axis}_hz" for axis in ("fore_aft", "sideways", "vertical", "roll", "pitch", "yaw")], 1e6
-            )
-        )
-    )
+    axes = ("fore_aft", "sideways", "vertical", "roll", "pitch", "yaw")
+    stiff = carrier.bent(Harness(**{f"{axis}_hz": 1e6 for axis in axes}))
     np.testing.assert_allclose(stiff.poses_at(t_ns).world_p_body_m, pack.world_p_body_m, atol=1e-8)
     moving, step_ns = carrier.bent(field.scenario.motion.mast), 1_000_000
     before, after = (moving.poses_at(t_ns[:50] + d).world_p_body_m for d in (-step_ns, step_ns))

@@ -10,10 +10,9 @@ import trimesh
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
 from vlp16emu.errors import GeometryError, ScenarioError
-from vlp16emu.forest.stand.forest import FIRST_FREE_INSTANCE
 from vlp16emu.packets import decode_data
 from vlp16emu.scenario import load
-from vlp16emu.types import PacketKind, PlantPart, Semantic
+from vlp16emu.types import FIRST_FREE_INSTANCE, PacketKind, PlantPart, Semantic
 
 EAST_M, NORTH_M, UP_M = 500_000.0, 5_700_000.0, 210.0
 SCENE = f"""\

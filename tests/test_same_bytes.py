@@ -19,7 +19,11 @@ PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 ROOMS = (
     "elementary.py",
     "engine",
+    "extras/clouds/place.py",
+    "extras/imu",
     "extras/live",
+    "extras/meshes",
+    "extras/recorded/way_points.py",
     "foliage",
     "forest",
     "motion",

@@ -18,7 +18,7 @@ from vlp16emu.errors import InputError, OutputError, ScenarioError
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
-from vlp16emu.motion.geodesy import to_geodetic
+from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.output import write_json
 from vlp16emu.packets import decode_position
 from vlp16emu.run.options import TruthTo

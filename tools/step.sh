@@ -1,4 +1,4 @@
-# One step of a check, for bash: sourced by tools/check and .ci/run.
+# Steps of a check, for bash: sourced by tools/check and .ci/run.
 
 # Run a command, and print one line when it is done: wall time, CPU time of all its processes, and its last line; for
 # pytest also what was skipped and why. Print all its output where it fails.
@@ -17,4 +17,13 @@ step() {
     fi
     rm -f "$log"
     return "$code"
+}
+
+# Set up .venv for developers, and compile what all steps behind it would else compile each by itself.
+prepare() {
+    export PIP_COMPILE=0 # few of the modules are ever imported, and those are compiled then
+    step "set-up" tools/setup dev
+    unset PYTHONDONTWRITEBYTECODE
+    export PYTHONPYCACHEPREFIX=$PWD/.venv/pycache
+    step "kernels" .venv/bin/vlp16emu cache --compile
 }

@@ -22,7 +22,7 @@ from pydantic import (
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticKnownError
-from pydantic_core.core_schema import tagged_union_schema, with_info_plain_validator_function
+from pydantic_core.core_schema import tagged_union_schema, union_schema, with_info_plain_validator_function
 
 from vlp16emu.doors import DOORS, added, door, has_door
 
@@ -131,6 +131,30 @@ class OneOf:
         except ValidationError as error:  # with the word in the path, as pydantic's own unions have it
             findings: list[Any] = [{**e, "loc": (table[self.tag], *e["loc"])} for e in error.errors(include_url=False)]
             raise ValidationError.from_exception_data(error.title, findings) from None
+
+
+@dataclass(frozen=True)
+class LazySection:
+    """Annotation of a table whose section stands outside the core, and is loaded by the first scene that has the table."""
+
+    name: str
+    """Name in `doors.DOORS`, group "parts"."""
+
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        return with_info_plain_validator_function(self._validate)
+
+    def __get_pydantic_json_schema__(self, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        # Of a union with one member the page has a reference; a section alone would be written out each time.
+        return handler(union_schema([self.section.__pydantic_core_schema__])) if has_door(self.name) else {}
+
+    @property
+    def section(self) -> type[Section]:
+        """The section itself."""
+        section: type[Section] = door(self.name)
+        return section
+
+    def _validate(self, value: Any, info: ValidationInfo) -> Section:
+        return value if isinstance(value, self.section) else self.section.model_validate(value, context=info.context)
 
 
 def _beside_the_scene(file: str, info: ValidationInfo) -> str:

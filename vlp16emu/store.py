@@ -26,6 +26,7 @@ PACKAGE = Path(__file__).parent
 MAKERS = (  # files and folders of the package that decide what worlds consist of
     "elementary.py",
     "engine",
+    "extras/meshes",
     "foliage",
     "forest",
     "motion",

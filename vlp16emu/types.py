@@ -101,6 +101,7 @@ SURFACE = np.dtype(
 """One row of a window's surface table."""
 
 NO_SURFACE = np.uint32(0xFFFFFFFF)  # Surface of a pulse that hit nothing
+FIRST_FREE_INSTANCE = 0xFFFF0000  # First instance of the user's own things and of people; worlds number theirs below
 ShapeKey = Hashable  # Name of a shape: the same key always means the same bytes of geometry
 
 

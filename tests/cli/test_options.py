@@ -11,8 +11,8 @@ from vlp16emu import Emulator, replay
 from vlp16emu.cli.verb import leaves_of
 from vlp16emu.doors import DOORS, door
 from vlp16emu.errors import InputError
-from vlp16emu.options import options_of
 from vlp16emu.run import options as runs
+from vlp16emu.run.options import options_of
 from vlp16emu.scenario import schema
 
 VERBS = list(DOORS["verbs"])

@@ -20,7 +20,7 @@ from listening import opened, port_of
 from vlp16emu import Emulator
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.imu_frame import decode_imu
-from vlp16emu.motion.geodesy import to_geodetic
+from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.packets import decode_position
 from vlp16emu.units import S_NS
 

@@ -108,6 +108,7 @@ class Slab(lab.Tiles):
         self._shapes["slab"] = (slab(lad),)
 
     def far_tile(self, ix, iy):
+        """Describe the tile, or a bare one."""
         tile = super().far_tile(ix, iy)
         if (ix, iy) != (0, 0):
             return tile
@@ -116,6 +117,7 @@ class Slab(lab.Tiles):
         return replace(tile, keys=("slab",), shape=0 * one, world_T_shape=self.place, **ends)
 
     def window(self, track_m):
+        """One tile."""
         bare = super().window(track_m, tiles=[(0, 0)])
         surfaces = np.concatenate([bare.surfaces, bare.surfaces])
         surfaces["part"][1] = PlantPart.LEAF

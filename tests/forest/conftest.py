@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest import settings
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import Stand
-from vlp16emu.world.polyline import Corridor
 
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 BIRCH = settings.SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.settings import Terrain
 from vlp16emu.forest.tiles import TILE_M, TileKey, ground_mesh, ground_triangles, tile_origin_m, tiles_within
-from vlp16emu.world.polyline import distance_m
 
 EDGE_M = 20.0
 

@@ -6,7 +6,6 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.interpolate import BSpline
 from scipy.linalg import expm
 
 from vlp16emu.errors import TrajectoryError
@@ -40,16 +39,6 @@ def test_trunk_is_the_spline_through_its_samples():
     np.testing.assert_allclose(nodes[:, 1, 0], 0.02 * np.sin(2 * np.pi * 1.8 * NODES_S), atol=1e-9)
 
 
-def test_spline_agrees_with_scipys():
-    """Value and derivatives are those of the B-spline whose control points are the filtered samples."""
-    samples = sines(200 - 4, 209)
-    control = np.apply_along_axis(np.convolve, 0, samples, np.array([13, -112, 438, -112, 13]) / 240, "valid")
-    spline = BSpline((np.arange(len(control) + 6) - 5) / KNOTS_PER_S, control, 5)
-    nodes = Pack(sines, None).nodes(1)
-    for d, tolerance in ((0, 1e-15), (1, 1e-12), (2, 1e-10)):
-        np.testing.assert_allclose(nodes[..., d], spline(NODES_S, d), atol=tolerance)
-
-
 def test_step_is_the_matrix_exponential():
     """The map from state and forcing over a step is that of the exponential of the whole system."""
     dampings = 0.0, 0.05, 0.999999, 1.0, 1.000001, 1.4, 1.6, 10.0
@@ -63,20 +52,6 @@ def test_step_is_the_matrix_exponential():
         scale = np.array([1.0, w])[:, None] / np.array([1.0, w, w * w, w * w, w * w, w * w])
         error = (response(hz, damping, s) - expm(system * s)[:2]) / scale
         assert np.abs(error).max() < 1e-9, (hz, damping)
-
-
-def test_pack_answers_a_long_sine_as_the_transfer_function_says(straps):
-    """Gain and lag in the steady state are those of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)."""
-    f, hz, z = 1.8, 2.2, 0.15
-
-    def sine(first, count):
-        t = np.arange(first, first + count) / KNOTS_PER_S
-        return np.repeat(np.where(t > 0, 0.02 * np.sin(2 * np.pi * f * t), 0.0)[:, None], 6, axis=1)
-
-    s, w = 2j * np.pi * f, 2 * np.pi * hz
-    gain = (2 * z * w * s + w * w) / (s * s + 2 * z * w * s + w * w)
-    expected = 0.02 * np.imag(gain * np.exp(s * (60 + NODES_S)))
-    np.testing.assert_allclose(Pack(sine, straps(hz, z)).nodes(60)[:, 0, 0], expected, atol=1e-10)
 
 
 def test_stiff_straps_are_no_straps(straps):
@@ -175,14 +150,6 @@ def test_stride_times_vary_as_published_and_with_long_memory(gait):
     assert strides.std() / strides.mean() == pytest.approx(0.03, rel=0.35)
     centred = strides - strides.mean()
     assert (centred[1:] * centred[:-1]).mean() / centred.var() > 0.4
-
-
-def test_samples_do_not_depend_on_their_company(gait):
-    """A sample taken alone has the bits that it has among others; another seed has others."""
-    among = Trunk(gait(), 1.2, 7).at(T, WALKS)
-    alone = Trunk(gait(), 1.2, 7).at(T[9_999:10_000], np.ones(1))
-    assert (among[9_999] == alone[0]).all()
-    assert (Trunk(gait(), 1.2, 8).at(T, WALKS) != among).any()
 
 
 @pytest.mark.parametrize(("vertical_m", "warned"), [(0.3, False), (1.0, True)])

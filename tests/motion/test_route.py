@@ -1,18 +1,14 @@
 """A path with its timing: how fast a person goes along it."""
 
 import itertools
-import math
-import time
 
 import numpy as np
 import pytest
-from scipy.interpolate import BSpline
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Stop, Walk
 from vlp16emu.motion.path import Path, limit_slope
 from vlp16emu.motion.route import Profile, Route
-from vlp16emu.motion.splines import powers
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [36.0, 2.0], [20.0, 14.0]])
 LOOP_M = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 9.0], [0.0, 9.0], [0.0, 0.0]])
@@ -82,18 +78,6 @@ def test_an_open_path_has_one_lap():
         route(laps=2)
 
 
-def test_a_path_of_two_kilometres_is_made_at_once():
-    """Path and profile of 2 km take less than 0.3 s of processor time, in the best of three."""
-    points_m = np.column_stack([np.arange(160.0) * 10.0, 10 * np.sin(np.arange(160.0))])
-    took_s = []
-    for _ in range(3):
-        begin = time.thread_time()
-        made = route(points_m, run_time_s=2500.0)
-        took_s.append(time.thread_time() - begin)
-    assert made.length_m > 1950.0
-    assert min(took_s) < 0.3
-
-
 def test_a_person_stands_before_the_first_step():
     """For `stand_s` nothing moves; from then on it is the walk that it is without, also where its time is given."""
     for pace in ({}, {"run_time_s": 90.0}):
@@ -158,13 +142,6 @@ def test_a_bend_slows_down_no_more_than_it_must():
     assert np.abs(one_bend(along_m) * speed_m_s).max() > 0.95
 
 
-def test_derivatives_are_those_of_the_arc_length():
-    """Speed and acceleration are the differences of arc length and speed over a millisecond."""
-    _, along_m, speed_m_s, acceleration_m_s2 = sampled(profile(one_bend, [(10.0, 1.0)]))
-    np.testing.assert_allclose((along_m[2:] - along_m[:-2]) / 2e-3, speed_m_s[1:-1], atol=1e-5)
-    np.testing.assert_allclose((speed_m_s[2:] - speed_m_s[:-2]) / 2e-3, acceleration_m_s2[1:-1], atol=1e-4)
-
-
 def test_the_profile_is_smooth_to_the_fourth_derivative():
     """Halving the step divides third differences of the acceleration by more than five; a kink would halve them."""
     _, _, _, acceleration_m_s2 = sampled(profile())
@@ -181,12 +158,6 @@ def test_a_stop_is_at_its_place_and_lasts_its_time(at_m):
     there = rest & (np.abs(along_m - at_m) < 1e-9)
     assert 4.0 - 2e-3 <= there.sum() * 1e-3 < 4.5
     assert (np.diff(t[there]) < 2e-3).all()
-
-
-def test_stops_at_one_place_add_up():
-    """Two stops at one place are one of both pauses."""
-    twice = profile(stops=[(20.0, 1.0), (20.0, 2.0)])
-    assert twice.run_time_s == profile(stops=[(20.0, 3.0)]).run_time_s
 
 
 def test_speed_is_adapted_to_a_given_run_time():
@@ -236,13 +207,6 @@ def test_short_and_long_paths_are_finite(length_m):
     assert values[0, -1] == pytest.approx(length_m)
 
 
-def test_a_moment_does_not_depend_on_its_company():
-    """A moment computed alone has the same bits as among others."""
-    made, t = profile(one_bend), np.linspace(0.0, 50.0, 1003)
-    for many, one in zip(made.at(t), made.at(t[777:778]), strict=True):
-        assert many[777] == one[0]
-
-
 def test_limited_slope_is_the_largest_curve_below():
     """The lowered curve is the least, over all points, of their value and what may be climbed from there."""
     rng = np.random.default_rng(3)
@@ -252,14 +216,3 @@ def test_limited_slope_is_the_largest_curve_below():
     limit_slope(values, step)
     np.testing.assert_allclose(values, expected, atol=1e-12)
     assert all(abs(b - a) <= s + 1e-12 for (a, b), s in zip(itertools.pairwise(values), step, strict=True))
-
-
-@pytest.mark.parametrize("count", [6, 7, 400])
-def test_pieces_are_those_of_a_general_spline(count):
-    """Pieces of a spline with equal steps are those of scipy's BSpline with the same control points, to rounding."""
-    control = np.cumsum(np.random.default_rng(count).random(count))
-    knots = np.arange(count + 6) - 5.0
-    general = BSpline(knots, control, 5)
-    at = np.arange(count - 5.0)
-    wanted = np.stack([general.derivative(power)(at) / math.factorial(power) for power in range(6)])
-    np.testing.assert_allclose(powers(knots[5:-5], knots, control[:, None], 5)[..., 0], wanted, rtol=1e-14, atol=1e-14)

@@ -1,119 +1,27 @@
-"""Waypoints in files, patterns over a plot, and ways around what is in the way."""
+"""Waypoints with their stops, patterns over a plot, and an open path that is walked there and back."""
 
 import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Gps, LawnMower, Stop, Walk
-from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.path import Path
-from vlp16emu.motion.way_points import WayPoints, around, lawn_mower, read_way_points, way_points
-from vlp16emu.world.polyline import distance_m
-
-ORIGIN = Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=100.0)
-
-GPX = """<?xml version="1.0" encoding="UTF-8"?>
-<gpx version="1.1" creator="someone" xmlns="http://www.topografix.com/GPX/1/1">
-{}
-</gpx>
-"""
-
-
-def written(folder, name, text):
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def read(path):
-    return read_way_points(path, ORIGIN, (1000.0, 2000.0))
-
-
-def test_csv_is_read_about_the_origin(tmp_path):
-    """The origin's easting and northing are taken off, and an empty stop is none."""
-    points = read(written(tmp_path, "way.csv", "y_m,stop_s,X\n2004,,1001\n\n2005,2.5,1012\n"))
-    np.testing.assert_array_equal(points.xy_m, [[1.0, 4.0], [12.0, 5.0]])
-    np.testing.assert_array_equal(points.pause_s, [0.0, 2.5])
+from vlp16emu.motion.route import Route
+from vlp16emu.motion.way_points import lawn_mower, way_points
 
 
 def test_pauses_are_added_by_number(tmp_path):
     """A pause at waypoint 2 adds to what the file says, and a number beyond the last is refused."""
-    file = written(tmp_path, "way.csv", "x_m,y_m,stop_s\n0,0,0\n9,0,1\n")
+    file = tmp_path / "way.csv"
+    file.write_text("x_m,y_m,stop_s\n0,0,0\n9,0,1\n")
 
     def stopping(number):
         stops = [Stop(way_point=number, pause_s=3.0)]
-        return way_points(Walk(kind="walk", way_points_file=str(file), stops=stops), ORIGIN, (0.0, 0.0))
+        return way_points(Walk(kind="walk", way_points_file=str(file), stops=stops), Gps(), (0.0, 0.0))
 
     np.testing.assert_array_equal(stopping(2).pause_s, [0.0, 4.0])
     with pytest.raises(TrajectoryError, match="stop: found waypoint 3; expected from 1 to 2"):
         stopping(3)
-
-
-@pytest.mark.parametrize(("container", "element"), [("trk", "trkpt"), ("rte", "rtept")])
-def test_gpx_is_read_onto_the_plane_of_the_scene(tmp_path, container, element):
-    """Points of a track or route come back within a millimetre, wherever they are within 300 m."""
-    xy_m = np.array([[0.0, 0.0], [120.0, -30.0], [-200.0, 200.0]])
-    places = to_geodetic(np.column_stack([xy_m, np.zeros(3)]), ORIGIN)
-    points = "".join(f'<{element} lat="{p[0]:.10f}" lon="{p[1]:.10f}"><ele>120</ele></{element}>' for p in places)
-    inner = f"<trkseg>{points}</trkseg>" if container == "trk" else points
-    way = f'<wpt lat="1" lon="2"/><{container}><name>walk</name>{inner}</{container}>'
-    found = read(written(tmp_path, "way.GPX", GPX.format(way)))
-    np.testing.assert_allclose(found.xy_m, xy_m, atol=0.01)
-    assert not found.pause_s.any()
-
-
-BAD = [
-    ("way.txt", "", "found the ending '.txt'; expected .csv or .gpx"),
-    (
-        "a.csv",
-        "x_m,y_m,stop\n1,2,3\n",
-        ", line 1: unknown column 'stop'; expected stop_s, the nearest, or a name unlike it",
-    ),
-    ("g.csv", "x_m,y_m,stop_s\n1,2,-1\n", ", line 2, column stop_s: found -1; expected a number from 0 to 1e+06"),
-    ("h.gpx", "<gpx>", ", line 1: no XML: no element found; expected a GPX file"),
-    (
-        "h2.gpx",
-        '<?xml version="1.0" encoding="x-garmin"?><gpx/>',
-        ", line 1: unknown encoding: x-garmin; expected a GPX file in UTF-8",
-    ),
-    ("i.gpx", "<gpx></gpx>", ": found 0 tracks and 0 routes; expected one of them"),
-    ("j.gpx", "<gpx><trk/><trk/></gpx>", ": found 2 tracks and 0 routes; expected one of them"),
-    (
-        "k.gpx",
-        '<!DOCTYPE gpx [<!ENTITY a "b">]><gpx>&a;</gpx>',
-        ", line 1: a document type declaration; expected none in a GPX file",
-    ),
-    (
-        "l.gpx",
-        '<gpx><trk>\n<trkpt lat="62" lon="x"/></trk></gpx>',
-        ", line 2, column lon: found 'x'; expected a number from -180 to 180",
-    ),
-    (
-        "m.gpx",
-        '<gpx><trk>\n<trkpt lat="91" lon="2"/></trk></gpx>',
-        ", line 2, column lat: found 91; expected a number from -90 to 90",
-    ),
-    (
-        "n.gpx",
-        '<gpx><trk>\n<trkpt lat="62.24" lon="35.75"/></trk></gpx>',
-        ", line 2: lies 519 km from the scene's origin; expected at most 100 km from 62.24, 25.75 degrees",
-    ),
-]
-
-
-@pytest.mark.parametrize(("name", "text", "line"), BAD, ids=[row[0] for row in BAD])
-def test_a_bad_file_is_reported_in_one_line(tmp_path, name, text, line):
-    """File, line, what was found and what was expected."""
-    path = written(tmp_path, name, text)
-    with pytest.raises(TrajectoryError) as caught:
-        read(path)
-    assert str(caught.value).removeprefix(str(path)).removeprefix(": ") == line.removeprefix(": ")
-
-
-def test_a_missing_file_is_reported(tmp_path):
-    """The operating system's reason is passed on."""
-    with pytest.raises(TrajectoryError, match=r"none\.gpx: no such file or directory; expected a GPX file"):
-        read(tmp_path / "none.gpx")
 
 
 PLOT = {
@@ -141,7 +49,7 @@ def mown():
 
 def test_lines_cover_the_plot_and_stay_in_it(mown):
     """Six lines, 5 m apart and in the middle of 27 m, each walked over nearly its length, within 2 mm of the plot."""
-    along, across = in_plot(mown.at(np.linspace(0.0, mown.length_m, 40_001))[0])
+    along, across = in_plot(mown.derivatives_at(np.linspace(0.0, mown.length_m, 40_001))[0][:, 0])
     assert -0.002 < along.min() < along.max() < 30.002
     assert across.min() == pytest.approx(1.0, abs=0.002)
     assert across.max() == pytest.approx(26.0, abs=0.002)
@@ -174,44 +82,71 @@ def test_turns_that_do_not_fit_are_refused(radius_m):
         lawn_mower(LawnMower(**PLOT | {"turn_radius_m": radius_m}))
 
 
-def way(*xy_m):
-    return WayPoints(np.array(xy_m, float), np.zeros(len(xy_m)))
+BIRCH_M = [[0, 0], [18, 4], [34, -3], [52, 2], [66, 14], [80, 18]]
+LAPS = 3
 
 
-def gaps_m(points, places_m):
-    """Distances of places from the curve through waypoints."""
-    return distance_m(np.asarray(places_m, float), Path(points.xy_m, lambda x, y: 0 * x).xy_m)
+def hilly(x_m, y_m):
+    return np.sin(0.1 * x_m) + 0.5 * np.cos(0.2 * y_m)
 
 
-def test_the_path_keeps_its_distance_and_its_waypoints():
-    """Around scattered stems, one right on the path, the curve has the gaps asked for, and passes the user's waypoints in order."""
-    points = way([0, 0], [20, 0], [40, 6])
-    places = np.array([[5, 0.3], [11, -0.5], [14, 0.0], [30, 3.2], [25, 9.0]])
-    wanted = np.array([0.9, 1.0, 1.1, 0.95, 1.0])
-    found = around(points, places, wanted)
-    assert (gaps_m(found, places) >= wanted).all()
-    at = [np.flatnonzero((found.xy_m == xy).all(axis=1)) for xy in points.xy_m]
-    assert [len(one) for one in at] == [1, 1, 1]
-    assert np.diff(np.concatenate(at)).min() > 0
-    assert np.abs(found.xy_m[:, 1] - 0.15 * np.maximum(found.xy_m[:, 0] - 20, 0) * 2).max() < 2.5
+def walk(way_points_m=BIRCH_M, **own):
+    return Walk(kind="walk", way_points_m=way_points_m, back_and_forth=True, **own)
 
 
-def test_a_free_path_stays_as_it_is():
-    """Where nothing is too near, no waypoint is added."""
-    points = way([0, 0], [10, 1], [20, 0])
-    assert around(points, np.array([[10.0, 5.0]]), np.array([1.0])) is points
+def route(section):
+    points = way_points(section, Gps(), (0.0, 0.0))
+    return Route(Path(points.xy_m, hilly), section, points.pause_s)
 
 
-def test_stops_stay_with_their_waypoints():
-    """Waypoints that are added have no stop, and the others keep theirs."""
-    points = WayPoints(np.array([[0.0, 0], [10, 0], [20, 0]]), np.array([0.0, 4.0, 0.0]))
-    found = around(points, np.array([[5.0, 0.1]]), np.array([0.8]))
-    assert found.pause_s.tolist() == [0, 0, 4, 0]
-    assert found.xy_m[2].tolist() == [10, 0]
+@pytest.fixture(scope="module")
+def track():
+    """Hundredths of a second of three laps."""
+    made = route(walk(laps=LAPS))
+    return made.at(np.arange(0.0, made.run_time_s, 1e-2))
 
 
-def test_where_there_is_no_way_it_is_named(monkeypatch):
-    """A waypoint of the user that is itself too near cannot be led around, however often it is tried."""
-    monkeypatch.setattr("vlp16emu.motion.way_points._TRIES", 20)
-    with pytest.raises(TrajectoryError, match=r"no way found around what is at \(10, 0.2\) m; expected another path"):
-        around(way([0, 0], [10, 0], [20, 0]), np.array([[10.0, 0.2]]), np.array([1.0]))
+def test_each_lap_passes_all_way_points_there_and_back(track):
+    """Waypoints are passed in their order, in reverse, and again, each within 1 cm; the ends once, before the loop and after it."""
+    gap_m = np.linalg.norm(track[0][None, :, :2, 0] - np.array(BIRCH_M, float)[:, None], axis=2)
+    nearest, near = gap_m.argmin(axis=0), gap_m.min(axis=0) < 0.01
+    passed = nearest[near][np.diff(nearest[near], prepend=-1) != 0].tolist()
+    assert passed == LAPS * [0, 1, 2, 3, 4, 5, 4, 3, 2, 1] + [0]
+
+
+def test_the_way_back_is_the_way_there(track):
+    """Off the loops behind its ends, of 1.4 m, the path back is within half a metre of the path there."""
+    nodes = track[0][::10]
+    xy_m = nodes[:, :2, 0]
+    turned = np.abs(np.angle(np.exp(1j * (nodes[:, 5, 0] - np.arctan2(4, 18))))) > np.pi / 2
+    back = xy_m[turned & (xy_m[:, 0] > 2) & (xy_m[:, 0] < 78)]
+    apart_m = np.linalg.norm(back[:, None] - xy_m[None, ~turned], axis=2).min(axis=1)
+    assert len(back) > 1000
+    assert apart_m.max() < 0.5
+
+
+def test_the_person_turns_round_without_a_halt(track):
+    """Limits of speed, acceleration and turn rate hold, also behind the ends; between first and last step nobody stands still."""
+    nodes, speed_m_s = track
+    assert np.degrees(np.abs(nodes[:, 5, 1])).max() < 60.0 * 1.001
+    assert speed_m_s.max() <= 1.2 + 1e-9
+    assert np.abs(np.diff(speed_m_s)).max() / 1e-2 < 1.0 + 1e-6
+    assert speed_m_s[300:-300].min() > 0.3
+
+
+def test_stops_are_made_there_and_back():
+    """A stop at an inner waypoint is made twice in a lap, one at an end once; the run is longer by that."""
+    moving_s = route(walk()).run_time_s
+    for number, times in ((3, 2), (6, 1)):
+        stopped = route(walk(stops=[Stop(way_point=number, pause_s=30.0)]))
+        _, speed_m_s = stopped.at(np.arange(0.0, stopped.run_time_s, 0.1))
+        still = np.diff((speed_m_s[30:-30] < 1e-9).astype(int))
+        assert (still == 1).sum() == times
+        assert stopped.run_time_s > moving_s + 30.0 * times
+
+
+@pytest.mark.parametrize("way_points_m", [[[0, 0], [9, 0], [9, 9], [0, 0]], [[0, 0], [3, 0]]])
+def test_a_closed_path_and_one_that_is_too_short_are_refused(way_points_m):
+    """Where the ends are nearer to each other than the loops behind them are long, the line names the key."""
+    with pytest.raises(TrajectoryError, match=r"back_and_forth: found .* from the first; expected at least 2"):
+        route(walk(way_points_m))

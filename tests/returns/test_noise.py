@@ -68,8 +68,8 @@ def test_bias_is_constant_per_laser_and_gaussian_over_units(seen):
 
 def test_warm_up_fades_exponentially(seen):
     """Ranges are too long by the drift at power-up, by 1 / e of it one time constant later, and right in the end."""
-    for since_s, share in ((0, 1.0), (600, np.exp(-1)), (60_000, 0.0)):
-        out = seen({"warm_up_m": 0.05, "warm_up_s": 600.0}, k=1, t_ns=since_s * 10**9)
+    for since_s, share in ((0, 1.0), (900, np.exp(-1)), (60_000, 0.0)):
+        out = seen({"warm_up_m": 0.05}, k=1, t_ns=since_s * 10**9)
         np.testing.assert_allclose(out.distance_m[..., 0] - 10, 0.05 * share, atol=2e-6)
 
 
@@ -125,7 +125,7 @@ def test_presets_are_what_they_say():
         "typical: 6.5 mm white, 0 mm bias per laser, 0.02 deg, 1.5 counts and 3 % on reflectivity, weak echoes lost"
     )
     ideal = Noise(preset="ideal")
-    assert not any(ideal.model_dump(exclude={"preset", "warm_up_s"}).values())
+    assert not any(ideal.model_dump(exclude={"preset"}).values())
     sheet = Noise(preset="datasheet")
     assert 2 * np.hypot(sheet.range_noise_m, sheet.range_bias_m) == pytest.approx(0.03, abs=0.001)
     assert Noise(preset="ideal", range_noise_m=0.02).range_noise_m == 0.02

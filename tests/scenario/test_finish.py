@@ -5,8 +5,9 @@ import math
 import pytest
 
 from vlp16emu.errors import ScenarioError
+from vlp16emu.extras.meshes.settings import MeshPart
 from vlp16emu.scenario import load
-from vlp16emu.world.settings import HallBox, MeshPart
+from vlp16emu.world.settings import HallBox
 
 
 def box(finish):

@@ -3,8 +3,9 @@
 import pytest
 from pydantic import ValidationError
 
+from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.forest.settings import Forest, Terrain
-from vlp16emu.motion import Gait, Imu, Mount
+from vlp16emu.motion import Gait, Mount
 
 AMPLITUDES = set(Gait.model_fields) - {"preset", "step_hz", "variation"}
 

@@ -27,9 +27,9 @@ def test_a_preset_of_its_own_takes_the_place_of_the_firsts():
         "{}", '{preset="steady"}', '{preset="unit", hum_deg=0.01}', sensor=["preset='unit'", "rpm=300"]
     )
     assert like.hum_deg > 0
-    assert like.encoder_pitch_deg > 0
-    assert (even.hum_deg, even.encoder_pitch_deg, even.rpm) == (0.0, 0.0, 300)
-    assert (own.hum_deg, own.encoder_pitch_deg) == (0.01, like.encoder_pitch_deg)
+    assert like.speed_error_rpm > 0
+    assert (even.hum_deg, even.speed_error_rpm, even.rpm) == (0.0, 0.0, 300)
+    assert (own.hum_deg, own.speed_error_rpm) == (0.01, like.speed_error_rpm)
 
 
 def test_what_no_two_have_in_common_is_not_taken_over():

@@ -112,11 +112,6 @@ def test_things_that_poke_out_are_refused(things, message):
         make_hall(**things)
 
 
-def test_floor_is_at_zero():
-    """The ground under the hall is level at z = 0."""
-    assert (make_hall().height_m(np.zeros((2, 3)), np.ones((2, 3))) == np.zeros((2, 3))).all()
-
-
 def test_a_way_through_a_wall_is_reported(caplog):
     """A way that leaves the hall is warned of by its first point outside; one inside is not."""
     hall = make_hall()

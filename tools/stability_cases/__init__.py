@@ -3,9 +3,9 @@
 from stability_cases import clock, coordinates, crowds, entries, faces, paths, turning
 from stability_cases.row import Case, Row, check
 
-__all__ = ["QUICK", "SLOW", "Case", "Row", "check"]
+__all__ = ["CASES", "Case", "Row", "check"]
 
-QUICK: tuple[Case, ...] = (
+CASES: tuple[Case, ...] = (
     coordinates.far_files,
     coordinates.far_worlds,
     coordinates.far_walks,
@@ -17,6 +17,7 @@ QUICK: tuple[Case, ...] = (
     faces.inside,
     faces.edge_on,
     crowds.crowd,
+    crowds.too_many,
     turning.stiff_straps,
     turning.fast_turns,
     clock.day,
@@ -27,7 +28,3 @@ QUICK: tuple[Case, ...] = (
     entries.options,
     entries.python,
 )
-"""Cases that the tests carry out too."""
-
-SLOW: tuple[Case, ...] = (crowds.throng, crowds.too_many)
-"""Cases of many seconds, for the tool alone."""

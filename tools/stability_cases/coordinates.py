@@ -23,13 +23,13 @@ _TREES_M = [(6.25, 4.5), (-5.0, 3.25), (-4.5, -6.0), (9.0, -9.5), (-8.25, 9.0)]
 _WAY_M = [(-1.0, 0.5), (0.0, 0.0), (1.5, 0.25)]
 _HALF_M = 60
 """Of the ground in the file, which the sensor's reach must not leave."""
-_SPAN_S = 0.0, 0.2
+_SPAN_S = 0.0, 0.1
 
 _SCENE = """\
 schema = 1
 title = "A plot at some place"
 seed = 3
-sensor = {{ max_range_m = 30.0 }}
+sensor = {{ max_range_m = 20.0 }}
 motion = {motion}
 
 [world]
@@ -81,7 +81,7 @@ def write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...],
     scene = folder / "plot.toml"
     # Patches of texture, and leaves beyond `near_m`, are drawn by their place in the world: a world that stands elsewhere has
     # others. So the moved one has no texture, and is of faces as far as the sensor reaches.
-    texture, near_m = (0.1, 15.0) if walk else (0.0, 30.0)
+    texture, near_m = (0.1, 12.0) if walk else (0.0, 20.0)
     place = {"x": f"{x + 4}.0", "y": f"{y - 3}.0"}
     scene.write_text(_SCENE.format(motion=motion, origin=origin, texture=texture, near_m=near_m, **place))
     return scene

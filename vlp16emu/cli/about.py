@@ -26,7 +26,7 @@ from vlp16emu.cli.printer import (
 )
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
-from vlp16emu.options import Option
+from vlp16emu.run.options import Option
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -104,7 +104,8 @@ def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> No
         print_json(tree)
         return
     for title, on in (("has", True), ("leaves out", False)):
-        print_rows(f"{scene} {title}", {need.name: need.costs for need in tree["features"] if need.on is on})
+        if features := {need.name: need.costs for need in tree["features"] if need.on is on}:
+            print_rows(f"{scene} {title}", features)
     print_rows("in reach", rows_of(tree["world"]))
     print_rows("libraries", {name: "loaded" if on else "left out" for name, on in tree["libraries"].items()})
     print_rows(f"measured now, on {engine.threads} threads", rows_of(tree["measured"]))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from vlp16emu.options import Option, Options
+from vlp16emu.run.options import Option, Options
 
 _SCENE = "Name of a scene (see `vlp16emu scenes`) or path of a .toml file"
 

@@ -12,7 +12,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName
 from vlp16emu.cli.printer import print_json, print_rows, rows_of, tree_of
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.options import ScoreInputs
-from vlp16emu.options import Option
+from vlp16emu.run.options import Option
 
 if TYPE_CHECKING:
     from vlp16emu.extras.compare import Compared

@@ -13,8 +13,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, members
 from vlp16emu.cli.terminal import make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import OutputError
-from vlp16emu.options import Option
-from vlp16emu.run.options import RecordOptions
+from vlp16emu.run.options import Option, RecordOptions
 
 if TYPE_CHECKING:
     from vlp16emu.packets import CaptureReader, PointFrame

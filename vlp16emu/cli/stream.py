@@ -16,8 +16,7 @@ from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.options import Option
-from vlp16emu.run.options import ReplayOptions, stream_options
+from vlp16emu.run.options import Option, ReplayOptions, stream_options
 
 if TYPE_CHECKING:
     from vlp16emu.engine import Unit
@@ -140,9 +139,7 @@ def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: fl
 
 def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
     """Return the options of a live scene, whose late packets are dropped; InputError if nothing says where its poses come in."""
-    from vlp16emu.motion.settings import takes_poses
-
-    if not takes_poses(scenario.motion):
+    if not scenario.motion.takes_poses:
         return options
     if options.poses is None or options.poses.where is None:
         raise InputError("--pose-in", 'found motion.kind = "live" without it', "udp://127.0.0.1:PORT")
@@ -151,9 +148,7 @@ def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
 
 def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | None, is_prepared: bool) -> None:
     """Set the beam and the reach that this machine keeps up with, if that is wanted, and print them."""
-    from vlp16emu.motion.settings import takes_poses
-
-    cannot = "--prepare" if is_prepared else ("--pose-in" if takes_poses(emulator.scenario.motion) else None)
+    cannot = "--prepare" if is_prepared else ("--pose-in" if emulator.scenario.motion.takes_poses else None)
     if wanted and cannot:
         raise InputError("--keep-up", f"found beside {cannot}", "one of both")
     is_terminal = sys.stderr is not None and sys.stderr.isatty()

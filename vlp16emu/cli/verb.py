@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 from vlp16emu.errors import InputError
-from vlp16emu.options import Declared, Options, declared
+from vlp16emu.run.options import Declared, Options, declared
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:

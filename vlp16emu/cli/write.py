@@ -13,8 +13,17 @@ from vlp16emu.cli.printer import finish, size
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
-from vlp16emu.options import Option, options_of
-from vlp16emu.run.options import BagOptions, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
+from vlp16emu.run.options import (
+    BagOptions,
+    Option,
+    Span,
+    TruthPackets,
+    TruthRate,
+    TruthReturns,
+    TruthTo,
+    WhichUnit,
+    options_of,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -304,10 +313,9 @@ def _show_scene(
     server: "viser.ViserServer", scene: str, settings: list[str] | None, unit: int, radius_m: float, save: Path | None
 ) -> None:
     from vlp16emu.extras.viewer.page import scene_page
-    from vlp16emu.motion.settings import takes_poses
 
     emulator = make_emulator(scene, args.SceneOptions(settings))
-    if takes_poses(emulator.scenario.motion):
+    if emulator.scenario.motion.takes_poses:
         raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
     with Progress(100.0) as bar:
         page = scene_page(

@@ -13,10 +13,8 @@ from vlp16emu.elementary import norm
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
-from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
-from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
@@ -29,7 +27,6 @@ from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
 from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
-from vlp16emu.world.settings import Sway
 
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
@@ -124,11 +121,11 @@ class Parts:
 
     units: tuple[Unit, ...]  # At least one
     carrier: Motion  # Motion of the body that carries the devices
-    imu: ImuSampler | None
+    imu: Any  # Its samples, an `extras.imu.sampler.ImuSampler`; None without an inertial unit
     imu_mount: Mount  # True mount of the inertial unit, if there is one
     ground_m: HeightField  # Height of the ground over places
     world: World  # At rest
-    wind: Sway | None  # What moves its trees
+    wind: Any  # What moves its trees, a `forest.stand.wind.TreeSway`; None in still air
     people: Any  # People beside the carrier, an `extras.people.People`; None without them
     gps: GpsInput  # What the receiver sends; what each unit gets of it is the unit's
 
@@ -156,7 +153,7 @@ def in_one_world(one: Scenario, other: Scenario) -> bool:
         reach = [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)]
         return *world, *motion, scenario.gps, scenario.start_ns, reach
 
-    return not takes_poses(one.motion) and way(one) == way(other)
+    return not one.motion.takes_poses and way(one) == way(other)
 
 
 def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
@@ -177,7 +174,7 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
     top, sampler, imu_mount, people = scenario.motion.under_sensors(carrier), None, Mount(), None
     if imu:
         imu_mount = true_mount(imu.mount, seed, _IMU)
-        sampler = ImuSampler(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
+        sampler = door("imu")(mounted(carrier, imu_mount, start_ns), imu, start_ns=start_ns, seed=seed)
     if scenario.people:
         people = door("people")(scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed)
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
@@ -213,7 +210,7 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
     return Footprint(scenario.beam, seed, scenario.detector.resolution_m, *seen)
 
 
-def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Sway | None]:
+def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
     """Make the carrier, the ground and the world that it goes through, and what moves its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)

@@ -16,9 +16,7 @@ _IN_A_FOREST: dict[str, Any] = {"wind": {"speed_m_s": 2.0}}
 
 def in_the_field(tree: dict[str, Any]) -> dict[str, Any]:
     """Return a scene with the keys that make a real walk harder, where it does not give them."""
-    motion, world = (
-        table.get("kind") if isinstance(table := tree.get(name), dict) else None for name in ("motion", "world")
-    )
+    motion, world = (one.get("kind") if isinstance(one := tree.get(key), dict) else None for key in ("motion", "world"))
     base = _FIELD | (_ON_FOOT if motion == "walk" else {}) | (_IN_A_FOREST if world in _FORESTS else {})
     units = tree.get("rig")
     if isinstance(units, list):

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from vlp16emu.options import Option, Options
-from vlp16emu.run.options import Span, TruthPlace, WhichUnit
+from vlp16emu.run.options import Option, Options, Span, TruthPlace, WhichUnit
 
 _LONGEST_S = 7 * 86_400
 _FARTHEST = 1e6

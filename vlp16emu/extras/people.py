@@ -4,14 +4,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
 from vlp16emu.motion.pose import Motion
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry
-from vlp16emu.types import F8, I8, SURFACE, Firings, HeightField, Hits, Semantic
+from vlp16emu.types import F4, F8, I8, SURFACE, Firings, HeightField, Hits, Semantic
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world import People as PeopleSection
 
@@ -75,9 +74,8 @@ class People:
     def _companion(self, t_ns: I8) -> F8:
         """Return the place (k, 3) of who follows, at instants (k,): on the ground, straight behind the carrier."""
         poses = self._carrier.poses_at(t_ns)
-        return self._beside(
-            poses.world_p_body_m, poses.world_R_body[:, :2, 0], np.full(len(t_ns), -self._section.behind_m)
-        )
+        behind_m = np.full(len(t_ns), -self._section.behind_m)
+        return self._beside(poses.world_p_body_m, poses.world_R_body[:, :2, 0], behind_m)
 
     def _passer(self, t_ns: I8) -> F8:
         """Return the place (k, 3) of who passes: beside the one that the carrier will have, or had, as long after they meet."""
@@ -94,7 +92,7 @@ class People:
         level_m = place_m[:, :2] + by_m[:, None] * axis / norm(axis)[:, None]
         return np.column_stack([level_m, self._height_m(level_m[:, 0].copy(), level_m[:, 1].copy())])
 
-    def _met(self, firings: Firings, foot_m: F8) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _met(self, firings: Firings, foot_m: F8) -> tuple[F4, F4]:
         """Return range (k, L) at which pulses meet a person, inf where they do not, and cosine of incidence."""
         range_m, cosine = np.full(firings.t_ns.shape, np.inf), np.zeros(firings.t_ns.shape)
         from_foot_m, at_m = firings.origin_m - foot_m[:, None], _SHOULDERS * _STATURE_M

@@ -9,6 +9,7 @@ from typing import Any
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.keep_up import choose, settings_that_keep_up
+from vlp16emu.extras.meshes.furnished import MeshKey
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.prototypes import CrownKey, SaplingKey, ShrubKey
 from vlp16emu.forest.plants.stem import StemKey
@@ -17,7 +18,6 @@ from vlp16emu.forest.stand.tree_models import ModelKey
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.motion import Walk
 from vlp16emu.scenario import Scenario
-from vlp16emu.world.furnished import MeshKey
 
 _KINDS = {
     CrownKey: "trees",
@@ -50,7 +50,7 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
     harness = isinstance(motion, Walk) and motion.harness is not None
     canopy = scenario.gps.connected and scenario.gps.canopy_loss
     moves, many, blows = any(unit.motion.moves for unit in parts.units), len(parts.units), parts.wind is not None
-    own = bool(scenario.world.meshes or getattr(scenario.world, "tree_models", ()))
+    own = bool(scenario.world.meshes or getattr(scenario.world, "tree_models", []))
     rows = {
         "motion": (moves, "a pose for every pulse, a window every 7 s", "one pose and one window for all"),
         "gait": (gait, "sums of lines for every pose", "nothing is swung"),

@@ -156,15 +156,13 @@ def replay(
         udp = UdpSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
         stack.enter_context(udp)
         opened(packets)
-        report = stream(
-            packets, udp, Pacer(asked.speed), late=Late(asked.late), notify=notify, now=asked.now, stop=stop
-        )
+        made = stream(packets, udp, Pacer(asked.speed), late=Late(asked.late), notify=notify, now=asked.now, stop=stop)
     counts = ((of[PacketKind.DATA], of[PacketKind.POSITION]) for of in udp.sent)
     units = tuple(
         UnitSent(number, str(unit), link.source, link.data_port, link.position_port, *of)
         for number, (unit, link, of) in enumerate(zip(packets.units, links, counts, strict=True), start=1)
     )
-    return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), report)
+    return Replayed(str(path), to, units, packets.left_out, packets.passes, tuple(packets.gaps_s), made)
 
 
 def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:

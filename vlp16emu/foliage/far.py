@@ -17,6 +17,7 @@ from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, lanes
 from vlp16emu.foliage.march import Passage
 from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, unpacked_block
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.foliage.stems import seen, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
@@ -25,7 +26,6 @@ from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_o
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recalled
 from vlp16emu.types import F4, F8, U1, Mesh, ShapeKey, Window
-from vlp16emu.world.polyline import distance_m
 
 STRAY_M = 1.0
 """Greatest distance of a sensor from the positions of its window."""

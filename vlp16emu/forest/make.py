@@ -6,18 +6,16 @@ import math
 from pathlib import Path
 from typing import Any
 
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.species import flora
-from vlp16emu.forest.settings import Forest, Plot, Woods
+from vlp16emu.forest.settings import Forest, Plot, Wind, Woods
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.types import Array, World
-from vlp16emu.world.furnished import furnished
-from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import Wind
 
 _log = logging.getLogger(__name__)
 
@@ -88,7 +86,7 @@ class ForestSite:
             **common,
         )
         sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
-        return furnished(bare, section.meshes, path_xy_m, reach_m), sway
+        return section.furnished(bare, path_xy_m, reach_m), sway
 
 
 def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:

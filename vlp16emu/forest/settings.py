@@ -22,7 +22,7 @@ from vlp16emu.settings import (
     Table,
     merged,
 )
-from vlp16emu.world.settings import Texture, TreeModelFile, WorldSection
+from vlp16emu.world.settings import MeshSource, Texture, WorldSection
 
 Season = Literal["leaf_on", "leaf_off"]  # with leaves, or as in winter: broadleaves bare, needles on
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
@@ -325,6 +325,25 @@ Near = Annotated[  # a distance, in m, that may be infinite; JSON, which has no 
 ]
 
 
+class ModelPart(Section):
+    """Label of one part of the file of a tree."""
+
+    name: str
+    """Name of the object or group (OBJ) or node (GLB)."""
+    part: Literal["stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
+    """Part of a tree that it is."""
+
+
+class TreeModelFile(MeshSource):
+    """A tree of the user's own, which takes the place of the grown trees of a species, scaled to the size of each."""
+
+    species: str
+    """Trees that look like it: name in the species table, or scientific name. Of several models of a species each tree has one
+    at random among those that it stretches least."""
+    parts: list[ModelPart] = Field(default_factory=list)
+    """Parts of the file that are no stem."""
+
+
 class Woods(WorldSection):
     """Ground and undergrowth, whatever trees stand on it."""
 
@@ -376,6 +395,24 @@ def presets() -> Table:
     """All presets by name, each in the form of a `[world]` table. Sources stand in `presets.toml`."""
     text = resources.files("vlp16emu.forest").joinpath("presets.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
+
+
+class Wind(Section):
+    """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
+
+    speed_m_s: Annotated[float, Field(ge=0, le=12)]
+    """Mean, at the top of the canopy: there half of what it is in the open, by and large. Trees answer in proportion, also
+    where real ones would break or lean on their neighbours: from some 8 m/s on thin trees of dense stands lean too far."""
+    towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction in which it blows, counter-clockwise from east."""
+    turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
+    """Standard deviation of the speed along the wind over the mean; across it is 0.8 of that. At the top of canopies
+    1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
+    gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
+    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (the same)."""
+    damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
+    """Damping of the trees' swing as a share of critical damping: whole trees have 0.08 and more, stripped ones 0.01 to
+    0.08 (Moore and Maguire, Trees 19, 2005)."""
 
 
 class Forest(Woods, Storey):

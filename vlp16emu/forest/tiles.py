@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.types import Array, HeightField, IntArray, Mesh
-from vlp16emu.world.polyline import Polyline
 
 Mask = NDArray[np.bool_]
 _CELL_M = 0.5  # edge of the squares from which cutting begins, as many as are even ground

@@ -5,13 +5,14 @@ import math
 
 import numpy as np
 
+from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.route import Route
 from vlp16emu.motion.settings import Gait, Gps, MotionSection, Static, Walk
 from vlp16emu.motion.walk import WalkMotion
-from vlp16emu.motion.way_points import around, way_points
+from vlp16emu.motion.way_points import way_points
 from vlp16emu.types import Array, HeightField, IntArray, Poses
 
 _log = logging.getLogger(__name__)
@@ -61,7 +62,7 @@ def make_carrier(
     gps : where on earth that is
     reach_m : how far the sensor sees
     start_ns : UTC of the first pulse
-    obstacles : places (n, 2) that waypoints lead around, and how far (n,) from each; as of `around`
+    obstacles : places (n, 2) that waypoints lead around, and how far (n,) from each
     """
     if isinstance(section, Static):
         xy_m = np.array([[section.x_m, section.y_m]])
@@ -75,7 +76,7 @@ def make_carrier(
     _check_gait(section.gait, section.sensor_height_m)
     points = way_points(section, gps, origin_m[:2])
     if obstacles is not None:
-        points = around(points, *obstacles)
+        points = door("way_around")(points, *obstacles)
     path = Path(points.xy_m, height_m, ground)
     route = Route(path, section, points.pause_s)
     return WalkMotion(section, route, start_ns=start_ns, seed=seed), path.xy_m

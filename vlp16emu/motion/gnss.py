@@ -1,4 +1,7 @@
-"""A GNSS receiver on the walk: errors that wander, and fixes lost under trees."""
+"""A GNSS receiver on the walk: errors that wander, and fixes lost under trees; and the world's place on the globe.
+
+The world is the plane that touches the ellipsoid of WGS 84 under its origin.
+"""
 
 import math
 from collections.abc import Callable
@@ -7,9 +10,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from vlp16emu.elementary import atan2, exp, hypot, tanh
+from vlp16emu.elementary import atan2, cos, exp, hypot, matvec, sin, tanh
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps
 from vlp16emu.random import Purpose, normal_pair, uniform_pair
@@ -21,6 +23,7 @@ Sky = Callable[[int, Array], float]
 """Share of the sky, 0..1, that is hidden at a UTC instant from an antenna (3,) in the world."""
 _WAVES = 32
 _EAST, _NORTH, _LOSS = 0, 1, 2  # lanes of the wandering processes
+_COVER_WIDTH = 0.05  # width of the logistic curve of the share of fixes that fail, over the cover; assumption
 _LOSS_S = 10.0
 """Correlation time of what lets fixes fail: some 12 m of walking, the spacing of great crowns; assumption."""
 _FARTHEST_Z, _NORMAL_PEAK = 8.0, 0.3989422804014327
@@ -28,6 +31,10 @@ _FARTHEST_Z, _NORMAL_PEAK = 8.0, 0.3989422804014327
 _HELD_S = 10  # for so long a receiver repeats its last fix
 _FASTEST_M_S = 999 * 1852 / 3600
 """999 knots, the most that a receiver reports (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
+_RADIUS_M = 6_378_137.0  # semi-major axis of WGS 84 (NGA.STND.0036, table 3.1), as the next
+_FLATTENING = 1.0 / 298.257223563
+_ECCENTRICITY2 = _FLATTENING * (2.0 - _FLATTENING)
+_ROUNDS = 3  # applications of Bowring's formula; near the ground the first one is already good to a millimetre
 _READINGS_KEPT = 64  # more than `_HELD_S`, so that no second's sky is looked at twice
 
 
@@ -92,7 +99,7 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
     white_m_s = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 1))
     slow = np.array([wander(seed, lane, second, gps.wander_s) for lane in (_EAST, _NORTH)])
     # Fixes fail with a probability that is logistic in the cover, in spells of some 10 s.
-    odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
+    odds = (cover - gps.canopy_half_cover) / _COVER_WIDTH
     lost = _exceeded(wander(seed, _LOSS, second, _LOSS_S)) if sky else 1.0
     valid = sky is None or lost >= 0.5 + 0.5 * tanh(0.5 * odds)
     measured_m = antenna_m.copy()
@@ -138,3 +145,51 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
         cosine, sine = cos_sin(2.0 * math.pi * (hz % 1.0 * second % 1.0))
         total += a * cosine + b * sine
     return total / math.sqrt(_WAVES)
+
+
+def to_local(geodetic: Array, gps: Gps) -> Array:
+    """East, north and up in metres (n, 3) of points (n, 3): latitude and longitude in degrees, height in metres.
+
+    The world is a plane, and the earth curves away below it: by 0.8 m at 3.2 km.
+    """
+    origin = np.array([[gps.latitude_deg, gps.longitude_deg, gps.height_m]])
+    return matvec(_axes(gps), _to_earth(geodetic) - _to_earth(origin))
+
+
+def to_geodetic(local_m: Array, gps: Gps) -> Array:
+    """Latitude and longitude in degrees and height in metres (n, 3) of world points (n, 3); see `to_local`.
+
+    Source: Bowring, "Transformation from spatial to geographical coordinates", Survey Review 23(181), 1976.
+    """
+    origin = np.array([[gps.latitude_deg, gps.longitude_deg, gps.height_m]])
+    x_m, y_m, z_m = (matvec(_axes(gps).T, local_m) + _to_earth(origin)).T
+    away_m, polar = hypot(x_m, y_m), 1.0 - _FLATTENING
+    sine, cosine = z_m, away_m * polar  # of the reduced latitude, and then of the latitude, not to scale
+    for _ in range(_ROUNDS):
+        length = hypot(sine, cosine)
+        sine, cosine = sine / length, cosine / length
+        up_m = z_m + _ECCENTRICITY2 / polar * _RADIUS_M * sine * sine * sine
+        out_m = away_m - _ECCENTRICITY2 * _RADIUS_M * cosine * cosine * cosine
+        sine, cosine = polar * up_m, out_m
+    latitude, length = atan2(up_m, out_m), hypot(up_m, out_m)
+    sine, cosine = up_m / length, out_m / length
+    height_m = away_m * cosine + z_m * sine - _RADIUS_M * np.sqrt(1.0 - _ECCENTRICITY2 * sine * sine)
+    return np.column_stack([np.degrees(latitude), np.degrees(atan2(y_m, x_m)), height_m])
+
+
+def _to_earth(geodetic: Array) -> Array:
+    """Return Cartesian coordinates (n, 3) in metres, from the middle of the earth."""
+    latitude, longitude = np.radians(geodetic[:, 0]), np.radians(geodetic[:, 1])
+    sine, cosine = sin(latitude), cos(latitude)
+    normal_m = _RADIUS_M / np.sqrt(1.0 - _ECCENTRICITY2 * sine * sine)
+    away_m = (normal_m + geodetic[:, 2]) * cosine
+    up_m = ((1.0 - _ECCENTRICITY2) * normal_m + geodetic[:, 2]) * sine
+    return np.column_stack([away_m * cos(longitude), away_m * sin(longitude), up_m])
+
+
+def _axes(gps: Gps) -> Array:
+    """Rotation (3, 3) from the earth's axes to east, north and up."""
+    latitude_rad, longitude_rad = np.radians(gps.latitude_deg), np.radians(gps.longitude_deg)
+    up, level = sin(latitude_rad), cos(latitude_rad)
+    aside, ahead = sin(longitude_rad), cos(longitude_rad)
+    return np.array([[-aside, ahead, 0.0], [-up * ahead, -up * aside, level], [level * ahead, level * aside, up]])

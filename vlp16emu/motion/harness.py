@@ -17,7 +17,7 @@ from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.gait import AXES
-from vlp16emu.motion.settings import Harness
+from vlp16emu.motion.settings import Harness, Mast
 from vlp16emu.types import Array
 
 KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
@@ -58,14 +58,11 @@ class Pack:
     harness : None where the pack is strapped tight
     """
 
-    def __init__(self, trunk: Callable[[int, int], Array], harness: Harness | None) -> None:
+    def __init__(self, trunk: Callable[[int, int], Array], harness: Harness | Mast | None) -> None:
         self._trunk, self._harness = trunk, harness
         if harness is None:
             return
-        # By axis, in the order of `AXES`.
-        frequency_hz = [harness.fore_aft_hz, harness.sideways_hz, harness.vertical_hz]
-        frequency_hz += [harness.roll_hz, harness.pitch_hz, harness.yaw_hz]
-        z = harness.damping_ratio
+        frequency_hz, z = harness.frequency_hz, harness.damping_ratio
         slowest = min(decay_per_s(hz, z) for hz in frequency_hz)
         if slowest * _LONGEST_S < _FORGOTTEN:
             swing = f"swings for {_FORGOTTEN / slowest:.0f} s after a push" if slowest else "swings for ever"
@@ -77,7 +74,7 @@ class Pack:
         # (6, 2, 2): the free swing over a second.
         self._second = np.array([response(hz, z, 1.0)[:, :2] for hz in frequency_hz])
         omega = 2.0 * math.pi * np.array(frequency_hz)
-        self._stiffness, self._drag = omega * omega, 2.0 * harness.damping_ratio * omega
+        self._stiffness, self._drag = omega * omega, 2.0 * z * omega
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
     def nodes(self, second: int) -> Array:

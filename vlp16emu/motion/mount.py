@@ -43,12 +43,8 @@ class MountedMotion:
         # Rodrigues: tilt, its product with the axis' cross matrix, and with that matrix squared.
         self._tilts = np.stack([tilt, matmul(across, tilt), matmul(matmul(across, across), tilt)])
         self._spin_hz, self._spin_rad_s = mount.spin_hz, 2.0 * math.pi * mount.spin_hz * axis
+        self.run_time_s = carrier.run_time_s
         self.moves = carrier.moves or mount.spin_hz != 0.0
-
-    @property
-    def run_time_s(self) -> float:
-        """The carrier's."""
-        return self._carrier.run_time_s
 
     def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses of the device at UTC instants (n,); a single one where nothing moves."""

@@ -70,18 +70,11 @@ class Path:
         self.length_m = float(self._curve.breaks[-1])
         self.closed, self.way_points_at_m, self.xy_m = laid.closed, laid.way_points_at_m, laid.xy_m
 
-    def at(self, s_m: Array) -> tuple[Array, Array]:
-        """Ground points (n, 3) in metres and headings (n,) in radians from east at arc lengths (n,).
-
-        Beyond its ends the path stays where it ends, unless it is closed.
-        """
-        point_m, heading_rad = self.derivatives_at(s_m)
-        return np.ascontiguousarray(point_m[:, 0]), np.ascontiguousarray(heading_rad[:, 0])
-
     def derivatives_at(self, s_m: Array) -> tuple[Array, Array]:
-        """Points (n, 3, 3) and headings (n, 3), each with first and second derivative by arc length.
+        """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
 
-        The middle axis of the points is the order of the derivative. Headings are continuous, in radians.
+        The middle axis of the points is the order of the derivative. Headings are continuous, in radians from east. Beyond its
+        ends the path stays where it ends, unless it is closed.
         """
         lap, s_m = self._on_lap(s_m)
         powers, since_m = self._curve.within(s_m)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.doors import door
 from vlp16emu.settings import Angle, Fraction, NonNegative, Place, Preset, SceneFile, Section, Seed, Size
 
 if TYPE_CHECKING:  # scenes are read without numpy
@@ -21,7 +20,6 @@ _Error = Annotated[float, Field(ge=0, le=1000)]
 _Frequency = Annotated[float, Field(ge=0.5, le=1e9)]
 _Offset = Annotated[float, Field(ge=-10, le=10)]
 _Point = Annotated[tuple[float, float], Field(strict=False)]
-_Place = Annotated[tuple[Place, Place], Field(strict=False)]
 _Swing = Annotated[float, Field(ge=0, le=45)]
 
 
@@ -69,6 +67,11 @@ class MotionSection(Section):
     """Mount of the sensor on its carrier."""
     if TYPE_CHECKING:
         kind: str
+
+    @property
+    def takes_poses(self) -> bool:
+        """True if poses come in while the run is streamed."""
+        return False
 
     def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":
         """Return the motion of the carrier and points (n, 2) of its path.
@@ -138,40 +141,31 @@ class Stop(Section):
         return self
 
 
+_STRONG_GAIT = {  # a heavy pack on rough ground: about twice the natural, an assumption
+    "vertical_m": 0.04,
+    "second_harmonic_m": 0.006,
+    "heel_strike_m": 0.003,
+    "sideways_m": 0.045,
+    "fore_aft_m": 0.02,
+    "roll_deg": 4.0,
+    "pitch_deg": 4.5,
+    "yaw_deg": 7.0,
+    "variation": 0.08,
+}
+
+
 class Gait(Preset):
     """Amplitudes of the trunk's motion at walking speed; they fade as the person slows down.
 
     Defaults are those of `natural`.
     """
 
-    amplitudes: ClassVar = (
-        "vertical_m",
-        "second_harmonic_m",
-        "heel_strike_m",
-        "sideways_m",
-        "fore_aft_m",
-        "roll_deg",
-        "pitch_deg",
-        "yaw_deg",
-    )
-    still: ClassVar = dict.fromkeys((*amplitudes, "variation"), 0.0)
     presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
-        "none": still,
+        "none": dict.fromkeys(_STRONG_GAIT, 0.0),
         # Two plain sines (Lu et al., LiDAR-Forest, module 4).
-        "paper": {**still, "step_hz": 1.8, "vertical_m": 0.025, "sideways_m": 0.02},
+        "paper": {**dict.fromkeys(_STRONG_GAIT, 0.0), "step_hz": 1.8, "vertical_m": 0.025, "sideways_m": 0.02},
         "natural": {},
-        # A heavy pack on rough ground: about twice the natural, an assumption.
-        "strong": {
-            "vertical_m": 0.04,
-            "second_harmonic_m": 0.006,
-            "heel_strike_m": 0.003,
-            "sideways_m": 0.045,
-            "fore_aft_m": 0.02,
-            "roll_deg": 4.0,
-            "pitch_deg": 4.5,
-            "yaw_deg": 7.0,
-            "variation": 0.08,
-        },
+        "strong": _STRONG_GAIT,
     }
 
     preset: Literal["none", "paper", "natural", "strong"] = "natural"
@@ -201,7 +195,7 @@ class Gait(Preset):
     @property
     def moves(self) -> bool:
         """True if any amplitude is above zero."""
-        return any(getattr(self, name) for name in self.amplitudes)
+        return any(getattr(self, name) for name in _STRONG_GAIT if name != "variation")
 
 
 class Harness(Section):
@@ -226,21 +220,28 @@ class Harness(Section):
     damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.25
     """Share of critical damping, on all axes."""
 
+    @property
+    def frequency_hz(self) -> tuple[float, ...]:
+        """Frequencies (6,) in the order of `motion.gait.AXES`."""
+        return self.fore_aft_hz, self.sideways_hz, self.vertical_hz, self.roll_hz, self.pitch_hz, self.yaw_hz
 
-class Mast(Harness):
+
+class Mast(Section):
     """Mast that carries the sensors over the pack and the inertial unit, and bends with each step.
 
     A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at some 8 Hz and hardly along itself; at
     walking pace it then leans by a tenth of a degree (assumption).
     """
 
-    fore_aft_hz: _Frequency = 8.0
-    sideways_hz: _Frequency = 8.0
-    vertical_hz: _Frequency = 50.0
-    roll_hz: _Frequency = 8.0
-    pitch_hz: _Frequency = 8.0
-    yaw_hz: _Frequency = 15.0
+    bending_hz: _Frequency = 8.0
+    """Undamped natural frequency of its bending, forwards and to the sides."""
     damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.05
+    """Share of critical damping, on all axes."""
+
+    @property
+    def frequency_hz(self) -> tuple[float, ...]:
+        """Frequencies (6,) in the order of `motion.gait.AXES`: up and down at 50 Hz, about itself at 15 Hz (assumptions)."""
+        return self.bending_hz, self.bending_hz, 50.0, self.bending_hz, self.bending_hz, 15.0
 
 
 class Walk(MotionSection):
@@ -306,127 +307,6 @@ class Walk(MotionSection):
         return bent
 
 
-class Live(MotionSection):
-    """Poses that come in while the run is streamed, from a simulator, motion capture or a joystick."""
-
-    kind: Literal["live"]
-    """Selects poses that come in."""
-    path_m: Annotated[list[_Place], Field(min_length=1, default_factory=lambda: [(0.0, 0.0)])]
-    """x and y where the body is expected, one or more; plants keep clear of the line through them, and in a forest the body
-    stays within 35 m of the rectangle around them."""
-    smoothing_s: Annotated[float, Field(ge=0.005, le=1)] = 0.02
-    """Time constant with which the body is led to where poses show it. It lags by its square times the acceleration, and
-    not at all at constant speed."""
-    flown: SceneFile | None = None
-    """Motion that a stream has written by `--flown`: the run is repeated byte for byte, and no poses come in."""
-
-    def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
-        """Return the motion that follows the poses, and `path_m`."""
-        import numpy as np
-
-        return door("live_motion")(self, start_ns), np.array(self.path_m)
-
-
-def takes_poses(motion: Section) -> bool:
-    """Return whether poses come in, and nothing is repeated."""
-    return isinstance(motion, Live) and motion.flown is None
-
-
-class Imu(Preset):
-    """Rate, place and errors; densities as in IEEE Std 952-1997. Defaults are those of `ideal`."""
-
-    presets: ClassVar[Mapping[str, Mapping[str, object]]] = {
-        "ideal": {},
-        # Noise of Bosch's BMG160 and BMA280, 0.014 deg/s and 120 ug per sqrt(Hz), and a tenth of their offsets of
-        # 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by calibration is an assumption.
-        # Random walks as measured on a tracker with such parts (libsurvive wiki, IMU variance measurements).
-        "consumer": {
-            "gyro_bias_rad_s": 1.7e-3,
-            "gyro_noise_rad_s_sqrt_hz": 2.4e-4,
-            "gyro_walk_rad_s2_sqrt_hz": 7.0e-6,
-            "accel_bias_m_s2": 0.049,
-            "accel_noise_m_s2_sqrt_hz": 1.2e-3,
-            "accel_walk_m_s3_sqrt_hz": 1.5e-4,
-        },
-        # Gyroscopes of Sensonor's STIM210, 0.10 deg/sqrt(h) and 10 deg/h over temperature (maker's FAQ);
-        # accelerometers of 1 mg and 0.06 m/s/sqrt(h), and the random walks, are assumptions.
-        "tactical": {
-            "gyro_bias_rad_s": 4.8e-5,
-            "gyro_noise_rad_s_sqrt_hz": 2.9e-5,
-            "gyro_walk_rad_s2_sqrt_hz": 5.0e-8,
-            "accel_bias_m_s2": 9.8e-3,
-            "accel_noise_m_s2_sqrt_hz": 1.0e-3,
-            "accel_walk_m_s3_sqrt_hz": 1.0e-5,
-        },
-        # A unit of a robot as it comes, by USB. Noise, offsets of temperature and their size: Bosch's BMI088, 0.014 deg/s and
-        # 160 ug per sqrt(Hz), 0.015 deg/s and 0.2 mg per K (BST-BMI088-DS001, tables 4 and 5), times 10 K of warming up, which
-        # takes 5 to 10 minutes (Xsens, Bias repeatability of gyroscopes). Of sensitivity and cross-axis tolerances, 1 % each
-        # (Bosch BNO055), half is left (assumption). Reads of a USB serial line come in steps of 4 ms (ROS wiki,
-        # camera_calibration/calibration_notes/Timing), and 2 to 4 ms after the sample (assumption).
-        "field": {
-            "gyro_bias_rad_s": 1.7e-3,
-            "gyro_noise_rad_s_sqrt_hz": 2.4e-4,
-            "gyro_walk_rad_s2_sqrt_hz": 7.0e-6,
-            "gyro_warm_up_rad_s": 2.6e-3,
-            "accel_bias_m_s2": 0.049,
-            "accel_noise_m_s2_sqrt_hz": 1.6e-3,
-            "accel_walk_m_s3_sqrt_hz": 1.5e-4,
-            "accel_warm_up_m_s2": 0.02,
-            "scale_error": 0.005,
-            "cross_axis": 0.005,
-            "delay_s": (0.002, 0.004),
-            "jitter_s": 0.004,
-        },
-    }
-
-    preset: Literal["ideal", "consumer", "tactical", "field"] = "ideal"
-    """Values of the keys that are not given beside it; `ideal` is their defaults."""
-    rate_hz: Annotated[int, Field(ge=1, le=10_000)] = 200
-    """Samples per second."""
-    mount: Mount = Mount()
-    """Mount on the pack, not on a spinning stage."""
-    attitude: bool = False
-    """Whether the unit reports its attitude too, as programs for nine axes want: levelled by gravity, with the bias of its
-    accelerometers, and with a heading that drifts with the bias of its gyroscopes."""
-    gyro_bias_rad_s: _Error = 0.0
-    """At switch-on, one sigma."""
-    gyro_noise_rad_s_sqrt_hz: _Error = 0.0
-    """White noise."""
-    gyro_walk_rad_s2_sqrt_hz: _Error = 0.0
-    """Random walk of the bias."""
-    accel_bias_m_s2: _Error = 0.0
-    """At switch-on, one sigma."""
-    accel_noise_m_s2_sqrt_hz: _Error = 0.0
-    """White noise."""
-    accel_walk_m_s3_sqrt_hz: _Error = 0.0
-    """Random walk of the bias."""
-    gyro_warm_up_rad_s: _Error = 0.0
-    """Change of the bias as the unit warms up from the first pulse on, one sigma; 63 % of it in 200 s."""
-    accel_warm_up_m_s2: _Error = 0.0
-    """Change of the bias as the unit warms up, one sigma."""
-    scale_error: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Error of each axis' sensitivity, as a share, one sigma."""
-    cross_axis: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Share of each other axis that an axis shows, one sigma: what is left of their misalignment."""
-    delay_s: Annotated[tuple[NonNegative, NonNegative], Field(strict=False)] = (0.0, 0.0)
-    """Least and greatest delay of time stamps behind the samples; that of a run is drawn between them."""
-    jitter_s: NonNegative = 0.0
-    """Greatest further delay, drawn for each sample: less than the time between two samples."""
-
-    @property
-    def is_late(self) -> bool:
-        """True if time stamps are not those of the samples."""
-        return bool(self.delay_s[1] or self.jitter_s)
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if self.jitter_s * self.rate_hz >= 1:
-            raise ValueError("a jitter_s below 1 / rate_hz in it, so that time stamps rise")
-        if not self.delay_s[0] <= self.delay_s[1] <= 1:
-            raise ValueError("a delay_s of two rising times of at most 1 s in it")
-        return self
-
-
 class Gps(Section):
     """The GPS receiver wired to the sensor, and how well it knows where it is.
 
@@ -464,9 +344,7 @@ class Gps(Section):
     canopy_error_factor: Annotated[float, Field(ge=1, le=100)] = 2.5
     """How many times greater errors are where the whole sky is hidden; in between in proportion to the cover."""
     canopy_half_cover: Annotated[float, Field(gt=0, le=1)] = 0.88
-    """Cover, as a share of the sky, at which every second fix fails."""
-    canopy_cover_width: Annotated[float, Field(gt=0, le=1)] = 0.05
-    """Width of the logistic curve: with so much more or less cover 73 % or 27 % of the fixes fail."""
+    """Cover, as a share of the sky, at which every second fix fails; with 0.05 more or less 73 % or 27 % of them fail."""
 
     @model_validator(mode="after")
     def _is_known_beforehand(self) -> Self:

@@ -10,7 +10,7 @@ from vlp16emu.motion.gait import AXES, Trunk
 from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack
 from vlp16emu.motion.pose import Kinematics, body_rate, fill_rotation, rotate
 from vlp16emu.motion.route import Route
-from vlp16emu.motion.settings import Harness, Walk
+from vlp16emu.motion.settings import Mast, Walk
 from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
@@ -43,7 +43,7 @@ class WalkMotion:
         *,
         start_ns: int,
         seed: int,
-        under: tuple[Callable[[int, int], Array], Harness] | None = None,
+        under: tuple[Callable[[int, int], Array], Mast] | None = None,
     ) -> None:
         self._walk, self._seed = walk, seed
         self._route, self._start_ns, self._height_m = route, start_ns, walk.sensor_height_m
@@ -71,7 +71,7 @@ class WalkMotion:
             _kinematics(self._table(second), t_ns, begin_ns, which, *pose, *rates)
         return out
 
-    def bent(self, mast: Harness) -> "WalkMotion":
+    def bent(self, mast: Mast) -> "WalkMotion":
         """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
         if self._pack is None:
             return self

@@ -17,7 +17,7 @@ from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
-from vlp16emu.sensor.place import in_sensor
+from vlp16emu.sensor.head import in_sensor
 from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 

@@ -25,6 +25,11 @@ _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
 _MOST_PARITY, _BALANCED = 0.4, 0.6
+_RANGE_WALK_MM = 0.13
+"""How much longer ranges are by one code of reflectivity, one sigma over units: 0.08, 0.16, -0.03 and -0.16 on four real units
+(protocol/README.md, "The character of a unit"), as the next."""
+_SECTOR_GAIN_SPREAD = 0.04  # half the difference of gains between even and odd sectors of 45 deg, one sigma
+_WARM_UP_S = 900.0  # time constant (assumption)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,23 +37,15 @@ class UnitDetector:
     """The receiver of one unit, in the weather of one run; L lasers."""
 
     constants: DetectorConstants
-    range_bias_m: F8
-    """(L,)."""
-    gain: F8
-    """(2, L) factor on reflectivity, in even and odd sectors of 45 deg."""
-    range_beat_m: F8
-    """(5,) error of the range by (24 sequence + laser) mod 5."""
-    parity: F8 | None
-    """(L,) by how much the share of odd distance codes is above one half; None where it is one half."""
-    codes: U1
-    """(L, 101) code that is sent for each whole reflectivity."""
-    no_return: F8 | None
-    """(L,) reflectivity of records without a return, cut to whole numbers when sent; None where that is 0."""
-    multiples: F8
-    """(m, L) multiples of it by azimuth, as in `no_return_multiples`; empty where it is sent as it is."""
+    range_bias_m: F8  # (L,)
+    gain: F8  # (2, L) factor on reflectivity, in even and odd sectors of 45 deg
+    range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
+    parity: F8 | None  # (L,) by how much the share of odd distance codes is above one half; None where it is one half
+    codes: U1  # (L, 101) code that is sent for each whole reflectivity
+    no_return: F8 | None  # (L,) reflectivity of records without a return, cut to whole numbers when sent; None for 0
+    multiples: F8  # (m, L) multiples of it by azimuth, as in `no_return_multiples`; empty where it is sent as it is
     noise: Noise
-    power_up_ns: int
-    """UTC, from which warm-up counts."""
+    power_up_ns: int  # UTC, from which warm-up counts
 
     @classmethod
     def of_unit(
@@ -92,8 +89,8 @@ class UnitDetector:
             range_noise_m=noise.range_noise_m * own[0],
             reflectivity_noise=noise.reflectivity_noise * own[1],
             reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
-            heavy_tails=noise.heavy_tails,
-            range_walk_m=1e-3 * noise.range_walk_mm * walk,
+            heavy_tails=noise.is_real,
+            range_walk_m=1e-3 * (_RANGE_WALK_MM * noise.is_real) * walk,
             lost=loss_rates(seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity),
         )
         no_return = (
@@ -105,7 +102,7 @@ class UnitDetector:
         return cls(
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
-            gain=gain(seed, lasers, noise.gain_spread, noise.sector_gain_spread),
+            gain=gain(seed, lasers, noise.gain_spread, _SECTOR_GAIN_SPREAD * noise.is_real),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
             codes=sent_codes(seed, lasers, noise.reflectivity_step),
@@ -134,7 +131,7 @@ class UnitDetector:
         """Return the warm-up error of ranges at instants, same shape; fades exponentially from power-up on."""
         if not self.noise.warm_up_m:
             return np.zeros(t_ns.shape)
-        return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / self.noise.warm_up_s))
+        return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / _WARM_UP_S))
 
 
 def _parity(seed: int, lasers: int, spread: float) -> F8:

@@ -40,8 +40,7 @@ _ROUGH_M, _MOST_ROUGH_M = 0.1, 1.0
 """Mean change of range from pulse to pulse at which steps cost half as many records, and the greatest that counts."""
 _STEP_M = 0.25
 """Difference of ranges from which on two surfaces of one pulse are a step: 0.3 to 1.2 % of records are lost at 0.04 to 0.3 m and like codes."""
-_BLACK, _NEAR_M = 14.0, 4.0
-"""Code at which the loss of dark records ends, and range beyond which it falls."""
+_BLACK, _NEAR_M = 14.0, 4.0  # code at which the loss of dark records ends, and range beyond which it falls
 _ODD_ALONE, _EVEN_ALONE = 0.33, 0.37
 """Of dual return: lost in the odd block alone are 0.46 % of the records of nebula, in the even one 0.05 %, in both 0.9 %."""
 _REACH, _ON = 3, 0.4

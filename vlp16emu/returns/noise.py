@@ -10,16 +10,12 @@ from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.types import F8, U1
 
-BIAS_LIMIT_M = 0.03
-"""Accuracy of the data sheet, which no laser exceeds."""
-_AT = 0.2
-"""Reflectance at which the noise is that of the settings."""
+BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
+_AT = 0.2  # reflectance at which the noise is that of the settings
 _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
-_COARSE, _TOP = 30.0, 90.0
-"""Codes from which on some are never sent, and at which the spacing is that of the settings."""
-_SEGMENT, _SLOPES = (7.0, 18.0), (0.75, 1.3)
-"""Codes of a laser at one spacing, and spacings over that of the settings."""
+_COARSE, _TOP = 30.0, 90.0  # codes from which on some are never sent, and at which the spacing is that of the settings
+_SEGMENT, _SLOPES = (7.0, 18.0), (0.75, 1.3)  # codes of a laser at one spacing, and spacings over that of the settings
 NO_RETURN_KNOTS = 56
 """Places around a unit between which what no-returns carry changes; assumption, after einride: 78 % of neighbours are equal."""
 _ALIKE = 0.8, 0.98
@@ -172,8 +168,7 @@ def heavier(z: float, tail: float) -> float:
 
 _UNCORRECTED = 0.02
 """Least distance from a whole number at which a code goes through the table of its laser: some of those between are seen on real units."""
-RETROREFLECTIVE = 100.5
-"""Percent from which a target is no white wall any more; what rounds to 100 still is."""
+RETROREFLECTIVE = 100.5  # percent from which a target is no white wall any more; what rounds to 100 still is
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
 """Counts per factor e of reflectance. 255 stands for 1000 times that of a white Lambertian surface. A coefficient of retroreflection
 R (cd/lx/m2) equals a reflectance of pi R: 255 stands for 318 cd/lx/m2, between high-intensity (about 250) and prismatic

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from vlp16emu.settings import Positive, Preset, Section
+from vlp16emu.settings import Preset, Section
 
 _Degrees = Annotated[float, Field(ge=0, le=1)]
 _Metres = Annotated[float, Field(ge=0, le=0.1)]
@@ -29,17 +29,14 @@ _PRESETS: dict[str, dict[str, object]] = {
         "range_noise_m": 0.0058,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
-        "range_walk_mm": 0.13,
         "reflectivity_noise_share": 0.029,
         "reflectivity_step": 2.15,
-        "heavy_tails": True,
         "unit_spread": 0.15,
         "odd_codes_spread": 0.1,
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
         "records_lost": 1.0,
         "gain_spread": 0.075,
-        "sector_gain_spread": 0.04,
     },
 }
 
@@ -65,8 +62,9 @@ class Noise(Preset):
     presets = _PRESETS
 
     preset: Literal["ideal", "typical", "datasheet", "unit"] = "unit"
-    """Values of the keys that are not given beside it: `unit` draws one like those that were measured, `typical` has white errors
-    and constant ones per laser only."""
+    """Values of the keys that are not given beside it: `typical` has white errors and constant ones per laser only. `unit` draws one like
+    those that were measured, and has three more of their properties: heavy tails of white errors, ranges that depend a little on
+    reflectivity, and gains that differ between sectors."""
     range_noise_m: _Metres = 0.0065
     """White, one sigma, at a reflectivity of 20; it falls with the fourth root of the reflectivity, as on four real units."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
@@ -80,29 +78,20 @@ class Noise(Preset):
     """Elevation error of each laser of a unit, one sigma; assumption."""
     azimuth_error_deg: _Degrees = 0.02
     """Azimuth error of each laser of a unit, one sigma; assumption."""
-    range_walk_mm: Annotated[float, Field(ge=0, le=2)] = 0.0
-    """How much longer ranges are by one code of reflectivity, one sigma over units; 0.08, 0.16, -0.03 and -0.16 on real units."""
     warm_up_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
-    """How much too long ranges are at power-up; no measurement is known."""
-    warm_up_s: Positive = 900.0
-    """Time constant with which that fades."""
+    """How much too long ranges are at power-up; 37 % of it is left after 900 s. No measurement is known."""
     reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
     """White, one sigma, in counts; real units show 1 to 2."""
     reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """The same as a share of the reflectivity, added to it; 0.03 to 0.04 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Spacing of codes at 90, less for darker ones; 2 to 2.5 on real units. Up to 1 sends every code."""
-    heavy_tails: bool = False
-    """Whether white errors of reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real units, instead of
-    Gaussian, and those of range a little so, with 3.3."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly these."""
     odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
     """Spread of the share of odd distance codes over the lasers, one sigma; 0.08 to 0.17 on real units."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
     """Relative error of reflectivity per laser, one sigma; 0.07 to 0.10 on real units."""
-    sector_gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.0
-    """By how much more that differs between even and odd sectors of 45 deg, half of it, one sigma."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
     """Records that are lost at steps of brightness or range, and where it is dark, as a multiple of those of real units, whose rates are
     drawn. 0 for none."""
@@ -114,6 +103,11 @@ class Noise(Preset):
     """Middle of that constant over the lasers; null draws one of the unit's own, from 1.5 to 20."""
     no_return_wander: Annotated[float, Field(ge=0, le=20)] = 0.0
     """How many multiples of that constant they wander through, for a unit in the middle of the real ones; 0 for none."""
+
+    @property
+    def is_real(self) -> bool:
+        """True if the unit has the errors of real ones for which there is no key."""
+        return self.preset == "unit"
 
     @property
     def _scatter(self) -> str:
@@ -133,7 +127,7 @@ class Noise(Preset):
             "weak echoes lost" if self.weak_echoes_lost else "every echo seen",
         ]
         if self.warm_up_m:
-            parts.append(f"{1e3 * self.warm_up_m:g} mm warm-up over {self.warm_up_s:g} s")
+            parts.append(f"{1e3 * self.warm_up_m:g} mm warm-up")
         if self.no_return_reflectivity:
             parts.append("reflectivity on no-returns")
         return f"{self.preset}: " + ", ".join(parts)
@@ -167,8 +161,7 @@ class LossRates(NamedTuple):
     down: float
     dark: float
     any: float
-    raise_code: float
-    """Code of a return beside which half of the no-returns are raised; 0 where none is."""
+    raise_code: float  # code of a return beside which half of the no-returns are raised; 0 where none is
 
 
 class DetectorConstants(NamedTuple):
@@ -181,23 +174,16 @@ class DetectorConstants(NamedTuple):
     strongest_only: bool
     min_range_m: float
     max_range_m: float
-    sigma_m: float
-    """Standard deviation of a pulse, in range."""
+    sigma_m: float  # standard deviation of a pulse, in range
     resolution_m: float
-    threshold: float
-    """Amplitude that is seen with probability one half; 0 where every echo is seen."""
-    amplitude_noise: float
-    """One sigma; 0 where every echo is seen."""
-    extinction_per_m: float
-    """0 in clear air."""
-    clutter: float
-    """Reflectance of the air that a pulse fills."""
-    least_clutter: float
-    """Amplitude below which the air is not worth a look."""
+    threshold: float  # amplitude that is seen with probability one half; 0 where every echo is seen
+    amplitude_noise: float  # one sigma; 0 where every echo is seen
+    extinction_per_m: float  # 0 in clear air
+    clutter: float  # reflectance of the air that a pulse fills
+    least_clutter: float  # amplitude below which the air is not worth a look
     range_noise_m: float
     reflectivity_noise: float
     reflectivity_noise_share: float
     heavy_tails: bool
-    range_walk_m: float
-    """Per code of reflectivity."""
+    range_walk_m: float  # per code of reflectivity
     lost: LossRates

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Parts
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import spare
 from vlp16emu.run.options import RecordOptions, TruthPlace, TruthTo, stream_options
 from vlp16emu.run.record import record
@@ -67,7 +66,7 @@ class Emulator:
     ) -> None:
         scenario = load(scene, settings, ideal=ideal)
         # Poses of a live run are not known again when its pulses are cast a second time.
-        wanted = audit and has_door("audit") and not takes_poses(scenario.motion)
+        wanted = audit and has_door("audit") and not scenario.motion.takes_poses
         self.audit: Any = door("audit").of(scenario) if wanted else None
         """Tap that casts a sample of the pulses again, an `extras.accuracy.audit.Audit`; None without an audit."""
         taps = [self.audit] if self.audit else []

@@ -6,10 +6,11 @@ from typing import Any, Self
 
 from vlp16emu.engine import Unit
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.head import Turn, turn_of
+from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import StreamReport
 from vlp16emu.types import PacketKind
+from vlp16emu.units import S_NS, seconds_to_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,29 @@ class About:
     def of(cls, name: str, scenario: Scenario) -> Self:
         """Describe a scenario."""
         return cls(name, scenario.seed, scenario.beam.summary, scenario.noise.summary, scenario.weather.summary)
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Rotation of a sensor over a run."""
+
+    rpm: float  # speed at the start, to which the next two belong
+    azimuth_step_deg: float  # angle from one firing sequence to the next
+    sequences_per_revolution: float
+    revolutions: float
+    azimuth_steps: int  # whole firing sequences
+
+
+def turn_of(head: Head, simulated_s: float) -> Turn:
+    """Return the rotation of a head over a run."""
+    rpm, sequences_per_s = head.rotor.rpm, S_NS / head.beams.sequence_ns
+    return Turn(
+        rpm=rpm,
+        azimuth_step_deg=6 * rpm / sequences_per_s,
+        sequences_per_revolution=sequences_per_s * 60 / rpm,
+        revolutions=head.rotor.revolutions(seconds_to_ns(simulated_s)),
+        azimuth_steps=seconds_to_ns(simulated_s) // head.beams.sequence_ns,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,6 @@ from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.engine import number_at
 from vlp16emu.errors import InputError
-from vlp16emu.motion.settings import takes_poses
 from vlp16emu.output import write_json
 from vlp16emu.run.options import StreamOptions, TruthTo
 from vlp16emu.run.report import About, Streamed, UnitSent
@@ -57,7 +56,7 @@ def stream_run(
         scenario, units = emulator.scenario, emulator.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
         enter(emulator.engine.windows.stopped_by(stop))
-        is_live = takes_poses(scenario.motion) or options.poses is not None
+        is_live = scenario.motion.takes_poses or options.poses is not None
         flight = enter(door("live")(emulator, options.poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
         outlets = enter(door("outlets")(outlets)) if outlets else None

@@ -17,7 +17,7 @@ from vlp16emu.explain import explain
 from vlp16emu.motion import Walk
 from vlp16emu.scenario.model import Scenario, schema
 from vlp16emu.sensor import Lidar
-from vlp16emu.settings import DEEPEST, OneOf, Preset, SceneFile, Section, toml
+from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
 
 _RIVALS = frozenset(Walk.one_of), Walk.either_or
 """Keys that exclude each other: a setting of one takes the place of the others."""
@@ -164,8 +164,8 @@ def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
 
 
 def _parts_of(kind: Any) -> list[Any]:
-    if isinstance(kind, OneOf):
-        return list(kind.sections().values())
+    if isinstance(kind, OneOf | LazySection):
+        return list(kind.sections().values()) if isinstance(kind, OneOf) else [kind.section]
     parts = () if get_origin(kind) is Literal else get_args(kind)
     return [kind, *(inner for part in parts for inner in _parts_of(part))]
 

@@ -23,13 +23,13 @@ from pydantic_core import CoreSchema, core_schema
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
-from vlp16emu.motion import Gps, Imu, MotionSection, Mount
+from vlp16emu.motion import Gps, MotionSection, Mount
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
-from vlp16emu.settings import OneOf, Preset, Section, Seed, merged
+from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
 from vlp16emu.units import S_NS, US_NS
-from vlp16emu.world import People, Wind, WorldSection
+from vlp16emu.world import People, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
@@ -158,7 +158,7 @@ class Scenario(Section):
     capture: CaptureClock = CaptureClock()
     motion: Annotated[MotionSection, OneOf(MotionSection, "motions")]
     """How the sensor moves."""
-    imu: Imu | None = None
+    imu: Annotated[Any, LazySection("imu_section")] | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
     rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
@@ -166,7 +166,7 @@ class Scenario(Section):
     """What is set on the sensors while they run, and what goes wrong."""
     world: Annotated[WorldSection, OneOf(WorldSection, "worlds")]
     """What the sensor sees."""
-    wind: Wind | None = None
+    wind: Annotated[Any, LazySection("wind_section")] | None = None
     """What makes the trees sway; none in a hall."""
     people: People | None = None
     """People beside a carrier who walks; none without it."""
@@ -215,7 +215,7 @@ class Scenario(Section):
 
     @field_validator("wind")
     @classmethod
-    def _has_trees(cls, wind: Wind | None, info: ValidationInfo) -> Wind | None:
+    def _has_trees(cls, wind: Any, info: ValidationInfo) -> Any:
         world = info.data.get("world")
         if wind is not None and world is not None and not world.has_trees:
             raise ValueError("none in a hall, which has no trees")

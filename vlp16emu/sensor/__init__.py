@@ -1,7 +1,4 @@
-"""What a VLP-16 is, and what others like it are: beams, firing times, rotor and clock.
-
-The settings are here by name, the models in the files of the room.
-"""
+"""Beams, firing times, rotor and clock of a VLP-16 and of others like it: settings here by name, models in the files of the room."""
 
 from vlp16emu.sensor.settings import AnySensor, FreeSensor, Lidar, Sensor, on_the_wire
 

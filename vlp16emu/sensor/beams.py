@@ -17,10 +17,8 @@ from vlp16emu.sensor.settings import FreeSensor, Sensor
 from vlp16emu.types import Array, SensorModel
 from vlp16emu.units import S_NS
 
-LASER_NS = 2_304
-"""Time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)."""
-SEQUENCE_NS = 55_296
-"""Period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
+LASER_NS = 2_304  # time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)
+SEQUENCE_NS = 55_296  # period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)
 
 LENS_RADIUS_M = 0.0419
 """Distance from the spin axis at which all beams cross the horizontal plane: -correction / tan(elevation)."""
@@ -30,20 +28,13 @@ LENS_RADIUS_M = 0.0419
 class BeamTable:
     """Directions and firing times of L lasers in wire order."""
 
-    elevation_deg: Array
-    """(L,) elevation over the horizon by the data sheet."""
-    vertical_offset_m: Array
-    """(L,) height at which the beam's line meets the spin axis; ranges are measured from there."""
-    lens_radius_m: float
-    """Distance from the spin axis at which the light leaves."""
-    sequence_ns: int
-    """Period of firing sequences."""
-    laser_ns: int
-    """Time between the pulses of consecutive lasers."""
-    elevation_error_deg: Array
-    """(L,) constant elevation errors of this unit."""
-    azimuth_error_deg: Array
-    """(L,) constant azimuth errors of this unit."""
+    elevation_deg: Array  # (L,) elevation over the horizon by the data sheet
+    vertical_offset_m: Array  # (L,) height at which the beam's line meets the spin axis; ranges are measured from there
+    lens_radius_m: float  # distance from the spin axis at which the light leaves
+    sequence_ns: int  # period of firing sequences
+    laser_ns: int  # time between the pulses of consecutive lasers
+    elevation_error_deg: Array  # (L,) constant elevation errors of this unit
+    azimuth_error_deg: Array  # (L,) constant azimuth errors of this unit
 
     @property
     def near_m(self) -> Array:

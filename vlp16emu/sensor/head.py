@@ -11,7 +11,6 @@ from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array, Firings, IntArray, Poses
-from vlp16emu.units import S_NS, seconds_to_ns
 
 _TOGETHER = 480
 """Firing sequences that are aimed before the poses of others are asked for, so that these are still in the cache."""
@@ -117,27 +116,14 @@ def _aim(
                 origin_m[i, j, a] = p[a] + R[a, 2] * offset_m[j]
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
-    """Rotation of a sensor over a run."""
-
-    rpm: float
-    """Speed at the start, to which the next two belong."""
-    azimuth_step_deg: float
-    """Angle from one firing sequence to the next."""
-    sequences_per_revolution: float
-    revolutions: float
-    azimuth_steps: int
-    """Whole firing sequences."""
-
-
-def turn_of(head: Head, simulated_s: float) -> Turn:
-    """Return the rotation of a head over a run."""
-    rpm, sequences_per_s = head.rotor.rpm, S_NS / head.beams.sequence_ns
-    return Turn(
-        rpm=rpm,
-        azimuth_step_deg=6 * rpm / sequences_per_s,
-        sequences_per_revolution=sequences_per_s * 60 / rpm,
-        revolutions=head.rotor.revolutions(seconds_to_ns(simulated_s)),
-        azimuth_steps=seconds_to_ns(simulated_s) // head.beams.sequence_ns,
-    )
+@numba.njit(cache=True, nogil=True)
+def in_sensor(azimuth_deg: Array, elevation_deg: Array, offset_m: Array, distance_m: Array) -> Array:
+    """Return the points (n, 3) of ranges in the sensor's frame, by the manual's formulas; all arguments (n,)."""
+    out = np.empty((len(distance_m), 3))
+    for i in range(len(distance_m)):
+        cosine, sine = cos_sin(math.radians(azimuth_deg[i]))
+        level, up = cos_sin(math.radians(elevation_deg[i]))
+        out[i, 0] = distance_m[i] * level * cosine
+        out[i, 1] = -distance_m[i] * level * sine
+        out[i, 2] = distance_m[i] * up + offset_m[i]
+    return out

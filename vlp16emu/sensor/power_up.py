@@ -40,12 +40,9 @@ def powered_up(section: _Section, seed: int) -> _Section:
 class Counters:
     """Identity of a unit on the network, and how far its counters are when a run begins."""
 
-    mac: bytes
-    """6 bytes."""
-    identification: int
-    """Of the IPv4 header of its first position packet."""
-    position_phase: float
-    """Share of the repeating pattern of position packets that is over."""
+    mac: bytes  # 6 bytes
+    identification: int  # of the IPv4 header of its first position packet
+    position_phase: float  # share of the repeating pattern of position packets that is over
 
 
 def counters_of(section: Lidar, seed: int, number: int) -> Counters:

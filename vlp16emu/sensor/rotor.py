@@ -3,11 +3,11 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from vlp16emu.elementary import cos, sin
+from vlp16emu.elementary import cos
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.sensor.settings import Lidar
@@ -18,41 +18,33 @@ from vlp16emu.units import HOUR_NS, S_NS
 _TICK_NS, _LATEST_TICK_NS = 1_200, (500, 300)
 """Period of the clock by which the encoder is read, and when it ticks within the stamp: on mrpt, einride and nebula, and on the unit of
 2014. A block has 92.16 ticks, which makes a line at 0.16 cycles per block."""
-_CDEG_PER_LASER = 6.0 * 2.304e-4
-"""Hundredths of a degree in 2.304 us, the period of a firing, at 1 rpm."""
+_CDEG_PER_LASER = 6.0 * 2.304e-4  # hundredths of a degree in 2.304 us, the period of a firing, at 1 rpm
 _SPEEDS_CDEG = np.array([0.25, 0.375, 0.5, 0.625, 1.0, 1.25, 2.0, 2.5, 4.0])
 """Speeds of the reading between two lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300 rpm, 5/8 and 1 at 500 and 600 rpm, 5/4
 and 2 at 1200 rpm on real units; the first and the last are assumptions."""
 _LAG, _LEAD, _LEADS_FROM_RPM = 0.945, 1.17, 750.0
 """Mean speed of the reading between two lines over the true one. Shares of the faster are 0.15, 0.06 and 0.43 at 300, 500 and 600 rpm, and 0.93
 at 1200 rpm, where the reading waits at the last code of a line. Where one law takes over from the other is an assumption."""
-_RATE_ERROR = 0.2464
-"""What 5/8 of a hundredth in 2.304 us lack at 600 rpm."""
+_RATE_ERROR = 0.2464  # what 5/8 of a hundredth in 2.304 us lack at 600 rpm
 _SLOW_SHARES = 0.95, 0.61, 0.22, 0.47
 """Share of readings with the lower one behind each of four lines in turn, at 600 rpm (mrpt, nebula, einride: within 0.05 of these)."""
 _SLOW = sum(_SLOW_SHARES) / len(_SLOW_SHARES)
-_HALF_WIDTH = math.sqrt(3.0)
-"""Half-width of an even distribution, in standard deviations."""
-_SHORT_DEG = 1e-5
-"""Least distance of a reading from the next line."""
-_KNOT_BITS = 20
-"""A swing is straight between multiples of 2**20 ns, 1 ms."""
-Sine = tuple[float, float]
-"""Amplitude and phase, in degrees; none where the amplitude is 0."""
+_HALF_WIDTH = math.sqrt(3.0)  # half-width of an even distribution, in standard deviations
+_PITCH_DEG = 0.05
+"""Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a unit")."""
+_SHORT_DEG = 1e-5  # least distance of a reading from the next line
+_KNOT_BITS = 20  # a swing is straight between multiples of 2**20 ns, 1 ms
+Sine = tuple[float, float]  # amplitude and phase, in degrees; none where the amplitude is 0
 
 
 @dataclass(frozen=True, slots=True)
 class Spin:
     """The rotor from an instant on: at constant speed, or faster and faster."""
 
-    from_ns: int
-    """Since the start."""
-    angle_deg: float
-    """True angle at that instant."""
-    rpm: float
-    """Speed at that instant; a whole number where it stays constant."""
-    rpm_per_s: float = 0.0
-    """Change of speed."""
+    from_ns: int  # since the start
+    angle_deg: float  # true angle at that instant
+    rpm: float  # speed at that instant; a whole number where it stays constant
+    rpm_per_s: float = 0.0  # change of speed
 
     def at(self, elapsed_ns: IntArray) -> Array:
         """Return true angles (n,), [0, 360), at times since the start (n,)."""
@@ -72,30 +64,6 @@ class Spin:
     def rpm_at(self, elapsed_ns: int) -> float:
         """Return the speed at a time since the start, in rpm."""
         return self.rpm + self.rpm_per_s * (elapsed_ns - self.from_ns) / S_NS
-
-
-@dataclass(frozen=True, slots=True)
-class Wobbling:
-    """A sine on top of the speed, for a time."""
-
-    from_ns: int
-    """Since the start."""
-    lasts_ns: int
-    amplitude_rpm: float
-    period_s: float
-
-    def ahead_deg(self, elapsed_ns: IntArray) -> Array:
-        """Return the angles (n,) by which the rotor is ahead of an even turn."""
-        since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
-        per_s = 2.0 * math.pi / self.period_s
-        return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
-
-    def rpm_at(self, elapsed_ns: int) -> float:
-        """Return the speed that the wobble adds at a time since the start, in rpm."""
-        since_ns = elapsed_ns - self.from_ns
-        if not 0 <= since_ns < self.lasts_ns:
-            return 0.0
-        return self.amplitude_rpm * sin(2.0 * math.pi * since_ns / S_NS / self.period_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,26 +117,18 @@ class Encoder:
     """
 
     seed: int
-    once: Sine = (0.0, 0.0)
-    """Error once per revolution; it crosses zero upwards at the angle of its phase."""
-    twice: Sine = (0.0, 0.0)
-    """Error twice per revolution."""
-    hum_deg: float = 0.0
-    """Half the height of the sawtooth that comes of reading at ticks of a clock, at 600 rpm."""
-    tick_ns: int = _LATEST_TICK_NS[0]
-    """When that clock ticks within the sensor's stamp."""
-    noise_deg: float = 0.0
-    """White error of each reading, one sigma; with lines at 600 rpm. 0 switches it off."""
-    noise_limit_deg: float = math.inf
-    """Value at which the white error of an even encoder is cut."""
-    pitch_deg: float = 0.0
-    """Spacing of the lines; 0 for an even encoder."""
-    rate_error: float = 0.0
-    """Share of the speed that the lower of the two lacks at 600 rpm; at other speeds as much more or less as there."""
-    first_deg: float = 0.0
-    """Reading of the line behind which readings have the first of `slow_shares`."""
-    slow_shares: Sequence[float] = _SLOW_SHARES
-    """Share of readings at the lower speed, behind each of so many lines in turn."""
+    once: Sine = (0.0, 0.0)  # error once per revolution; it crosses zero upwards at the angle of its phase
+    twice: Sine = (0.0, 0.0)  # error twice per revolution
+    hum_deg: float = 0.0  # half the height of the sawtooth that comes of reading at ticks of a clock, at 600 rpm
+    tick_ns: int = _LATEST_TICK_NS[0]  # when that clock ticks within the sensor's stamp
+    noise_deg: float = 0.0  # white error of each reading, one sigma; with lines at 600 rpm. 0 switches it off
+    noise_limit_deg: float = math.inf  # value at which the white error of an even encoder is cut
+    pitch_deg: float = 0.0  # spacing of the lines; 0 for an even encoder
+    rate_error: float = (
+        0.0  # share of the speed that the lower of the two lacks at 600 rpm; at other speeds in proportion
+    )
+    first_deg: float = 0.0  # reading of the line behind which readings have the first of `slow_shares`
+    slow_shares: Sequence[float] = _SLOW_SHARES  # of readings at the lower speed, behind each of so many lines in turn
 
     @classmethod
     def of_unit(cls, section: Lidar, seed: int) -> Self:
@@ -183,7 +143,7 @@ class Encoder:
             tick_ns=_LATEST_TICK_NS[int(spread > 0.0 and own[5] < 0.2)],
             noise_deg=section.azimuth_noise_deg,
             noise_limit_deg=0.1,  # so that no reading of an even encoder is behind the one before it (assumption)
-            pitch_deg=section.encoder_pitch_deg,
+            pitch_deg=_PITCH_DEG * (section.preset == "unit"),
             rate_error=section.encoder_rate_error,
             first_deg=math.floor(20.0 * own[6]) / 100,
             slow_shares=np.clip(_SLOW_SHARES + spread * (0.3 * own[8:] - 0.15), 0.0, 1.0).tolist(),
@@ -241,10 +201,9 @@ class Rotor:
     The true angle is a function of time alone.
     """
 
-    spins: tuple[Spin, ...]
-    """Spins in order of time; the first is from the start on."""
+    spins: tuple[Spin, ...]  # spins in order of time; the first is from the start on
     encoder: Encoder
-    wobbles: tuple[Wobbling, ...] = ()
+    wobbles: tuple[Any, ...] = ()  # swings of the speed that events bring, each an `extras.bench.changes.Wobbling`
     swings: tuple[Swing, ...] = ()
 
     @property
@@ -343,12 +302,9 @@ def _with_sine(reading_deg: Array, phase_deg: Array, amplitude_deg: float) -> Ar
 class ClockSpan:
     """The sensor's clock from an instant on."""
 
-    from_ns: int
-    """UTC."""
-    reading_ns: int | None = None
-    """Reading at that instant of a clock that runs free; None if it is locked to GPS."""
-    error_ppm: float = 0.0
-    """Rate error, positive is fast; of a clock that is locked, fast in one second and slow in the next."""
+    from_ns: int  # UTC
+    reading_ns: int | None = None  # reading at that instant of a clock that runs free; None if it is locked to GPS
+    error_ppm: float = 0.0  # rate error, positive is fast; of a locked clock, fast in one second and slow in the next
 
     def reading(self, t_ns: IntArray) -> IntArray:
         """Return nanoseconds past the counter's hour at UTC instants of any shape; before the span its first reading."""
@@ -373,8 +329,7 @@ class Clock:
     position packet is older than the packet, and so may fall before there is a clock.
     """
 
-    spans: tuple[ClockSpan, ...]
-    """Spans in order of time; the first holds for all times before the second."""
+    spans: tuple[ClockSpan, ...]  # spans in order of time; the first holds for all times before the second
 
     def reading_ns(self, t_ns: IntArray) -> IntArray:
         """Return nanoseconds past the counter's hour at UTC instants of any shape."""

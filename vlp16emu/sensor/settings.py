@@ -18,7 +18,6 @@ _PRESETS: dict[str, dict[str, object]] = {
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
         "azimuth_noise_deg": 0.0017,
-        "encoder_pitch_deg": 0.05,
         "twice_per_turn_deg": 0.0078,
         "hum_deg": 0.0019,
         "rotation_spread": 0.45,
@@ -49,8 +48,8 @@ class Lidar(Preset):
     presets = _PRESETS
 
     preset: Literal["steady", "unit"] = "unit"
-    """Values of the errors of rotation that are not given beside it: `unit` draws those by which real units differ, and the state in
-    which the run finds it; `steady` turns evenly, and is switched on as the run begins."""
+    """Values of the errors of rotation that are not given beside it: `unit` draws those by which real units differ, has an encoder of
+    lines, and draws the state in which the run finds it; `steady` turns evenly, and is switched on as the run begins."""
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
     """Echoes that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
@@ -67,9 +66,6 @@ class Lidar(Preset):
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
     """White error of each azimuth reading, one sigma; with an encoder of lines at 600 rpm, of when a line is seen: 0.0017 is an even spread
     over 1.6 us, at all speeds. 0 switches it off."""
-    encoder_pitch_deg: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
-    encoder."""
     encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.24
     """Share by which the speed of the reading between two lines is too low at 600 rpm, in some readings; in the others it is too high by
     0.85 of it. 0.24 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1, 5/4 and 2 hundredths in 2.304 us at all speeds."""

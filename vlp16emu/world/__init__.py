@@ -1,8 +1,5 @@
-"""Surroundings of the sensor: a hall of known shapes here, forests in a package of their own.
+"""Surroundings of the sensor: the tables of a hall of known shapes here, its model and the shapes of others in the files of the room."""
 
-Here are the tables of a scene alone, so that one is read without numpy and numba; models are in their own modules.
-"""
+from vlp16emu.world.settings import Hall, People, WorldSection
 
-from vlp16emu.world.settings import Hall, People, Wind, WorldSection
-
-__all__ = ["Hall", "People", "Wind", "WorldSection"]
+__all__ = ["Hall", "People", "WorldSection"]

@@ -3,14 +3,14 @@
 import logging
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, Array, Mesh, Semantic, ShapeKey, Window, World
-from vlp16emu.world.furnished import furnished
-from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere, Wind
+from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 from vlp16emu.world.vectors import closed
 
 _log = logging.getLogger(__name__)
@@ -30,22 +30,24 @@ class _Room:
 
 
 class HallWorld:
-    """A closed room with things in it; a `World` that is in reach as a whole.
+    """A closed room with things in it; a `World` that is in reach as a whole, and its own `Site`.
 
     Raises GeometryError for a thing that is not wholly inside.
     """
 
     materials = ("room", "box", "pole", "sphere")  # names by `SURFACE` material number
     near_m, seed = math.inf, 0  # fields of `World`: all of it is near, nothing random, and nothing kept
+    name, origin_m, obstacles = "flat", (0.0, 0.0, 0.0), None  # fields of `Site`
 
-    def __init__(self, section: Hall) -> None:
+    def __init__(self, section: Hall, _seed: int = 0) -> None:
+        self._section = section
         room = _Room((section.length_m, section.width_m, section.height_m))
         boxes, poles, spheres = section.boxes, section.poles, section.spheres
         things: list[Thing] = [*boxes, *poles, *spheres]
         for thing in things:
             _check_inside(thing, room)
         self.size_m = room.size_m  # along x, y and z; centred on x = y = 0, floor at z = 0
-        self._keys = (room, *things)
+        self._keys, self._things = (room, *things), things
         self.names = {_WALL_INSTANCE: "walls", **{i + 2: thing.name for i, thing in enumerate(things)}}
         surfaces = np.zeros(2 + len(things), SURFACE)
         surfaces["reflectance"] = [section.wall_reflectance] * 2 + [thing.brightness for thing in things]
@@ -56,6 +58,19 @@ class HallWorld:
         surfaces["semantic"][0] = Semantic.GROUND
         surfaces["instance"] = np.arange(len(surfaces))  # floor 0, walls and ceiling 1, things from 2
         self._surfaces = surfaces
+
+    def world(
+        self,
+        path_xy_m: Array,
+        *,
+        reach_m: float,
+        farthest_m: float,  # noqa: ARG002  # all of it is near
+        wind: Any,  # noqa: ARG002  # nothing in it moves
+        start_ns: int,  # noqa: ARG002
+    ) -> tuple[World, None]:
+        """Return the hall; parameters and errors as of `Site`."""
+        self.check(path_xy_m)
+        return self._section.furnished(self, path_xy_m, reach_m), None
 
     def check(self, path_xy_m: Array) -> None:
         """Warn where a path (n, 2) leads through a wall: nothing is seen from outside."""
@@ -80,7 +95,8 @@ class HallWorld:
         """Return the whole hall for any track (n, 3)."""
         n = len(self._keys)
         world_T_shape = np.zeros((n, 3, 4))
-        world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [_place_m(key) for key in self._keys]
+        places_m = [one.foot_m if isinstance(one, HallPole) else one.centre_m for one in self._things]
+        world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [(0.0, 0.0, self.size_m[2] / 2), *places_m]
         first = np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32)
         placed = self._keys, np.arange(n, dtype=np.int32), world_T_shape, first
         return Window(np.round(track_m.mean(axis=0)), *placed, self._surfaces)
@@ -100,25 +116,13 @@ class HallWorld:
         raise KeyError(key)
 
 
-def _place_m(key: _Room | Thing) -> tuple[float, float, float]:
-    match key:
-        case _Room():
-            return (0.0, 0.0, key.size_m[2] / 2)
-        case HallPole():
-            return key.foot_m
-        case _:
-            return key.centre_m
-
-
 def _check_inside(thing: Thing, room: _Room) -> None:
-    match thing:
-        case HallBox():
-            half, middle = tuple(size / 2 for size in thing.size_m), thing.centre_m
-        case HallPole():
-            half = (thing.diameter_m / 2, thing.diameter_m / 2, thing.height_m / 2)
-            middle = (thing.foot_m[0], thing.foot_m[1], thing.foot_m[2] + half[2])
-        case HallSphere():
-            half, middle = (thing.diameter_m / 2,) * 3, thing.centre_m
+    if isinstance(thing, HallPole):
+        half: tuple[float, ...] = (thing.diameter_m / 2, thing.diameter_m / 2, thing.height_m / 2)
+        middle = (thing.foot_m[0], thing.foot_m[1], thing.foot_m[2] + half[2])
+    else:
+        half = tuple(size / 2 for size in (thing.size_m if isinstance(thing, HallBox) else (thing.diameter_m,) * 3))
+        middle = thing.centre_m
     length_m, width_m, height_m = room.size_m
     spans = ((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0.0, height_m))
     for axis, (low, high), at, size in zip("xyz", spans, middle, half, strict=True):
@@ -164,26 +168,3 @@ def _sphere(radius_m: float) -> Mesh:
     z = np.broadcast_to(sin(latitude)[:, None], (len(latitude), sides))
     rings = np.stack([flat * cos(longitude), flat * sin(longitude), z], axis=-1)
     return closed(corner_m * rings, corner_m * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
-
-
-class HallSite:
-    """The floor of a hall; a `Site`."""
-
-    name, origin_m, obstacles = "flat", (0.0, 0.0, 0.0), None
-
-    def __init__(self, section: Hall, _seed: int) -> None:  # nothing of a hall is random
-        self._section, self._hall = section, HallWorld(section)
-        self.height_m = self._hall.height_m
-
-    def world(
-        self,
-        path_xy_m: Array,
-        *,
-        reach_m: float,
-        farthest_m: float,  # noqa: ARG002  # all of it is near
-        wind: Wind | None,  # noqa: ARG002  # nothing in it moves
-        start_ns: int,  # noqa: ARG002
-    ) -> tuple[World, None]:
-        """Return the hall; parameters and errors as of `Site`."""
-        self._hall.check(path_xy_m)
-        return furnished(self._hall, self._section.meshes, path_xy_m, reach_m), None

@@ -1,23 +1,21 @@
-"""The tables `[world]` of a hall, `[wind]` and `[people]`, and of meshes that the user brings; and the contract of all worlds with the engine."""
+"""The tables `[world]` of a hall and `[people]`; and the contract of all worlds with the engine."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
 
 from pydantic import Field, model_validator
 
 from vlp16emu.doors import door
-from vlp16emu.settings import Angle, Fraction, Place, SceneFile, Section, Size
+from vlp16emu.settings import Fraction, LazySection, SceneFile, Section, Size
 
 if TYPE_CHECKING:  # scenes are read without numpy
-    from vlp16emu.types import Array, Window, World
+    from vlp16emu.types import Array, World
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
 _KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
 
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 UpAxis = Literal["z", "y"]
-SemanticName = Literal["ground", "tree", "shrub", "stone", "deadwood", "grass", "other"]
-PartName = Literal["none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
 
 
 class PartFinish(Section):
@@ -59,34 +57,6 @@ class Finish(PartFinish):
         return self.reflectance if given is None else given
 
 
-class MeshPart(PartFinish):
-    """Labels and finish of one part of a mesh file that differs from the rest."""
-
-    name: str
-    """Name of the object or group (OBJ) or node (GLB)."""
-    semantic: SemanticName | None = None
-    """Class of the points on it, where it differs."""
-    part: PartName | None = None
-    """Part of a plant that it is, where it differs."""
-
-
-class MeshPlace(Section):
-    """Place and pose of a mesh in the world."""
-
-    x_m: Place
-    """Position east."""
-    y_m: Place
-    """Position north."""
-    z_m: Place | None = None
-    """Height of the file's origin in the world; without it the mesh is on the ground."""
-    above_ground_m: Place = 0.0
-    """Height of the file's origin over the ground, where `z_m` is not given."""
-    yaw_deg: Angle = 0.0
-    """Counter-clockwise, seen from above."""
-    scale: Annotated[float, Field(ge=1e-3, le=1000)] = 1.0
-    """Factor on the size."""
-
-
 class MeshSource(Section):
     """A file of meshes: OBJ, PLY, GLB or STL."""
 
@@ -96,47 +66,6 @@ class MeshSource(Section):
     """Unit of the file's coordinates."""
     up: UpAxis
     """Axis of the file that points upwards."""
-
-
-class ModelPart(Section):
-    """Label of one part of the file of a tree."""
-
-    name: str
-    """Name of the object or group (OBJ) or node (GLB)."""
-    part: Literal["stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
-    """Part of a tree that it is."""
-
-
-class TreeModelFile(MeshSource):
-    """A tree of the user's own, which takes the place of the grown trees of a species, scaled to the size of each."""
-
-    species: str
-    """Trees that look like it: name in the species table, or scientific name. Of several models of a species each tree has one
-    at random among those that it stretches least."""
-    parts: list[ModelPart] = Field(default_factory=list)
-    """Parts of the file that are no stem."""
-
-
-class MeshFile(Finish, MeshSource):
-    """A mesh of the user's own: OBJ, PLY, GLB or STL."""
-
-    semantic: SemanticName = "other"
-    """Class of the points on it."""
-    part: PartName = "none"
-    """Part of a plant that it is."""
-    one_thing: bool = True
-    """Whether all parts at one place are one instance; otherwise each is one of its own."""
-    parts: list[MeshPart] = Field(default_factory=list)
-    """Parts that differ."""
-    places: Annotated[list[MeshPlace], Field(min_length=1)]
-    """Positions at which the mesh is placed."""
-
-
-class Sway(Protocol):
-    """Moving things of a world."""
-
-    def with_sway(self, window: "Window", track_m: "Array", start_ns: int, stop_ns: int) -> "Window":
-        """Return the window of sensor positions (n, 3) with its sway between two UTC instants."""
 
 
 class Site(Protocol):
@@ -158,9 +87,9 @@ class Site(Protocol):
         """Height of the ground over places."""
 
     def world(
-        self, path_xy_m: "Array", *, reach_m: float, farthest_m: float, wind: "Wind | None", start_ns: int
-    ) -> "tuple[World, Sway | None]":
-        """Return the world around a path, and what moves in it; None in still air.
+        self, path_xy_m: "Array", *, reach_m: float, farthest_m: float, wind: Any, start_ns: int
+    ) -> "tuple[World, Any]":
+        """Return the world around a path, and what moves in it, as `forest.stand.wind.TreeSway`; None in still air.
 
         Raises GeometryError if the world cannot be made as it is written, or ends within reach.
 
@@ -169,6 +98,7 @@ class Site(Protocol):
         path_xy_m : (n, 2) path of the sensors
         reach_m : from there, how far they see
         farthest_m : range of the one that sees farthest
+        wind : the table `[wind]`; None without it
         start_ns : UTC of the first pulse
         """
 
@@ -183,7 +113,7 @@ class WorldSection(Section):
     if TYPE_CHECKING:
         kind: str
 
-    meshes: list[MeshFile] = Field(default_factory=list)
+    meshes: list[Annotated[Any, LazySection("mesh_section")]] = Field(default_factory=list)
     """The user's own things; they may lie anywhere."""
 
     def site(self, seed: int) -> Site:
@@ -191,23 +121,12 @@ class WorldSection(Section):
         site: Site = door(self.site_door)(self, seed)
         return site
 
+    def furnished(self, bare: "World", path_xy_m: "Array", reach_m: float) -> "World":
+        """Return a world with the user's own meshes in it, as far as they are seen along a path (n, 2).
 
-class Wind(Section):
-    """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
-
-    speed_m_s: Annotated[float, Field(ge=0, le=12)]
-    """Mean, at the top of the canopy: there half of what it is in the open, by and large. Trees answer in proportion, also
-    where real ones would break or lean on their neighbours: from some 8 m/s on thin trees of dense stands lean too far."""
-    towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    """Direction in which it blows, counter-clockwise from east."""
-    turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
-    """Standard deviation of the speed along the wind over the mean; across it is 0.8 of that. At the top of canopies
-    1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
-    gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
-    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (the same)."""
-    damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
-    """Damping of the trees' swing as a share of critical damping: whole trees have 0.08 and more, stripped ones 0.01 to
-    0.08 (Moore and Maguire, Trees 19, 2005)."""
+        Raises GeometryError if a mesh cannot be read.
+        """
+        return door("furnished")(bare, self.meshes, path_xy_m, reach_m) if self.meshes else bare
 
 
 class People(Section):

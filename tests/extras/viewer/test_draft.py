@@ -16,8 +16,8 @@ from vlp16emu.extras.sheets.survey import survey
 from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.guard import guarded_server
 from vlp16emu.extras.viewer.stand import pieces_of
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.scenario import load
-from vlp16emu.world.polyline import Polyline
 
 SCENE = """# mine
 schema = 1

@@ -7,6 +7,7 @@ import pytest
 from forest.kit import feet_m
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.make import ForestSite
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey
 from vlp16emu.forest.settings import SpeciesShare
@@ -14,7 +15,6 @@ from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.polyline import distance_m
 
 THIN = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=5.0, height_m=6.0)
 
@@ -34,13 +34,15 @@ def placed(window):
 
 
 @pytest.fixture(scope="module")
-def shape(forest):
-    """Meshes of a shape, which takes long to make."""
-    return cache(forest.shape)
+def small(make_forest):
+    """Trees within 15 m, and their meshes, which take long to make."""
+    forest = make_forest(reach_m=15.0)
+    return forest, cache(forest.shape)
 
 
-def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
+def test_surfaces_belong_to_the_meshes_they_show(small, track_m):
     """Each tile's rows are its ground and the stems of its trees in order; each crown's are the parts of one tree."""
+    forest, shape = small
     window, trees = forest.window(track_m), forest.trees(track_m)
     used = np.zeros(len(window.surfaces), int)
     meshes = {key: len(shape(key)) for key in window.shapes}
@@ -66,8 +68,9 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
     assert stems == trees["id"].tolist()
 
 
-def test_stems_and_crowns_are_where_the_records_say(forest, shape, track_m):
+def test_stems_and_crowns_are_where_the_records_say(small, track_m):
     """The tip of a stem's mesh, the top of its crown's axis and the tree record agree to a millimetre."""
+    forest, shape = small
     window, trees = forest.window(track_m), forest.trees(track_m)
     tips, tops = {}, {}
     for which, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
@@ -101,7 +104,7 @@ def test_crowns_are_as_wide_as_their_trees(forest, track_m):
 def test_everything_is_the_same_from_either_end(make_forest, with_layers):
     """Windows of a walk and of the walk back, tiles last to first, agree on every thing that they share: key, place and bytes."""
     path = np.array([[0.0, 0.0], [30.0, 4.0], [45.0, -3.0]])
-    there, back = (make_forest(path_xy_m=way, with_layers=with_layers) for way in (path, path[::-1]))
+    there, back = (make_forest(path_xy_m=way, with_layers=with_layers, reach_m=25.0) for way in (path, path[::-1]))
     tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 30)]
     first = [there.window(track) for track in tracks]
     second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
@@ -194,7 +197,7 @@ def test_tiles_out_of_reach_are_forgotten(make_forest):
     path = np.column_stack([np.linspace(0, 1000, 101), np.zeros(101)])
     forest = make_forest(path_xy_m=path)
     one = len(forest.window(np.column_stack([path[:2], [2.0, 2.0]])).shapes)
-    for start in range(0, 100, 4):
+    for start in range(0, 100, 10):
         forest.trees(path[start : start + 4])
     assert forest._tile.cache_info().currsize <= forest._tile.cache_info().maxsize < 6 * one
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.settings import Plot
 from vlp16emu.forest.stand.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.world.polyline import Corridor
 
 LIST = """\
 x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg,remark

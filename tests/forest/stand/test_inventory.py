@@ -8,6 +8,7 @@ import trimesh
 from forest.kit import areas_m2, corners, trees_of
 from scipy.spatial import ConvexHull
 
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
 from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.plants.stem import axis_m, lean_rotation, stem_forms, stem_meshes
@@ -15,7 +16,6 @@ from vlp16emu.forest.settings import Forest, SpeciesShare
 from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
 from vlp16emu.forest.stand.stand import TREE, Stand
 from vlp16emu.types import PlantPart
-from vlp16emu.world.polyline import Corridor
 
 SEED = 6
 NAMES = ["silver_birch", "norway_spruce", "english_oak", "sugar_maple", "snag"]

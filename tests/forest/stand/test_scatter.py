@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor, distance_m
 from vlp16emu.forest import settings
 from vlp16emu.forest.plants.prototypes import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
 from vlp16emu.forest.plants.species import flora, species_table
@@ -18,7 +19,6 @@ from vlp16emu.forest.stand.placed import Site
 from vlp16emu.forest.stand.scatter import layer_of
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.polyline import Corridor, distance_m
 
 PATH = np.array([[-10.0, 10.0], [120.0, 60.0]])
 YOUNG = ["european_beech", "norway_spruce"]

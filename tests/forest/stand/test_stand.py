@@ -9,6 +9,7 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor, distance_m
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.species import species_table, tapers
@@ -17,7 +18,6 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Forest, Plantation, Scattered, SpeciesShare, Storey, Terrain
 from vlp16emu.forest.stand.points import scattered
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
-from vlp16emu.world.polyline import Corridor, distance_m
 
 FAR_XY_M = np.array([[0.0, 1e5]])
 BIRCH = SpeciesShare(species="silver_birch", share=0.25, dbh_cm=18.0, height_m=19.0)

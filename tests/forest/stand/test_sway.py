@@ -8,11 +8,11 @@ from scipy.signal import lsim
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.plants.stem import StemKey
+from vlp16emu.forest.settings import Wind
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.stand.wind import ACROSS, ALONG, KNOT_NS, Trees, TreeSway, gust_lines, mechanics, swings
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart
-from vlp16emu.world import Wind
 
 SPEED_M_S, INTENSITY, LENGTH_M = 6.0, 0.5, 20.0
 KAIMAL = Wind(speed_m_s=SPEED_M_S, turbulence_intensity=INTENSITY, gust_length_m=LENGTH_M)

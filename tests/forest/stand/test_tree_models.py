@@ -7,16 +7,15 @@ from forest.kit import trees_of
 
 from vlp16emu import Emulator
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import flora, species_table
-from vlp16emu.forest.settings import Woods
+from vlp16emu.forest.settings import ModelPart, TreeModelFile, Woods
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.tree_models import Cutter, ModelKey, TreeModels
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import ModelPart, TreeModelFile
 
 BIRCH = species_table()["silver_birch"]
 PARTS = [ModelPart(name="crown", part="leaf"), ModelPart(name="bough", part="branch_first_order")]

@@ -9,13 +9,13 @@ import pytest
 import trimesh
 from forest.kit import feet_m
 
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.stand.twin import cut_out, things_near, write_glb
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.settings import Hall, HallPole
 
 RADIUS_M = 12.0
@@ -186,7 +186,8 @@ def test_parts_say_in_numbers_what_their_names_say_and_share_meshes(header):
     name, species, _ = node["name"].split("/")
     extras = node["extras"]
     assert SPECIES[extras.pop("species")] == species
-    assert extras == {"semantic": Semantic.TREE, "part": PlantPart.STEM, "instance": int(name.removeprefix("tree_"))}    shown = [node["mesh"] for node in header["nodes"] if "mesh" in node]
+    assert extras == {"semantic": Semantic.TREE, "part": PlantPart.STEM, "instance": int(name.removeprefix("tree_"))}
+    shown = [node["mesh"] for node in header["nodes"] if "mesh" in node]
     assert sorted(set(shown)) == list(range(len(header["meshes"])))
     assert len(shown) > 2 * len(header["meshes"])
     stones = {n["mesh"] for n in header["nodes"] if n["name"].startswith("stone_") and "mesh" in n}

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
+from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
 from vlp16emu.extras.truth.truth import given_mount, transform
-from vlp16emu.motion.imu import GRAVITY_M_S2
 from vlp16emu.packets import (
     DATA_PAYLOAD,
     JUMP_NS,
@@ -21,6 +21,7 @@ from vlp16emu.packets import (
     faults_in,
     scan_starts,
 )
+from vlp16emu.types import U1
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
@@ -83,7 +84,7 @@ class UnitMessages:
         self._sentence = fields.sentence
         return t_ns
 
-    def check(self) -> NDArray[np.uint8]:
+    def check(self) -> U1:
         """Return the payloads (n, 1206) of the scan so far; PacketError if one of them is not a VLP-16's."""
         payloads = np.frombuffer(b"".join(payload for _, payload, _ in self._held), np.uint8)
         payloads = payloads.reshape(len(self._held), DATA_PAYLOAD.itemsize)

@@ -17,9 +17,9 @@ from vlp16emu.engine import Engine
 from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
+from vlp16emu.extras.imu.sampler import Inertial
 from vlp16emu.extras.slam import Rig, written_beside
 from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
-from vlp16emu.motion.imu import Inertial
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
 from vlp16emu.packets import (
@@ -347,12 +347,10 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
     yield before[0], before[1] + rates
 
 
-def _table(
-    path: Path, columns: Sequence[str], names: Sequence[str] | None = None, *, time: str = _TIME
-) -> Iterator[Row]:
+def _table(path: Path, columns: Sequence[str], names: Sequence[str] = (), *, time: str = _TIME) -> Iterator[Row]:
     """Yield the numbers of columns, and the time, of a CSV; or of a TUM file, which has no names of its own."""
     with readable(path, "a file of a --truth folder", InputError, most_bytes=_EVER_NS), path.open() as lines:
-        reader = csv.DictReader(lines, names, delimiter=" " if names else ",")
+        reader = csv.DictReader(lines, names or None, delimiter=" " if names else ",")
         if missing := {time, *columns} - set(reader.fieldnames or ()):
             raise InputError(f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}")
         for row in reader:

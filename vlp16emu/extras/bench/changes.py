@@ -10,6 +10,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, sin
 from vlp16emu.engine import GpsInput, Stretch, Timeline, Unit, clock_at, in_phase_deg
 from vlp16emu.extras.bench.events import ALL_AROUND, FOREVER_NS, Event, InForce
 from vlp16emu.motion.settings import Gps
@@ -17,10 +18,34 @@ from vlp16emu.packets.nmea import rmc
 from vlp16emu.random import Purpose, generator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Spin, Wobbling
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Spin
 from vlp16emu.sensor.settings import FreeSensor, Sensor
-from vlp16emu.types import Firings, GnssFix, Hits, PpsState, ReturnMode, Returns
+from vlp16emu.types import F8, I8, Firings, GnssFix, Hits, PpsState, ReturnMode, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Wobbling:
+    """A sine on top of the speed, for a time."""
+
+    from_ns: int
+    """Since the start."""
+    lasts_ns: int
+    amplitude_rpm: float
+    period_s: float
+
+    def ahead_deg(self, elapsed_ns: I8) -> F8:
+        """Return the angles (n,) by which the rotor is ahead of an even turn."""
+        since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
+        per_s = 2.0 * math.pi / self.period_s
+        return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
+
+    def rpm_at(self, elapsed_ns: int) -> float:
+        """Return the speed that the wobble adds at a time since the start, in rpm."""
+        since_ns = elapsed_ns - self.from_ns
+        if not 0 <= since_ns < self.lasts_ns:
+            return 0.0
+        return self.amplitude_rpm * sin(2.0 * math.pi * since_ns / S_NS / self.period_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,6 @@ from vlp16emu.extras.bench.events import FOREVER_NS, Event, InForce, checked, ev
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.web import WebServer
-from vlp16emu.motion.settings import takes_poses
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
@@ -117,7 +116,7 @@ class Control:
             self._redirect(number, self._factory[number], device.settings)
         if self._take_up() is None:  # what changes need is loaded, so that the first one is followed as soon as others
             engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
-            if not takes_poses(self._scenario.motion):
+            if not self._scenario.motion.takes_poses:
                 deque(engine.packets(0.0, _WARM_S), 0)
         thread = threading.Thread(target=self._run, name="settings", daemon=True)
         thread.start()

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from vlp16emu.errors import InputError
-from vlp16emu.options import Option, Options
-from vlp16emu.run.options import LAST_PORT, StreamOptions
+from vlp16emu.run.options import LAST_PORT, Option, Options, StreamOptions
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from vlp16emu.engine import Engine
 from vlp16emu.errors import OutputError, RunError, ScenarioError
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
 from vlp16emu.extras.bench.options import Outlets
-from vlp16emu.motion import Imu
-from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.extras.imu.sampler import ImuSampler
+from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.packets import rmc
 from vlp16emu.sinks import PacketSink
 from vlp16emu.sinks.udp import resolve

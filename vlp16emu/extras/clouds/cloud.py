@@ -23,7 +23,7 @@ from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
 from vlp16emu.packets import PointFrame
 from vlp16emu.settings import toml
-from vlp16emu.types import HeightField, PlantPart, Semantic
+from vlp16emu.types import U1, U4, HeightField, PlantPart, Semantic
 
 
 @cache
@@ -43,7 +43,7 @@ class LabelScheme:
                 keys = f"{semantic.name}.{part.name}".lower(), semantic.name.lower()
                 self._codes[semantic, part] = next((table[k] for k in keys if k in table), table["none"])
 
-    def codes(self, semantic: NDArray[np.uint8], part: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def codes(self, semantic: U1, part: U1) -> U1:
         """Classes (n,) of points by `Semantic` (n,) and `PlantPart` (n,)."""
         return np.asarray(self._codes[semantic, part])
 
@@ -71,7 +71,7 @@ class PointLabels:
             "height_m": (z_m - self._height_m(x_m, y_m)).astype(np.float32),
         }
 
-    def _dense(self, instance: NDArray[np.uint32], semantic: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    def _dense(self, instance: U4, semantic: U1) -> U4:
         """Numbers (n,) of the trees, 1, 2, 3 ... in the order in which they are met; 0 of what is no tree."""
         is_tree = semantic == Semantic.TREE
         met, first, back = np.unique(instance[is_tree], return_index=True, return_inverse=True)
@@ -171,9 +171,7 @@ TRUTH_COLUMNS = (
 )  # columns of the surface behind each point of a scene
 
 
-_VIEWPOINT = Column(
-    "viewpoint_m", "<f8", ("viewpoint_x_m", "viewpoint_y_m", "viewpoint_z_m"), 4, ("vp_x", "vp_y", "vp_z")
-)
+_VIEWPOINT = Column("viewpoint_m", "<f8", tuple(f"viewpoint_{axis}_m" for axis in "xyz"), 4, ("vp_x", "vp_y", "vp_z"))
 DESKEWED_COLUMNS = (
     *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
     Column("is_last", "|u1", ("is_last",), 0, ("is_last",)),
@@ -225,7 +223,6 @@ class _Csv(PointWriter):
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
-        """Append lines."""
         formats, fields = list[str](), list[list[Any]]()
         for column in self._columns:
             values, unit = block[column.name], 10**column.decimals
@@ -259,7 +256,6 @@ class _Ply(PointWriter):
         file.write(self._header())
 
     def write(self, block: Block) -> None:
-        """Append vertices."""
         vertices = np.empty(len(block[self._columns[0].name]), self._vertex)
         for column in self._columns:
             for name, values in column.properties(block[column.name]).items():
@@ -328,13 +324,11 @@ class _Npz(PointWriter):
         self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
-        """Append each array to its temporary file."""
         for column, waiting in zip(self._columns, self._waiting, strict=True):
             waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
         self.points += len(block[self._columns[0].name])
 
     def finish(self) -> None:
-        """Write all arrays."""
         with zipfile.ZipFile(self._file, "w") as archive:
             for column, waiting in zip(self._columns, self._waiting, strict=True):
                 shape = (self.points, len(column.csv)) if len(column.csv) > 1 else (self.points,)

@@ -22,6 +22,7 @@ from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scenario import load
+from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
 _MINUTE_NS = 60 * S_NS
@@ -60,12 +61,12 @@ class Trajectory:
         """UTC of the first and the last pulse that have a pose, in seconds."""
         return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
 
-    def has(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def has(self, t_ns: I8) -> NDArray[np.bool_]:
         """(n,) whether instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
         at_ns = t_ns + self._offset_ns
         return np.asarray((at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS))
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def poses_at(self, t_ns: I8) -> tuple[F8, F8]:
         """Rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
         at_ns = np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns)
         body = self._motion.poses_at(at_ns)
@@ -103,7 +104,7 @@ class CaptureTruth:
         wanted = cloud.TRUTH_COLUMNS + cloud.LABEL_COLUMNS * (self._labels is not None)
         return tuple(column for column in wanted if column.name not in known)
 
-    def of(self, chunk: PacketChunk, packets: slice, points: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def of(self, chunk: PacketChunk, packets: slice, points: I8) -> dict[str, NDArray[Any]]:
         """Arrays (n,) of points, which are those of a slice of the chunk's packets; height is that of the true place."""
         stamps_us = chunk.fields["timestamp_us"][packets]
         packet = chunk.points.packet[points] - packets.start

@@ -12,10 +12,10 @@ from importlib.metadata import version
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter, label_scheme
+from vlp16emu.types import F8, I8, U1
 from vlp16emu.units import S_NS
 
 _SCALE_M = 1e-4
@@ -72,9 +72,7 @@ class LasFile(PointWriter):
 
     def write(self, block: Block) -> None:
         """Append points; the first one decides the offset."""
-        values = {
-            name: array for column in self._columns for name, array in column.properties(block[column.name]).items()
-        }
+        values = {name: array for one in self._columns for name, array in one.properties(block[one.name]).items()}
         n = len(values["x"])
         if not n:
             return
@@ -115,7 +113,7 @@ class LasFile(PointWriter):
         except self._failures as error:
             raise OSError(getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)) from error
 
-    def _begin(self, offset_m: NDArray[np.float64]) -> None:
+    def _begin(self, offset_m: F8) -> None:
         laspy = self._laspy
         header = laspy.LasHeader(version="1.4", point_format=6)
         header.scales, header.offsets = np.full(3, _SCALE_M), offset_m
@@ -139,7 +137,7 @@ class LasFile(PointWriter):
         )
 
 
-def echoes_of(block: Block) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def echoes_of(block: Block) -> tuple[U1, U1]:
     """Return the number (n,) of each echo in its pulse, the nearest being 1, and how many (n,) the pulse has.
 
     The block has `t_ns`, `laser` and `distance_m`; the echoes of a pulse follow one another.
@@ -180,7 +178,7 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
     )
 
 
-def adjusted_gps_s(t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def adjusted_gps_s(t_ns: I8) -> F8:
     """Convert UTC instants (n,), ns since 1970 without leap seconds, to adjusted standard GPS time (n,) in s."""
     leaps = np.searchsorted(_LEAPS_NS, t_ns, side="right")
     # Whole seconds apart, as float64 keeps 60 ns of the sum and no more.

@@ -17,8 +17,8 @@ from vlp16emu.extras.clouds.scan import points_of
 from vlp16emu.extras.options import PointOptions
 from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
 from vlp16emu.run.emulator import Emulator
+from vlp16emu.run.report import Turn, turn_of
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 

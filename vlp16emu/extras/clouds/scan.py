@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.errors import InputError
+from vlp16emu.extras.clouds.place import place
 from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
@@ -26,8 +27,7 @@ from vlp16emu.packets import (
     scan_starts,
 )
 from vlp16emu.raycast.displace import offset_tangents
-from vlp16emu.sensor.place import place
-from vlp16emu.types import F8, I8, SURFACE, Labels, ReturnMode, Returns, Scan
+from vlp16emu.types import F4, F8, I8, SURFACE, Labels, ReturnMode, Returns, Scan
 from vlp16emu.units import seconds_to_ns
 
 _LABELS = ("semantic", "part", "instance", "species")
@@ -223,7 +223,7 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
 
 def points_of(
     unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
-) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+) -> tuple[dict[str, NDArray[Any]], I8]:
     """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
     firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
     sent = _sent(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
@@ -250,7 +250,7 @@ def points_of(
     return points | (_labels(returns, sent) if truth else {}), sequence
 
 
-def _sent(distance_m: NDArray[np.float32], mode: ReturnMode) -> NDArray[np.bool_]:
+def _sent(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
     """(k, L, 3) which returns the sensor would report: each echo once, a lone one as the strongest.
 
     The rules of dual return: 63-9243 Rev D, section 9.3.2.

@@ -65,9 +65,8 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["gain_spread"] = round(min(found["reflectivity.gain_spread"], 0.3), 3)
     middles = {name: math.sqrt(REAL[name].low * REAL[name].high) for name in found if name.startswith("lost.")}
     if middles:
-        out["records_lost"] = round(
-            min(float(np.median([found[name] / of for name, of in middles.items()])), _MOST_LOST), 2
-        )
+        shares = [found[name] / of for name, of in middles.items()]
+        out["records_lost"] = round(min(float(np.median(shares)), _MOST_LOST), 2)
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
         silent = sequences.distance_lsb == 0

@@ -11,7 +11,7 @@ from vlp16emu.errors import CaptureError
 from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Capture, CapturedUnit
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import ReturnMode
+from vlp16emu.types import I8, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _LEAST_PACKETS = 80  # one revolution at 600 rpm has 75
@@ -24,15 +24,15 @@ _RPM = 270.0, 1320.0
 class Sequences:
     """n firing sequences of b blocks and p packets; in dual return, of the odd blocks."""
 
-    number: NDArray[np.int64]  # (n,) from 0, in units of 55.296 us: lost packets leave gaps
-    distance_lsb: NDArray[np.int64]  # (n, 16)
-    reflectivity: NDArray[np.int64]  # (n, 16)
-    azimuth_cdeg: NDArray[np.int64]  # (b,) without the jump at north: it goes on rising
-    block: NDArray[np.int64]  # (b,) number of the blocks, in units of 110.592 us
-    clock_ns: NDArray[np.int64]  # (p,) the sensor's clock, hours added
-    stamp_ns: NDArray[np.int64]  # (p,) of the capture
-    packet: NDArray[np.int64]  # (p,) from 0, numbered through gaps
-    last: tuple[NDArray[np.int64], NDArray[np.int64]] | None
+    number: I8  # (n,) from 0, in units of 55.296 us: lost packets leave gaps
+    distance_lsb: I8  # (n, 16)
+    reflectivity: I8  # (n, 16)
+    azimuth_cdeg: I8  # (b,) without the jump at north: it goes on rising
+    block: I8  # (b,) number of the blocks, in units of 110.592 us
+    clock_ns: I8  # (p,) the sensor's clock, hours added
+    stamp_ns: I8  # (p,) of the capture
+    packet: I8  # (p,) from 0, numbered through gaps
+    last: tuple[I8, I8] | None
     """Distances and reflectivities (n, 16) of the even blocks, in dual return."""
 
     @property
@@ -72,7 +72,7 @@ def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
     return sequences
 
 
-def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64]) -> Sequences:
+def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: I8) -> Sequences:
     dual = bool(fields["return_mode"][0] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
     blocks = fields["blocks"][:, 1::2] if dual else fields["blocks"]
     per_packet = layout.BLOCKS_PER_PACKET // 2 if dual else layout.BLOCKS_PER_PACKET
@@ -98,7 +98,7 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64])
     )
 
 
-def _of_lasers(blocks: NDArray[np.void]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _of_lasers(blocks: NDArray[np.void]) -> tuple[I8, I8]:
     names, records = ("distance_lsb", "reflectivity"), blocks["records"]
     distance, code = (records[name].reshape(-1, layout.LASERS).astype(np.int64) for name in names)
     return distance, code

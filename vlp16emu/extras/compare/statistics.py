@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.packets.layout import AZIMUTH_CODES
+from vlp16emu.types import F8, I8
 from vlp16emu.units import US_NS
 
 _PULSES = 15
@@ -40,23 +41,23 @@ Statistics = dict[str, float]
 class Stretches:
     """s stretches of 15 pulses of one laser on a smooth surface."""
 
-    residual_mm: NDArray[np.float64]  # (s, 15) ranges less the cubic
-    first_slot: NDArray[np.int64]
+    residual_mm: F8  # (s, 15) ranges less the cubic
+    first_slot: I8
     """(s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from pulse to pulse."""
-    codes: NDArray[np.int64]  # (s, 15) reflectivities
+    codes: I8  # (s, 15) reflectivities
 
     @property
-    def level(self) -> NDArray[np.float64]:
+    def level(self) -> F8:
         """Mean reflectivity (s,)."""
         return np.asarray(self.codes.mean(axis=1))
 
     @property
-    def code_residual(self) -> NDArray[np.float64]:
+    def code_residual(self) -> F8:
         """Reflectivities (s, 15) less their cubic."""
         return np.asarray(self.codes @ _Q)
 
     @property
-    def beat_mm(self) -> NDArray[np.float64]:
+    def beat_mm(self) -> F8:
         """Error of range (5,) by slot, with a mean of zero: least squares over all stretches."""
         square, product = np.zeros((_SLOTS, _SLOTS)), np.zeros(_SLOTS)
         for first in range(_SLOTS):
@@ -66,13 +67,13 @@ class Stretches:
         return np.asarray(np.linalg.lstsq(square, product, rcond=1e-9)[0])
 
     @property
-    def white_mm(self) -> NDArray[np.float64]:
+    def white_mm(self) -> F8:
         """Residuals (s, 15) without the beat."""
         of_first = np.stack([_of_slots(first) @ self.beat_mm for first in range(_SLOTS)])
         return np.asarray(self.residual_mm - of_first[self.first_slot])
 
 
-def _of_slots(first: int) -> NDArray[np.float64]:
+def _of_slots(first: int) -> F8:
     """Return what is left (15, 5) of a unit error of each slot when the cubic is removed."""
     return np.asarray(_Q @ np.eye(_SLOTS)[(first - np.arange(_PULSES)) % _SLOTS])
 
@@ -234,13 +235,13 @@ def no_returns(sequences: Sequences) -> Statistics:
     return out | _raised(silent, r)
 
 
-def commonest(silent: NDArray[np.bool_], r: NDArray[np.int64]) -> NDArray[np.int64]:
+def commonest(silent: NDArray[np.bool_], r: I8) -> I8:
     """Return the commonest code (16,) of each laser's records without a return, 0 where there are too few."""
     each = [column[of] for column, of in zip(r.T, silent.T, strict=True)]
     return np.array([np.bincount(own).argmax() if len(own) >= _LEAST_EDGES else 0 for own in each])
 
 
-def _raised(silent: NDArray[np.bool_], r: NDArray[np.int64]) -> Statistics:
+def _raised(silent: NDArray[np.bool_], r: I8) -> Statistics:
     """Share of raised codes beside bright returns less that beside dark ones, and of raised runs that are one record long."""
     mode = commonest(silent, r)
     raised = silent & (r > _RAISED * mode) & (mode > 0)
@@ -272,7 +273,7 @@ class Turning(NamedTuple):
 
     once_cdeg: complex  # amplitudes of the sine (imaginary) and the cosine (real) of the azimuth
     twice_cdeg: complex
-    rest_cdeg: NDArray[np.float64]  # (b,) what is left
+    rest_cdeg: F8  # (b,) what is left
 
 
 def turning_of(sequences: Sequences) -> Turning:
@@ -291,7 +292,7 @@ def local(series: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(series[9:-9] - np.convolve(series, np.ones(9) / 9, "same")[9:-9])
 
 
-def tick_of(sequences: Sequences, rest_cdeg: NDArray[np.float64]) -> float:
+def tick_of(sequences: Sequences, rest_cdeg: F8) -> float:
     """Return the height in us of the sawtooth of a reading that is as old as the last tick of a clock.
 
     It is the one that explains most of the residuals of the azimuth, by least squares for each of its phases.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Unit, workers
 from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.extras.camera import Camera, CameraKind, look
+from vlp16emu.extras.meshes.furnished import Furnished
 from vlp16emu.extras.options import ImageOptions
 from vlp16emu.extras.outputs import OutputFolder
 from vlp16emu.extras.plots import surface_colours
@@ -27,7 +28,6 @@ from vlp16emu.raycast.caster import Geometry
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F4, SURFACE, U1, PlantPart, Poses, Semantic, World
 from vlp16emu.units import S_NS, seconds_to_ns
-from vlp16emu.world.furnished import Furnished
 
 LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.uint8, "species": np.uint16}
 """Folders of PNG files and the type of their pixels; depth is in steps of 2 mm, as in packets."""

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
 from vlp16emu.engine import Parts, window_of
@@ -25,19 +24,18 @@ from vlp16emu.extras.live.knots import STEP_NS, Knots
 from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.tables import Column, read_table
+from vlp16emu.types import Array
 from vlp16emu.units import S_NS
 
 if TYPE_CHECKING:
     from vlp16emu.extras.live.motion import LiveMotion
-
-Array = NDArray[np.float64]
 
 Cell = tuple[int, int, int]  # name of a box of the world, for whose sensors a window is opened
 
 _RATES = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 _COLUMNS = {
     **TIMED_POSES,
-    **{name: Column({name: 1.0}) for name in _RATES},
+    **{key: Column({key: 1.0}) for key in _RATES},
     "cell": Column({"cell": 1.0}, is_filled=False),
 }
 FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
@@ -46,7 +44,7 @@ FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 class Flown(NamedTuple):
     """A table of knots."""
 
-    states: NDArray[np.float64]  # (n, 13), a step apart, from the first pulse on
+    states: Array  # (n, 13), a step apart, from the first pulse on
     cells: tuple[tuple[int, Cell], ...]  # knots from which windows of other cells are in use; the first is 0
 
 
@@ -113,13 +111,13 @@ _NICE = 10
 _Name = tuple[Cell, int]  # box, and segment of time where trees sway
 
 
-def cell_of(place_m: NDArray[np.float64]) -> Cell:
+def cell_of(place_m: Array) -> Cell:
     """Name of the box that holds a place (3,)."""
     x, y, z = np.floor(place_m / [_WIDE_M, _WIDE_M, _HIGH_M]).astype(int).tolist()
     return x, y, z
 
 
-def track_of(cell: Cell, arm_m: float) -> NDArray[np.float64]:
+def track_of(cell: Cell, arm_m: float) -> Array:
     """Positions (n, 3) all over a box and around it, whose sensors are up to so far from the body."""
     aside_m = _ASIDE_M + arm_m
     lines = 1 + math.ceil((_WIDE_M + 2 * aside_m) / _APART_M)
@@ -222,7 +220,7 @@ class LiveWindows(CellWindows):
                 self.cells.append((self.decided, wanted))
 
 
-def _serves(cell: Cell, place_m: NDArray[np.float64], velocity_m_s: NDArray[np.float64]) -> bool:
+def _serves(cell: Cell, place_m: Array, velocity_m_s: Array) -> bool:
     middle_m = (np.array(cell[:2]) + 0.5) * _WIDE_M
     spare_m = _SPARE_M + _SPARE_S * float(norm(velocity_m_s))
     return bool((np.abs(place_m[:2] - middle_m) <= _WIDE_M / 2 + _ASIDE_M - spare_m).all())

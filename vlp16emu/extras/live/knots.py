@@ -3,15 +3,13 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp
 from vlp16emu.extras.recorded.motion import Pieces
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import cos_sin
+from vlp16emu.types import Array
 from vlp16emu.units import S_NS
-
-Array = NDArray[np.float64]
 
 STEP_NS = 5_308_416  # from knot to knot: 96 firing sequences of a VLP-16, four packets of single return
 STATE = 13

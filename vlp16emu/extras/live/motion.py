@@ -7,23 +7,19 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
 from vlp16emu.engine import Batching, Parts
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.extras.live.flown import FlownMotion, LiveWindows, read_flown
+from vlp16emu.extras.live.flown import LiveWindows
 from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
+from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.motion.settings import Live
-from vlp16emu.types import Poses
+from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
-
-Array = NDArray[np.float64]
 
 LOST_NS = S_NS  # without a pose for so long, poses are lost
 
@@ -234,14 +230,14 @@ class LiveMotion:
         """All so far; None before the beginning."""
         return self._knots
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+    def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
 
         Raises `TrajectoryError` if nobody streams, and `CancelledError` if the stream ends before there is a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
         """Poses at UTC instants (n,) with their derivatives; the rest as of `poses_at`."""
         return self._knots_until(int(t_ns.max())).kinematics_at(t_ns)
 
@@ -292,10 +288,3 @@ def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> Array:
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise TrajectoryError("pose", f"a quaternion of length {length:.6g}", f"length 1, to {UNIT_TOLERANCE:g}")
     return np.array([*numbers[:3], *(number / length for number in numbers[3:])])
-
-
-def live_motion(section: Live, start_ns: int) -> LiveMotion | FlownMotion:
-    """Return the motion of a body that is flown, or that was flown; errors as of `read_flown`."""
-    if section.flown is None:
-        return LiveMotion(section, start_ns=start_ns)
-    return FlownMotion(read_flown(Path(section.flown)), start_ns=start_ns)

@@ -166,11 +166,8 @@ def _average_precision(overlap: F8, limit: float) -> float:
 
 
 def _shares(name: str, hits: int, false: int, missed: int) -> dict[str, float]:
-    shares = {
-        "precision": (hits, hits + false),
-        "recall": (hits, hits + missed),
-        "f1": (2 * hits, 2 * hits + false + missed),
-    }
+    shares = {"precision": (hits, hits + false), "recall": (hits, hits + missed)}
+    shares["f1"] = 2 * hits, 2 * hits + false + missed
     return {f"{name}_{key}": part / whole if whole else math.nan for key, (part, whole) in shares.items()}
 
 

@@ -12,7 +12,9 @@ from scipy.spatial import KDTree
 
 from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
+from vlp16emu.extras.meshes.furnished import Furnished
 from vlp16emu.extras.truth.slots import SlotReader
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
 from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
@@ -25,9 +27,7 @@ from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F8, I8, U4, HeightField, PlantPart, Semantic, Window, World
 from vlp16emu.units import seconds_to_ns
-from vlp16emu.world.furnished import Furnished
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.vectors import places_m
 
 STEM_SEEN = np.dtype(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.truth.truth import given_mount
 from vlp16emu.output import OutputFile, final_name
+from vlp16emu.types import F8
 
 _COLUMNS = 1_080_000
 """Columns of a revolution times rpm: 1800 at 600 rpm, as LIO-SAM and LeGO-LOAM count (config/params.yaml, utility.h)."""
@@ -77,9 +78,9 @@ class Rig:
     """What a configuration depends on; the default is what `protocol/slam` is for."""
 
     rpm: float = 600.0
-    base_T_lidar: NDArray[np.float64] | None = None
+    base_T_lidar: F8 | None = None
     """(4, 4) extrinsics, as the next; None if they are the identity, or change."""
-    base_T_imu: NDArray[np.float64] | None = None
+    base_T_imu: F8 | None = None
     imu: Mapping[str, Any] | None = None  # section of the scene
     lidar_frame: str = "velodyne"
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import CaptureError, MissingExtraError
 from vlp16emu.extras.slam.configure import Program, chosen, pose_names
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "timestamps", "stamps", "offset_time")
@@ -40,17 +41,17 @@ class Facts:
     samples: list[tuple[float, ...]] = field(default_factory=list)
     """Stamp as those of clouds, angular rate, acceleration, length of the quaternion, first covariances of attitude, angular rate
     and acceleration."""
-    fixed: dict[str, tuple[str, NDArray[np.float64]]] = field(default_factory=dict)
+    fixed: dict[str, tuple[str, F8]] = field(default_factory=dict)
     """Parent and pose of each frame of /tf_static."""
     parents: dict[str, set[str]] = field(default_factory=dict)  # all parents of each frame, fixed or moving
 
-    def pose(self, frame: str, of: str) -> NDArray[np.float64] | None:
+    def pose(self, frame: str, of: str) -> F8 | None:
         """Return the fixed pose (4, 4) of one frame in another; None if they are not connected."""
         chains = [dict(self.up(name)) for name in (of, frame)]
         common = next((name for name in chains[1] if name in chains[0]), None)
         return None if common is None else np.linalg.inv(chains[0][common]) @ chains[1][common]
 
-    def up(self, frame: str) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    def up(self, frame: str) -> Iterator[tuple[str, F8]]:
         """Yield the frame and those above it, with its pose in each."""
         T, seen = np.eye(4), set[str]()
         while frame not in seen:
@@ -145,7 +146,7 @@ def _add_fixed(facts: Facts, message: Any, start_s: int) -> None:
         facts.fixed.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), T))
 
 
-def rest_s(imu: NDArray[np.float64], rate_hz: float) -> float:
+def rest_s(imu: F8, rate_hz: float) -> float:
     """Return for how long a unit rests at the start, from its samples (n, 11)."""
     block = max(round(rate_hz * _SMOOTHED_S), 1)
     rows = len(imu) // block * block

@@ -13,7 +13,7 @@ from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.data import distance_lsb, odd_column
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, RECORDS_PER_PACKET
-from vlp16emu.types import SURFACE, Packet, ReturnMode, Returns
+from vlp16emu.types import I8, SURFACE, U4, Packet, ReturnMode, Returns
 
 _ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}
 _LABELS = ("semantic", "part", "instance", "species")
@@ -39,7 +39,7 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
     return rows.reshape(-1, RECORDS_PER_PACKET)
 
 
-def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np.void]:
+def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
     """Return `SLOT` (k, 16) of one return of each pulse, by its place (k, 16) on the last axis."""
 
     def taken(values: NDArray[Any] | None) -> NDArray[Any]:
@@ -215,9 +215,7 @@ class SlotReader:
         self._stamps_us = np.concatenate([np.zeros(0, np.uint32), *stamps])
         self._held: tuple[int, dict[str, NDArray[Any]]] = (-1, {})
 
-    def rows(
-        self, stamp_us: NDArray[np.uint32], packet: NDArray[np.int64], slot: NDArray[np.int64]
-    ) -> dict[str, NDArray[Any]]:
+    def rows(self, stamp_us: U4, packet: I8, slot: I8) -> dict[str, NDArray[Any]]:
         """Return the columns (n,) from `echo` to `share` of records that have a distance.
 
         Parameters
@@ -252,7 +250,7 @@ class SlotReader:
             columns = self._read(group, [*names, "miss"])
             yield {name: columns[name][~columns["miss"]] for name in names}
 
-    def _numbers(self, stamp_us: NDArray[np.uint32]) -> NDArray[np.int64]:
+    def _numbers(self, stamp_us: U4) -> I8:
         expected = self._stamps_us[self._next : self._next + len(stamp_us)]
         if np.array_equal(expected, stamp_us):
             self._next += len(stamp_us)

@@ -12,19 +12,17 @@ from itertools import islice
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.engine import Engine, Parts, Unit, mounts_of
 from vlp16emu.engine.engine import number_at, positions_due
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.events import Event
 from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, faults_of, kinds_of
+from vlp16emu.extras.imu.sampler import ImuSampler, Inertial
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
 from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.motion import Gps, Mount
-from vlp16emu.motion.geodesy import to_geodetic
-from vlp16emu.motion.gnss import Receiver
-from vlp16emu.motion.imu import ImuSampler, Inertial
+from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.emulator import Emulator
@@ -32,7 +30,7 @@ from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario, named_files
 from vlp16emu.sensor.settings import Sensor, on_the_wire
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import F8, Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
 
@@ -354,7 +352,7 @@ def _inertial(imu: ImuSampler, first: int, count: int) -> str:
     )
 
 
-def attitude_of(read: Inertial) -> list[NDArray[np.float64]]:
+def attitude_of(read: Inertial) -> list[F8]:
     """Return the reported attitude as x y z w (n, 4), alone in a list that is empty without it."""
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
@@ -410,7 +408,7 @@ def _extrinsics(key: str, true: Mount, given: Mount) -> dict[str, Any]:
     return {key: _mount(true)} | ({f"given_{key}": _mount(given)} if given.has_errors else {})
 
 
-def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> NDArray[np.float64] | None:
+def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> F8 | None:
     """Return the extrinsics (4, 4) of a device of `rig.json`, as its user has them or as they are; None if it spins."""
     mount = device[key] if true else device.get(f"given_{key}", device[key])
     return None if "spin_hz" in mount else np.array(mount["matrix"])
@@ -422,7 +420,7 @@ def _mount(section: Mount) -> dict[str, Any]:
     return transform(R, np.array(section.lever_arm_m)) | spin
 
 
-def transform(R: NDArray[np.float64], p_m: NDArray[np.float64]) -> dict[str, Any]:
+def transform(R: F8, p_m: F8) -> dict[str, Any]:
     """Write a rigid transform as matrix and as translation and quaternion."""
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 

@@ -29,7 +29,7 @@ from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
 from vlp16emu.packets.layout import POSITION_PAYLOAD
-from vlp16emu.types import PpsState, ReturnMode
+from vlp16emu.types import F8, I8, PpsState, ReturnMode
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
@@ -140,10 +140,10 @@ class DataChunk:
         """
         azimuth_cdeg = self.azimuth_cdeg[:, :: 2 if self.dual else 1]
         forward_cdeg = np.append(np.diff(azimuth_cdeg.ravel()) % layout.AZIMUTH_CODES, 0)
-        self.forward_cdeg: NDArray[np.int64] = forward_cdeg.reshape(azimuth_cdeg.shape)
+        self.forward_cdeg: I8 = forward_cdeg.reshape(azimuth_cdeg.shape)
         """(n, blocks) 0 .. 35999; the very last one leads nowhere and is 0."""
         half = layout.AZIMUTH_CODES // 2
-        self.signed_cdeg: NDArray[np.int64] = (self.forward_cdeg + half - 1) % layout.AZIMUTH_CODES - half + 1
+        self.signed_cdeg: I8 = (self.forward_cdeg + half - 1) % layout.AZIMUTH_CODES - half + 1
         self.usual_cdeg = np.median(self.forward_cdeg[:, :-1], axis=1, keepdims=True)
         self.is_even = np.abs(self.signed_cdeg - self.usual_cdeg) <= _STEP_TOLERANCE_CDEG
         self.is_odd: NDArray[np.bool_] = ~self.is_even | (self.signed_cdeg <= 0)
@@ -188,7 +188,7 @@ class DataChunk:
         self.is_odd[:, 0] &= ~self.is_twin
         self._find_late(np.append(self.is_gap & odd_inside, False))
 
-    def _explain(self, extra_us: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _explain(self, extra_us: F8) -> NDArray[np.bool_]:
         """Find where the odd azimuth steps of a packet account for the time (n - 1,) beyond a period."""
         even_cdeg = self.forward_cdeg[:, :-1][~self.is_odd[:, :-1]]
         # A mean, because the median of whole numbers is too coarse to turn a gap into time.
@@ -315,7 +315,7 @@ class OpticsRules:
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
         self._share = np.zeros(layout.LASERS)
-        self._light: NDArray[np.float64] | None = None
+        self._light: F8 | None = None
         self._dead = frozenset[int]()
 
     def check(self, chunk: DataChunk) -> None:
@@ -326,7 +326,7 @@ class OpticsRules:
         self._check_lasers(packet, is_return.mean(axis=(0, 1, 2)))
         self._check_sectors(packet, chunk, is_return)
 
-    def _check_lasers(self, packet: int, share: NDArray[np.float64]) -> None:
+    def _check_lasers(self, packet: int, share: F8) -> None:
         """Report lasers without a single return, whose neighbours have many; at the edge, which had them before."""
         of, before = share[_BY_ELEVATION], self._share[_BY_ELEVATION]
         sees = of >= _SEEN

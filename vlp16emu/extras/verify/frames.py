@@ -17,7 +17,7 @@ from vlp16emu.packets import layout
 from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import PacketKind
+from vlp16emu.types import I8, PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 
 
@@ -152,16 +152,14 @@ class Findings:
             self.counts[row.level][row.rule] += len(places)
 
 
-Microseconds = TypeVar("Microseconds", int, NDArray[np.int64])
+Microseconds = TypeVar("Microseconds", int, I8)
 
 HOUR_US = HOUR_NS // US_NS
 JITTER_US = 5 * MS_NS // US_NS  # latest stamp of a capturing host, bursts included; a quiet one stays below 0.1 ms
 _DRIFT_PPM = 150  # sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
 _MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
-_PERIODS_NS = {
-    layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()
-}
+_PERIODS_NS = {layout.RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in layout.SEQUENCES_PER_PACKET.items()}
 _HELD = 128  # packets among which one is put in its place: those of 0.17 s in single return
 _FLAG = layout.BLOCK_FLAG.to_bytes(2, "little")
 SENTENCE_OFFSET: int = layout.POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields

@@ -12,6 +12,7 @@ import viser
 
 from vlp16emu.errors import InputError, OutputError, Vlp16emuError
 from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.stand import foot_discs, path_gap_m
@@ -22,7 +23,6 @@ from vlp16emu.motion.way_points import way_points
 from vlp16emu.output import OutputFile
 from vlp16emu.scenario import Scenario, find, load, named_files
 from vlp16emu.types import F8
-from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
 Point = tuple[float, float, float]  # x and y in the world (m), and how long the person stops there (s)
@@ -119,9 +119,7 @@ class Draft:
             changed["way_points_m"] = [[x, y] for x, y, _ in course.points]
             changed |= dict.fromkeys(("way_points_file", "lawn_mower"))
             stops = [{"way_point": n, "pause_s": s} for n, (_, _, s) in enumerate(course.points, 1) if s]
-            stops += [
-                {"at_m": stop.at_m, "pause_s": stop.pause_s} for stop in self._walk.stops if stop.at_m is not None
-            ]
+            stops += [{"at_m": one.at_m, "pause_s": one.pause_s} for one in self._walk.stops if one.at_m is not None]
             changed["stops"] = stops or None
         if course.speed_m_s != first.speed_m_s:
             changed |= {"speed_m_s": course.speed_m_s, "run_time_s": None}

@@ -15,13 +15,13 @@ import numpy as np
 import viser
 
 from vlp16emu.errors import OutputError, PacketError, RunError
+from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.sheets.survey import survey
 from vlp16emu.extras.viewer.guard import guarded_server
 from vlp16emu.extras.viewer.layers import MEASURED
 from vlp16emu.extras.viewer.page import SweepView, draw_stand
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import Sweep, placed
-from vlp16emu.motion.settings import Live, takes_poses
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
@@ -123,7 +123,7 @@ class Watch(NamedTuple):
 def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
     """Grow what stands near the path of a stream's duration, with few faces; InputError if a part cannot be made."""
     scenario, motion = emulator.scenario, emulator.scenario.motion
-    expected_m = np.array(motion.path_m) if isinstance(motion, Live) and takes_poses(motion) else None
+    expected_m = np.array(motion.path_m) if isinstance(motion, Live) and motion.takes_poses else None
     radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
     walked = scenario.model_copy(update={"duration_s": duration_s})
     seen = survey(walked, min(radius_m, scenario.sensor.max_range_m), emulator.parts, expected_m)

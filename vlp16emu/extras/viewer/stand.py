@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.extras.plots import colour_of_kind, surface_colours
 from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F4, F8, I8, U4, Mesh, PlantPart, ShapeKey
-from vlp16emu.world.polyline import Polyline
 
 Rgb = tuple[int, int, int]
 

@@ -16,10 +16,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
+from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.settings import Dem
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import Array, HeightField
-from vlp16emu.world.polyline import distance_m
 
 _MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read, whatever a compressed file promises
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0

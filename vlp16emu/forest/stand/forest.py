@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
@@ -33,9 +34,7 @@ from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
 from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recalled
-from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
-from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
-from vlp16emu.world.polyline import Corridor
+from vlp16emu.types import FIRST_FREE_INSTANCE, Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
 
 _NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 _DENSEST_PER_HA = 125_000

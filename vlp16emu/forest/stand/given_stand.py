@@ -10,6 +10,7 @@ import numpy as np
 
 from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor, Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Species, Trees, flora, known
 from vlp16emu.forest.purpose import Growth
@@ -19,7 +20,6 @@ from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
 from vlp16emu.tables import Column, Table, optional, read_table
 from vlp16emu.types import Array, HeightField
-from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.vectors import places_m
 
 _APART_M = 0.05  # two stems nearer to each other are one that was listed twice

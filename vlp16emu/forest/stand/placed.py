@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.species import Flora, Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey, tile_distance_m
 from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Semantic, ShapeKey
-from vlp16emu.world.polyline import Corridor
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
 NO_TREES = np.zeros(0, TREE)  # trees of a layer that has none

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
@@ -19,7 +20,6 @@ from vlp16emu.forest.stand.points import PointPattern, pattern_of
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
 from vlp16emu.types import Array, HeightField
-from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
 
 TREE = np.dtype(  # one tree

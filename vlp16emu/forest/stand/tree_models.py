@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.doors import door
 from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT, STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.species import Flora, Species, Trees, flora, known
 from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, lean_rotation
-from vlp16emu.forest.settings import Season
+from vlp16emu.forest.settings import Season, TreeModelFile
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
 from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
 from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
-from vlp16emu.world.settings import TreeModelFile
-from vlp16emu.world.user_mesh import load_mesh
 from vlp16emu.world.vectors import places_m
 
 Faces = NDArray[np.uint32]
@@ -116,7 +115,7 @@ class TreeModel:
 
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
         self.path, self.species = Path(section.file), species
-        mesh = load_mesh(self.path, unit=section.unit, up=section.up)
+        mesh = door("load_mesh")(self.path, unit=section.unit, up=section.up)
         own, names = {part.name: part.part for part in section.parts}, [part.name for part in mesh.parts]
         for name in own.keys() - set(names):
             raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec, norm
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.inventory import hull_m
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import Array, Mesh, PlantPart, Semantic, ShapeKey, Window
-from vlp16emu.world.polyline import Polyline
 
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
 

@@ -22,13 +22,12 @@ from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.species import Flora, tapers
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.settings import Season
+from vlp16emu.forest.settings import Season, Wind
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import generator
 from vlp16emu.types import Array, IntArray, Sway, Window
-from vlp16emu.world.settings import Wind
 
 Stand = NDArray[np.void]
 ALONG, ACROSS = 0, 1  # components of the gusts' speed: with the mean wind, and level to the left of it

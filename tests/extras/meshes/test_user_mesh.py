@@ -1,6 +1,5 @@
 """Meshes that the user brings, and a world with them in it."""
 
-import io
 import json
 import struct
 from pathlib import Path
@@ -10,12 +9,12 @@ import pytest
 import trimesh
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.stand.forest import FIRST_FREE_INSTANCE
-from vlp16emu.types import Mesh, PlantPart, Semantic
-from vlp16emu.world.furnished import Furnished, Furniture, MeshKey
+from vlp16emu.extras.meshes.files import PartMesh, UserMesh, load_mesh
+from vlp16emu.extras.meshes.furnished import Furnished, Furniture, MeshKey
+from vlp16emu.extras.meshes.settings import MeshFile, MeshPart, MeshPlace
+from vlp16emu.types import FIRST_FREE_INSTANCE, Mesh, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.settings import Hall, MeshFile, MeshPart, MeshPlace
-from vlp16emu.world.user_mesh import PartMesh, UserMesh, load_mesh
+from vlp16emu.world.settings import Hall
 
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 TETRAHEDRON = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -237,13 +236,6 @@ def test_a_size_that_tells_of_a_wrong_unit_is_refused(tmp_path, size, unit, mess
         return
     with pytest.raises(GeometryError, match=message):
         load(tmp_path, content, unit=unit)
-
-
-def test_a_wide_mesh_is_no_tall_one(tmp_path):
-    """A kilometre of ground in metres is taken."""
-    grid = io.StringIO()
-    grid.write("v 0 0 0\nv 1000 0 0\nv 1000 1000 3\nf 1 2 3\n")
-    assert load(tmp_path, grid.getvalue()).radius_m == pytest.approx(707.1, abs=0.1)
 
 
 TRACK_M = np.array([[0.0, 0.0, 1.5], [3.0, 0.0, 1.5]])

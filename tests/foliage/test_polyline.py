@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from vlp16emu.world.polyline import Polyline, distance_m
+from vlp16emu.foliage.polyline import Polyline, distance_m
 
 RNG = np.random.default_rng(7)
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vlp16emu.elementary import exp, matmul, matvec, norm
+from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Motion, rotations
-from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair, uniform
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
@@ -16,7 +16,11 @@ from vlp16emu.units import S_NS
 GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
 _CHUNK = 4096  # samples of a random walk that are drawn together
 _HORIZON = 1 << 32  # chunks that the walk is long: centuries
-_WARM_UP_S = 200.0  # in which 63 % of the change by warming up is done (assumption)
+_GYRO_WARM_UP_RAD_S, _ACCEL_WARM_UP_M_S2, _WARM_UP_S = 2.6e-3, 0.02, 200.0
+"""Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch BST-BMI088-DS001, tables 4 and 5); and the
+time in which 63 % of it is done: it takes 5 to 10 minutes (Xsens, Bias repeatability of gyroscopes)."""
+_AXIS_ERROR = 0.005
+"""Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch BNO055; assumption)."""
 _HEADING = 6  # lane of the heading's random walk, behind those of the six axes
 
 
@@ -42,10 +46,9 @@ class ImuSampler:
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
         self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
-        scale, cross = imu.scale_error, imu.cross_axis
         drawn = (normal(seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3) for lane in range(2))
         # What the axes of gyroscopes, and of accelerometers, show of a rate or a force (3, 3).
-        self._responses = [np.eye(3) + (cross + (scale - cross) * np.eye(3)) * each for each in drawn]
+        self._responses = [np.eye(3) + _AXIS_ERROR * each for each in drawn]
 
     def late_ns(self, first: int, count: int) -> IntArray:
         """Return how long after samples first .. first + count - 1 their time stamps are: (count,)."""
@@ -63,13 +66,22 @@ class ImuSampler:
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
         force = matvec(truth.world_R_body.swapaxes(1, 2), up)
         e, w = self._imu, truth.body_w_rad_s
-        gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz, e.gyro_warm_up_rad_s
-        accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz, e.accel_warm_up_m_s2
+        gyro = (
+            e.gyro_bias_rad_s,
+            e.gyro_noise_rad_s_sqrt_hz,
+            e.gyro_walk_rad_s2_sqrt_hz,
+            _GYRO_WARM_UP_RAD_S * e.is_rough,
+        )
+        accel = (
+            e.accel_bias_m_s2,
+            e.accel_noise_m_s2_sqrt_hz,
+            e.accel_walk_m_s3_sqrt_hz,
+            _ACCEL_WARM_UP_M_S2 * e.is_rough,
+        )
         w_errors, w_bias = self._errors_of(gyro, first, count, 0)
         force_errors, force_bias = self._errors_of(accel, first, count, 3)
         attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
-        is_true = not (e.scale_error or e.cross_axis)
-        seen_w, seen_force = (w, force) if is_true else map(matvec, self._responses, (w, force))
+        seen_w, seen_force = map(matvec, self._responses, (w, force)) if e.is_rough else (w, force)
         late_ns = self.late_ns(first, count)
         stamp_ns = t_ns + late_ns if late_ns.any() else None
         read = seen_w + w_errors, seen_force + force_errors

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vlp16emu.extras.clouds.place import place
 from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.place import place
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin
 from vlp16emu.types import Poses, SensorModel
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.sensor.beams import BeamTable
+from vlp16emu.sensor.head import in_sensor
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array, Firings, IntArray, Poses
 
@@ -18,12 +19,9 @@ class PlacedReturns(NamedTuple):
 
     azimuth_deg: Array
     """(n,) what the encoder read for the firing sequence, and what the rotor turned until the pulse; [0, 360)."""
-    elevation_deg: Array
-    """(n,) elevation of the beam table."""
-    sensor_m: Array
-    """(n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up."""
-    world_m: Array
-    """(n, 3)."""
+    elevation_deg: Array  # (n,) elevation of the beam table
+    sensor_m: Array  # (n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up
+    world_m: Array  # (n, 3)
 
 
 def place(
@@ -55,19 +53,6 @@ def place(
         _shift(tangents, azimuth_deg, elevation_deg, range_m, sensor_m)
     world_m = matvec(poses.world_R_body, sensor_m) + poses.world_p_body_m
     return PlacedReturns(azimuth_deg, elevation_deg, sensor_m, world_m)
-
-
-@numba.njit(cache=True, nogil=True)
-def in_sensor(azimuth_deg: Array, elevation_deg: Array, offset_m: Array, distance_m: Array) -> Array:
-    """Return the points (n, 3) of ranges in the sensor's frame, by the manual's formulas; all arguments (n,)."""
-    out = np.empty((len(distance_m), 3))
-    for i in range(len(distance_m)):
-        cosine, sine = cos_sin(math.radians(azimuth_deg[i]))
-        level, up = cos_sin(math.radians(elevation_deg[i]))
-        out[i, 0] = distance_m[i] * level * cosine
-        out[i, 1] = -distance_m[i] * level * sine
-        out[i, 2] = distance_m[i] * up + offset_m[i]
-    return out
 
 
 @numba.njit(cache=True, nogil=True)

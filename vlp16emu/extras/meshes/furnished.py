@@ -11,13 +11,23 @@ import numpy as np
 
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, Array, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window, World
-from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.settings import MeshFile, MeshPlace
-from vlp16emu.world.user_mesh import UserMesh, load_mesh
+from vlp16emu.extras.meshes.files import UserMesh, load_mesh
+from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
+from vlp16emu.foliage.polyline import distance_m
+from vlp16emu.types import (
+    FIRST_FREE_INSTANCE,
+    SURFACE,
+    Array,
+    HeightField,
+    Mesh,
+    PlantPart,
+    Semantic,
+    ShapeKey,
+    Window,
+    World,
+)
 
 _log = logging.getLogger(__name__)
-FIRST_FREE_INSTANCE = 0xFFFF0000  # first instance of the user's things; worlds number theirs below
 
 
 class Furniture:
@@ -170,8 +180,6 @@ def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: Array, reac
 
     Raises GeometryError if a mesh cannot be read.
     """
-    if not files:
-        return bare
     furniture = [Furniture(one, load_mesh(Path(one.file), unit=one.unit, up=one.up)) for one in files]
     world = Furnished(bare, furniture=furniture, reach_m=reach_m)
     world.check(path_xy_m)

@@ -11,8 +11,8 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows, read_flown
 from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots, follow
 from vlp16emu.extras.live.motion import LiveMotion, PoseInput
+from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.recorded.files import read_trajectory_csv
-from vlp16emu.motion.settings import Live
 
 START_NS = 1_779_267_600_000_000_000
 STEP_S = STEP_NS * 1e-9

@@ -1,0 +1,1 @@
+"""An inertial measurement unit beside the sensor."""

@@ -1,0 +1,47 @@
+"""The table `[motion]` of a scene whose poses come in while it is streamed."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from vlp16emu.motion.settings import MotionSection
+from vlp16emu.settings import Place, SceneFile
+
+if TYPE_CHECKING:  # scenes are read without numpy
+    from vlp16emu.motion.pose import Motion
+    from vlp16emu.types import Array, HeightField
+
+_Place = Annotated[tuple[Place, Place], Field(strict=False)]
+
+
+class Live(MotionSection):
+    """Poses that come in while the run is streamed, from a simulator, motion capture or a joystick."""
+
+    kind: Literal["live"]
+    """Selects poses that come in."""
+    path_m: Annotated[list[_Place], Field(min_length=1, default_factory=lambda: [(0.0, 0.0)])]
+    """x and y where the body is expected, one or more; plants keep clear of the line through them, and in a forest the body
+    stays within 35 m of the rectangle around them."""
+    smoothing_s: Annotated[float, Field(ge=0.005, le=1)] = 0.02
+    """Time constant with which the body is led to where poses show it. It lags by its square times the acceleration, and
+    not at all at constant speed."""
+    flown: SceneFile | None = None
+    """Motion that a stream has written by `--flown`: the run is repeated byte for byte, and no poses come in."""
+
+    @property
+    def takes_poses(self) -> bool:
+        """True if poses come in, and nothing is repeated."""
+        return self.flown is None
+
+    def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
+        """Return the motion that follows the poses, and `path_m`."""
+        import numpy as np
+
+        from vlp16emu.extras.live.flown import FlownMotion, read_flown
+        from vlp16emu.extras.live.motion import LiveMotion
+
+        path_m = np.array(self.path_m)
+        if self.flown is None:
+            return LiveMotion(self, start_ns=start_ns), path_m
+        return FlownMotion(read_flown(Path(self.flown)), start_ns=start_ns), path_m
