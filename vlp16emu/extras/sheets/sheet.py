@@ -19,8 +19,7 @@ from vlp16emu.extras.sheets.survey import Survey, subtitle_of, summary_of, surve
 from vlp16emu.forest.ground.dem import write_ascii
 from vlp16emu.forest.plants.stem import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import write_csv
-from vlp16emu.forest.stand.nearby import AllNear, Grow, cut_out
-from vlp16emu.forest.twin import write_glb
+from vlp16emu.forest.stand.twin import AllNear, Grow, cut_out, write_glb
 from vlp16emu.output import OutputFile
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.scenario import Scenario
