@@ -1,6 +1,6 @@
 """The wire: how returns become the bytes of a VLP-16, and how those bytes are read back."""
 
-from vlp16emu.packets.capture import Capture, CapturedUnit, chosen_unit, units_in
+from vlp16emu.packets.capture import Capture, chosen_unit, units_in
 from vlp16emu.packets.data import azimuth_cdeg, data_payloads, pack_data, returns_in, timestamp_us
 from vlp16emu.packets.decode import (
     JUMP_NS,
