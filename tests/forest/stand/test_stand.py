@@ -191,7 +191,7 @@ def test_no_stem_stands_in_another():
     """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles; few do."""
     anywhere = scattered(seed=14, purpose=Growth.STAND, per_ha=1500.0)
     stand = make_stand(stems_per_ha=1500.0, species=[SPRUCE], pattern=Scattered(kind="random"))
-    tiles = [(ix, iy) for ix in range(-4, 4) for iy in range(8)]
+    tiles = [(ix, iy) for ix in range(-3, 3) for iy in range(6)]
     discs = foot_discs(np.concatenate([stand.trees(*tile) for tile in tiles]))
     away = np.hypot(*(discs[:, None, :2] - discs[:, :2]).transpose(2, 0, 1)) + 9 * np.eye(len(discs))
     assert (away >= discs[:, None, 2] + discs[:, 2] + 0.05).all()
