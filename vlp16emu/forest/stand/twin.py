@@ -238,10 +238,9 @@ class _Twin:
             # Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2).
             share = colour / 255
             linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
-            look = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
-            self._materials[name] = self.trimesh.visual.material.PBRMaterial(
-                name, baseColorFactor=[*linear, 1.0], **look
-            )
+            look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
+            look["baseColorFactor"] = [*linear, 1.0]
+            self._materials[name] = self.trimesh.visual.material.PBRMaterial(name, **look)
         return self._materials[name]
 
 
