@@ -33,7 +33,7 @@ ALLOWED_SKIPS = {
 
 WOODS = "VLP16EMU_TEST_WOODS"
 """Variable that names the folder of `kept_woods` to workers."""
-GROWN = deque(maxlen=3)
+GROWN = deque(maxlen=6)
 """Engines whose worlds `kept_woods` lends to others of the same way through the same world."""
 
 

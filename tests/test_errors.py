@@ -7,15 +7,6 @@ from vlp16emu import errors
 CLASSES = [thing for _, thing in inspect.getmembers(errors, inspect.isclass) if thing.__module__ == errors.__name__]
 
 
-def test_the_drawn_tree_is_the_real_one():
-    """Each class hangs in the tree where the module's docstring draws it."""
-    lines = (errors.__doc__ or "").splitlines()
-    for error in CLASSES:
-        (row,) = [line for line in lines if line.strip("|`- ").split(" ")[0] == error.__name__]
-        depth = (len(row) - len(row.lstrip("|`- ")) - 4) // 4
-        assert depth == len(inspect.getmro(error)) - len(inspect.getmro(errors.Vlp16emuError)), error
-
-
 def test_bad_input_exits_with_2_and_a_failed_run_with_1():
     """The command line's exit code follows from the class."""
     for error in CLASSES:

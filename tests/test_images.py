@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from woods import THIN
 
 from vlp16emu import Emulator
-from vlp16emu.errors import InputError, MissingExtraError, OutputError
+from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.images.images import write_images
 
@@ -168,14 +168,6 @@ def test_cameras_that_cannot_be_are_refused(hall, tmp_path, asked, line):
         write_images(hall, tmp_path / "views", **asked)
     assert line in str(error.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_with_something_in_it_is_left_alone(hall, tmp_path):
-    """Images never go beside other files."""
-    (tmp_path / "mine").write_text("kept")
-    with pytest.raises(OutputError, match="holds mine"):
-        write_images(hall, tmp_path, duration_s=0.1)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
 @pytest.mark.parametrize(("module", "library"), [("OpenEXR", "OpenEXR"), ("PIL", "Pillow")])

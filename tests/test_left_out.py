@@ -1,10 +1,8 @@
 """What a scene does not ask for is not done: not computed, not held, not imported."""
 
-import heapq
 import json
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +10,11 @@ from woods import LINES
 
 import vlp16emu.engine.engine as page
 from vlp16emu import Emulator
-from vlp16emu.engine import position
 from vlp16emu.engine.windows import window_of
 from vlp16emu.foliage.far import Far
 from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.motion import gait, harness, walk
+from vlp16emu.packets import position
 from vlp16emu.raycast import near as fast
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
@@ -180,19 +178,6 @@ def test_a_medium_out_of_sight_is_not_made(monkeypatch):
     next(Emulator(birch("world.near_m=15"), threads=1).returns(0.0, SPAN_S))
     with pytest.raises(TouchedError):
         next(Emulator(birch("world.near_m=14.9"), threads=1).returns(0.0, SPAN_S))
-
-
-def test_a_single_sensor_merges_its_own_two_streams(monkeypatch):
-    """Nothing but the data and position packets of each unit is merged."""
-    merged = []
-    monkeypatch.setattr(
-        page,
-        "heapq",
-        SimpleNamespace(merge=lambda *streams, key: merged.append(len(streams)) or heapq.merge(*streams, key=key)),
-    )
-    for settings in ([], ["rig=[{}]"]):
-        Emulator(load("static_bench", settings), threads=1).packets(0.0, SPAN_S)
-    assert merged == [2, 4]
 
 
 STEPS = """

@@ -37,9 +37,3 @@ def test_each_public_name_is_what_its_module_has(name):
     """A name is loaded when it is used, once, and has a docstring."""
     assert getattr(vlp16emu, name) is getattr(vlp16emu, name)
     assert getattr(vlp16emu, name).__doc__
-
-
-def test_another_name_is_none_of_ours():
-    """What is not offered is an AttributeError that names it."""
-    with pytest.raises(AttributeError, match="module 'vlp16emu' has no attribute 'nothing'"):
-        _ = vlp16emu.nothing

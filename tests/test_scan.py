@@ -179,11 +179,6 @@ def test_a_noisy_reading_at_zero_begins_one_scan():
     assert [len(scan.t_ns) for scan in scans] == [len(turn), len(turn) + 2]
 
 
-def test_less_than_a_revolution_is_no_scan(hall):
-    """A span that ends before the rotor is around again gives nothing."""
-    assert list(hall().scans(duration_s=0.05)) == []
-
-
 def test_errors_come_before_the_first_scan(hall, tmp_path):
     """A span beyond the walk, a unit that is not there and a file that is none are refused when asked for."""
     with pytest.raises(InputError, match=r"unit: found 2; expected 1"):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.errors import InputError, OutputError, ScenarioError
+from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
@@ -282,22 +282,6 @@ def test_a_run_that_is_left_can_be_repeated(walk, tmp_path):
     assert list(again.packets(0.5)) == packets[:-1]  # the last was taken and not sent
 
 
-def test_a_folder_with_other_things_is_refused(walk, tmp_path):
-    """A folder that holds anything but an earlier truth is left as it is, with one clear line."""
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"holds notes\.txt; expected a new or empty folder"):
-        written(walk, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_an_earlier_truth_is_replaced_as_a_whole(walk, tmp_path):
-    """Files of an earlier run do not stay beside those of a later one."""
-    written(walk, tmp_path, stop_s=0.05, per_packet=True)
-    written(walk, tmp_path, stop_s=0.05)
-    assert not (tmp_path / "packets.tum").exists()
-    assert tum(tmp_path / "trajectory.tum")[0][0] == walk.scenario.start_ns
-
-
 OUTPUTS = (Path(__file__).resolve().parents[1] / "scenes" / "OUTPUTS.md").read_text(encoding="utf-8")
 EXACT = ("sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0")
 
@@ -385,9 +369,3 @@ def test_frames_turn_points_and_nothing_else(seen):
     R = np.array(rig["matrix"])[:3, :3]
     np.testing.assert_array_equal(manual.xyz_m @ R.T, ours.xyz_m)
     np.testing.assert_allclose(Rotation.from_quat(rig["quaternion_xyzw"]).as_matrix(), R, atol=1e-15)
-
-
-def test_a_frame_that_there_is_not_is_refused(seen):
-    """One line names the frames that there are."""
-    with pytest.raises(InputError, match="frame: found ned; expected sensor or manual"):
-        decode(seen[0] / "walk.pcap", frame="ned")

@@ -1,6 +1,5 @@
 """Wind through the whole chain."""
 
-import hashlib
 import itertools
 
 import numpy as np
@@ -13,35 +12,15 @@ from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart
 
-BLOCK_S = 1920 * 55_296e-9
-STRETCH_S = 64 * BLOCK_S
 NEAR = (*LINES, "sensor.max_range_m=8.0")
 BLOWS = (*NEAR, "wind.speed_m_s=9.0", "wind.towards_deg=70.0")
-
-
-def digest(packets):
-    sha = hashlib.sha256()
-    for packet in packets:
-        sha.update(f"{packet.kind} {packet.due_ns} ".encode() + packet.payload)
-    return sha.hexdigest()
-
-
-@pytest.mark.usefixtures("kept_woods")  # in what order they grow changes nothing: test_forest.py of the stand
-def test_threads_and_cuts_do_not_change_a_byte_of_a_windy_run():
-    """One thread, or three and a run in pieces, across the change of a window: the same packets."""
-    windy = load("birch_walk", BLOWS)
-    start, stop = STRETCH_S - 0.06, STRETCH_S + 0.06
-    whole = digest(Emulator(windy, threads=1).packets(start, stop))
-    emulator = Emulator(windy, threads=3)
-    cuts = [start, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.0301, stop]
-    assert digest(p for a, b in itertools.pairwise(cuts) for p in emulator.packets(a, b)) == whole
 
 
 @pytest.mark.usefixtures("kept_woods")
 def test_still_air_changes_nothing():
     """At a speed of 0 the packets are those of the scene without wind; at 9 m/s they are not."""
     none, calm, windy = (load("birch_walk", s) for s in (NEAR, [*NEAR, "wind.speed_m_s=0.0"], BLOWS))
-    still, same, moved = (digest(Emulator(scenario).packets(0.0, 0.1)) for scenario in (none, calm, windy))
+    still, same, moved = (list(Emulator(scenario).packets(0.0, 0.1)) for scenario in (none, calm, windy))
     assert still == same
     assert still != moved
 

@@ -7,20 +7,14 @@ import pytest
 RUN = "accuracy", "static_bench", "--pulses", "128"
 
 
-@pytest.fixture(scope="module")
-def report(tmp_path_factory):
-    """The files of a report and the JSON object on stdout."""
-    pytest.importorskip("matplotlib")
-    return tmp_path_factory.mktemp("report")
-
-
-def test_the_report_is_the_same_as_file_and_on_stdout(cli, report):
+def test_the_report_is_the_same_as_file_and_on_stdout(cli, tmp_path):
     """With --json one object is printed, which --out writes too, beside a picture; the scene's setting is marked."""
-    tree = cli(*RUN, "--out", report / "new", "--json").tree
+    pytest.importorskip("matplotlib")
+    tree = cli(*RUN, "--out", tmp_path / "new", "--json").tree
     files = tree.pop("files")
     assert [path.split("/")[-1] for path in files] == ["accuracy_static_bench.json", "accuracy_static_bench.png"]
-    assert json.loads((report / "new" / "accuracy_static_bench.json").read_text()) == tree
-    assert (report / "new" / "accuracy_static_bench.png").read_bytes()[:4] == b"\x89PNG"
+    assert json.loads((tmp_path / "new" / "accuracy_static_bench.json").read_text()) == tree
+    assert (tmp_path / "new" / "accuracy_static_bench.png").read_bytes()[:4] == b"\x89PNG"
     assert [row["name"] for row in tree["rows"] if row["in_use"]] == ["beam.model=none"]
     assert set(tree["front"]) <= {row["name"] for row in tree["rows"]}
 
@@ -36,12 +30,12 @@ def test_people_get_a_table_and_an_advice(cli):
 
 def test_a_run_tells_its_error(cli, tmp_path):
     """`record` prints an audit and has it in its JSON, says where a pulse is one ray, and is silent with --no-audit."""
-    run = "record", "static_bench", tmp_path / "x.pcap", "--duration", "1.2"
-    wide = "--set", "beam.model=fixed", "--set", "beam.rays=4"
+    run = "record", "static_bench", tmp_path / "x.pcap", "--duration"
+    wide = "1.2", "--set", "beam.model=fixed", "--set", "beam.rays=4"
     audit = cli(*run, *wide, "--json").tree["audit"]
     assert audit["pulses"] == 11 * 16  # at a place of each block; the last one ends before that
     assert audit["range_rmse_low_m"] < audit["range_rmse_m"] < audit["range_rmse_high_m"]
     assert f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm before noise (" in cli(*run, *wide).out
-    assert "range error       rounding to float32 only" in cli(*run).out
-    assert "range error" not in cli(*run, "--no-audit").out
-    assert cli(*run, "--no-audit", "--json").tree["audit"] is None
+    assert "range error       rounding to float32 only" in cli(*run, "0.1").out
+    assert "range error" not in cli(*run, "0.1", "--no-audit").out
+    assert cli(*run, "0.1", "--no-audit", "--json").tree["audit"] is None

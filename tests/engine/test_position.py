@@ -13,7 +13,7 @@ from vlp16emu.units import S_NS
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-FOREST = [*LINES, "gps.canopy_half_cover=0.14"]
+FOREST = [*LINES, "gps.canopy_half_cover=0.15"]
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import random
 import shutil
 import struct
 import subprocess
+from itertools import islice
 
 import dpkt
 import pytest
@@ -193,12 +194,12 @@ def test_ports_are_preferences(tmp_path, protocol):
 
 
 def test_against_a_real_capture(tmp_path, protocol, oracle, capture):
-    """All packets of a real sensor show the distances in their bytes, and none raises an alarm."""
+    """The first 100 packets of a real sensor show the distances in their bytes, and none raises an alarm."""
     path = capture("mrpt_vlp16_gps.pcap")
     columns = ("-e", "velodyne.distance", "-e", "velodyne.timestamp", "-e", "velodyne.pps", "-e", "_ws.expert.message")
-    rows = tshark(tmp_path, protocol, path, *columns)
+    rows = tshark(tmp_path, protocol, path, "-c", "100", *columns)
     with path.open("rb") as file:
-        payloads = [real[42:] for _, real in dpkt.pcap.Reader(file)]
+        payloads = [real[42:] for _, real in islice(dpkt.pcap.Reader(file), 100)]
     assert len(rows) == len(payloads)
     assert {row[3] for row in rows} == {""}
     assert {row[2] for row, payload in zip(rows, payloads, strict=True) if len(payload) == 512} == {"2"}

@@ -2,6 +2,7 @@
 
 import dpkt
 import numpy as np
+import pytest
 
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME
 from vlp16emu.packets import layout
@@ -55,34 +56,30 @@ def table_leaves(tables, table, base=0):
             yield row["name"], base + row["offset"], np.dtype(DTYPES[row["type"]])
 
 
-def test_data_rows_fill_their_table(data_packet):
-    """The rows of each table of the data packet follow each other without gap or overlap."""
-    for table, size in (("record", 3), ("block", 100), ("payload", 1206)):
-        end = 0
-        for row in data_packet[table]:
-            assert row["offset"] == end, row["name"]
-            end += size_bytes(row)
-        assert end == size, table
+@pytest.mark.parametrize(
+    ("packet", "table", "size"),
+    [
+        ("data_packet", "record", 3),
+        ("data_packet", "block", 100),
+        ("data_packet", "payload", layout.DATA_BYTES),
+        ("position_packet", "payload", layout.POSITION_BYTES),
+        ("imu_frame", "payload", IMU_FRAME.itemsize),
+    ],
+)
+def test_rows_fill_their_table(request, packet, table, size):
+    """The rows of each table follow each other without gap or overlap, to its end."""
+    tables, end = request.getfixturevalue(packet), 0
+    for row in tables[table]:
+        assert row["offset"] == end, row["name"]
+        end += size_bytes(row)
+    assert end == size
+    assert table != "payload" or end == tables["size_bytes"]
 
 
 def test_imu_rows_are_the_frame(imu_frame):
-    """The rows of the inertial frame follow each other without gap or overlap, and are the dtype of packets/."""
-    rows, end = imu_frame["payload"], 0
-    for row in rows:
-        assert row["offset"] == end, row["name"]
-        end += size_bytes(row)
-    assert end == imu_frame["size_bytes"] == IMU_FRAME.itemsize
-    stated = [(row["offset"], np.dtype(DTYPES[row["type"]])) for row in rows]
+    """The rows of the inertial frame are the dtype of packets/."""
+    stated = [(row["offset"], np.dtype(DTYPES[row["type"]])) for row in imu_frame["payload"]]
     assert [(offset, dtype) for _, offset, dtype in leaves(IMU_FRAME)] == stated
-
-
-def test_position_rows_fill_the_payload(position_packet):
-    """The rows of the position packet follow each other without gap or overlap up to byte 512."""
-    end = 0
-    for row in position_packet["payload"]:
-        assert row["offset"] == end, row["name"]
-        end += size_bytes(row)
-    assert end == position_packet["size_bytes"] == layout.POSITION_BYTES
 
 
 def test_every_row_names_its_source(data_packet, position_packet):
