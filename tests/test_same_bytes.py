@@ -45,7 +45,7 @@ ALLOWED = {
     "forest/stand/given_stand.py": "scipy",  # finds trees at one place, to refuse them
     "forest/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
     "forest/stand/inventory.py": "scipy",  # which corners span a crown
-    "forest/twin.py": "**",  # colours for other programs
+    "forest/stand/twin.py": "**",  # colours for other programs
     "motion/harness.py": "**",  # powers of a whole number
 }
 """What decides no byte, by file."""

@@ -177,7 +177,7 @@ def test_a_thing_is_kept_as_it_was(use, tmp_path):
 
 
 def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
-    """`VLP16EMU_CACHE_DIR` and `VLP16EMU_CACHE_MB` decide, else the user's cache is used."""
+    """`VLP16EMU_CACHE_DIR` and `VLP16EMU_CACHE_MB` decide, else the user's cache is used; a size that is no number counts for none."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for value, folder in (("off", None), ("", None), (str(tmp_path / "mine"), tmp_path / "mine")):
         monkeypatch.setenv("VLP16EMU_CACHE_DIR", value)
@@ -187,6 +187,9 @@ def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
     assert user_store.__wrapped__().most_bytes == 1_000_000_000
     monkeypatch.setenv("VLP16EMU_CACHE_MB", "50")
     assert user_store.__wrapped__().most_bytes == 50_000_000
+    for wrong in ("lots", "nan", "inf"):
+        monkeypatch.setenv("VLP16EMU_CACHE_MB", wrong)
+        assert user_store.__wrapped__().most_bytes == 1_000_000_000
     monkeypatch.setenv("VLP16EMU_CACHE_MB", "0")
     assert user_store.__wrapped__().folder is None
 

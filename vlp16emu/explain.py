@@ -22,12 +22,7 @@ _MOST_KEYS = 8  # most keys of another kind of table that one line names
 def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
     """Return key path, finding and expectation of the error that helps most; of missing keys, all of them.
 
-    The message of a validator of our own is the expectation.
-
-    Parameters
-    ----------
-    error : from the check of a file
-    schema : JSON Schema of the file
+    The message of a validator of our own is the expectation. `schema` is the JSON Schema of the file.
     """
     # A misspelt key is also a missing one; the misspelling is the better news.
     findings = sorted(error.errors(include_url=False), key=lambda e: e["type"] not in _UNKNOWN)

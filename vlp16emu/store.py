@@ -41,7 +41,7 @@ MAKERS = (  # files and folders of the package that decide what worlds consist o
 _OURS = b"vlp16emu store "
 _MAGIC = (_OURS + b"2").ljust(32)
 _BEGIN = len(_MAGIC) + 32
-_DEFAULT_MB = 1_000.0
+_DEFAULT_BYTES = 1_000_000_000
 
 
 class Store:
@@ -174,12 +174,12 @@ def user_folder(name: str) -> Path:
 def user_store() -> Store:
     """Return the user's parts of worlds: in `VLP16EMU_CACHE_DIR`, of `VLP16EMU_CACHE_MB`, or else in the user's cache, of 1 GB."""
     try:
-        most_mb = max(float(os.environ.get("VLP16EMU_CACHE_MB", "")), 0.0)
-    except ValueError:
-        most_mb = _DEFAULT_MB
+        most_bytes = max(int(float(os.environ.get("VLP16EMU_CACHE_MB", "")) * 1e6), 0)
+    except (ValueError, OverflowError):  # of what is no finite number
+        most_bytes = _DEFAULT_BYTES
     chosen = os.environ.get("VLP16EMU_CACHE_DIR")
     folder = Path(chosen) if chosen else user_folder("world")
-    return Store(None if chosen in ("", "off") or not most_mb else folder, ".world", int(most_mb * 1e6))
+    return Store(None if chosen in ("", "off") or not most_bytes else folder, ".world", most_bytes)
 
 
 def recalled(

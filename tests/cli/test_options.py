@@ -8,6 +8,7 @@ from functools import cache
 import pytest
 
 from vlp16emu import Emulator, replay
+from vlp16emu.cli.arguments import RunOptions
 from vlp16emu.cli.verb import leaves_of
 from vlp16emu.doors import DOORS, door
 from vlp16emu.errors import InputError
@@ -77,6 +78,14 @@ def test_python_refuses_what_the_command_line_refuses(tmp_path):
     with pytest.raises(InputError, match=r"^speed: found nan; expected a number at least 0\.001$"):
         replay(tmp_path / "x.pcap", speed=float("nan"))
     assert not list(tmp_path.iterdir())
+
+
+def test_options_that_make_an_emulator_are_its_parameters():
+    """Python has the options of the scene, the workers and the audit by the same names, with the same defaults but for the audit."""
+    parameters = inspect.signature(Emulator).parameters
+    for field in fields(RunOptions):
+        assert field.name in parameters
+        assert field.name == "audit" or (field.default or ()) == (parameters[field.name].default or ())
 
 
 def test_options_that_are_settings_agree_with_the_page():

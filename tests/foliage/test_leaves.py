@@ -83,6 +83,9 @@ def test_a_voxels_leaves_have_one_place_in_space(code, corner):
         assert (other == cells[0]).all()
 
 
+NEAR_M = 0.5
+
+
 def slab(lad, leaf_m=0.06, size_m=(16.0, 16.0, 8.0)):
     """Square leaves of all directions evenly in a box that begins at the origin, `lad` m2 per m3."""
     rng = np.random.default_rng(3)
@@ -95,52 +98,34 @@ def slab(lad, leaf_m=0.06, size_m=(16.0, 16.0, 8.0)):
     return Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * n, dtype="u4").reshape(-1, 4))
 
 
-class Slab:
-    """A tile with such a box 4 m over its level ground; a `World`."""
+class Slab(lab.Tiles):
+    """A tile with such a box 4 m over its level ground, and bare ones around it."""
 
-    near_m, seed, name = 0.5, 3, ""
+    place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
 
     def __init__(self, lad):
-        self._bare, self._mesh = (
-            lab.Tiles(per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y),
-            slab(lad),
-        )
-
-    def shape_name(self, _key):
-        """Nothing of it is kept on disk."""
-        return ""
-
-    def shape(self, key):
-        """Meshes of the box, or of the tile."""
-        return (self._mesh,) if key == "slab" else self._bare.shape(key)
+        super().__init__(NEAR_M, per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y, seed=3)
+        self._shapes["slab"] = (slab(lad),)
 
     def far_tile(self, ix, iy):
-        """Describe the tile, and bare ones around it."""
-        tile = self._bare.far_tile(ix, iy)
+        """Describe the tile, or a bare one."""
+        tile = super().far_tile(ix, iy)
         if (ix, iy) != (0, 0):
             return tile
-        place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
-        return replace(
-            tile,
-            keys=("slab",),
-            shape=np.zeros(1, np.int64),
-            world_T_shape=place,
-            first_surface=np.ones(1, np.int64),
-            first_part=np.array([0, 1]),
-            part=np.array([PlantPart.LEAF], "u1"),
-        )
+        one, part = np.ones(1, np.int64), np.array([PlantPart.LEAF], "u1")
+        ends = {"first_surface": one, "first_part": np.array([0, 1]), "part": part}
+        return replace(tile, keys=("slab",), shape=0 * one, world_T_shape=self.place, **ends)
 
     def window(self, track_m):
         """One tile."""
-        bare = self._bare.window(track_m, tiles=[(0, 0)])
+        bare = super().window(track_m, tiles=[(0, 0)])
         surfaces = np.concatenate([bare.surfaces, bare.surfaces])
         surfaces["part"][1] = PlantPart.LEAF
-        place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
         return replace(
             bare,
             shapes=(*bare.shapes, "slab"),
             shape=np.array([0, 1], "i4"),
-            world_T_shape=np.concatenate([bare.world_T_shape, place]),
+            world_T_shape=np.concatenate([bare.world_T_shape, self.place]),
             first_surface=np.array([0, 1], "u4"),
             surfaces=surfaces,
             far=np.ones(2, np.bool_),
@@ -172,7 +157,7 @@ DENSE_UPRIGHT = pytest.param(
 )
 def test_light_is_let_through_as_by_random_leaves(leaves, lad, elevation_deg):
     """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth."""
-    medium, near_m = leaves(lad), Slab.near_m
+    medium, near_m = leaves(lad), NEAR_M
     rng, way_m, n = np.random.default_rng(6), 4.0, 4000
     sine = math.sin(math.radians(elevation_deg))
     level = math.sqrt(1 - sine * sine)

@@ -1,20 +1,12 @@
 """What grows has the same bits on every processor: what stands in for libraries gives what they give."""
 
-import hashlib
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import special
 from scipy.spatial import ConvexHull
 
-import vlp16emu
-from vlp16emu.forest.plants.prototypes import CrownKey, crown_meshes
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.floor_shapes import FloorKey, FloorKind, _icosphere, _outline_m2, floor_meshes
+from vlp16emu.forest.stand.floor_shapes import _icosphere, _outline_m2
 from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA, normal_quantile
 from vlp16emu.forest.stand.stand import class_scale
 from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
@@ -91,36 +83,3 @@ def test_sizes_of_classes_are_powers() -> None:
     """The sizes of classes are whole powers of their ratio to the last bit, those of 3 / 2 exactly."""
     assert [class_scale(1.5, n) for n in (-1, 0, 1, 4)] == [1 / 1.5, 1.0, 1.5, 5.0625]
     assert class_scale(1.4, -3) == pytest.approx(1.4**-3, rel=1e-15)
-
-
-def _grown() -> str:
-    """Digest of a crown with leaves, one with shoots, and a few things of the floor."""
-    digest = hashlib.sha256()
-    for species in ("european_beech", "norway_spruce"):
-        size = {"dbh_m": 0.2, "height_m": 15.0, "crown_base_m": 8.0, "crown_width_m": 3.0, "leaf_area_m2": 20.0}
-        key = CrownKey(species=species, variant=0, season="leaf_on", dead_branches=True, **size)
-        for mesh in crown_meshes(1, key):
-            digest.update(mesh.vertices_m.tobytes() + mesh.faces.tobytes())
-    for kind in FloorKind:
-        for mesh in floor_meshes(1, FloorKey(kind, 2, False)):
-            digest.update(mesh.vertices_m.tobytes() + mesh.faces.tobytes())
-    return digest.hexdigest()
-
-
-def test_another_processor_grows_the_same() -> None:
-    """Crowns and things of the floor are the same to the bit where numpy, libm and BLAS take the processor for an old one."""
-    from numpy._core._multiarray_umath import __cpu_dispatch__  # type: ignore[import-not-found]
-
-    old = {
-        "NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__),
-        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-FMA4",
-        "OPENBLAS_CORETYPE": "Nehalem",
-        "PYTHONPATH": str(Path(vlp16emu.__file__).parents[1]),
-    }
-    program = [sys.executable, "-W", "ignore", __file__]
-    run = subprocess.run(program, env=os.environ | old, capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == _grown()
-
-
-if __name__ == "__main__":
-    print(_grown())

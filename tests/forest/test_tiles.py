@@ -69,13 +69,6 @@ def test_triangles_cover_the_ground_once_without_cracks():
     assert around.all()
 
 
-def test_vertices_are_on_the_ground():
-    """Each vertex has the height of the ground at its place, and they go by rows from south to north."""
-    points_m, _ = ground_triangles((-40.0, 60.0), EDGE_M, ROUGH.height_m)
-    assert np.array_equal(points_m[:, 2], ROUGH.height_m(points_m[:, 0].copy(), points_m[:, 1].copy()))
-    assert np.array_equal(np.lexsort((points_m[:, 0], points_m[:, 1])), np.arange(len(points_m)))
-
-
 LINE = np.array([[3.0, 5.0], [90.0, 40.0]])
 
 
@@ -91,11 +84,13 @@ def test_no_tile_in_reach_is_left_out():
 
 
 def test_ground_vertices_are_terrain_heights(terrain):
-    """Each grid vertex lies on the terrain within float32, also far from the origin, and every face looks up or out."""
+    """Each vertex of the grid, by rows from south to north, lies on the terrain, also far from the origin; every face looks up or out."""
     key = TileKey(40_000, -3)
     mesh = ground_mesh(key, terrain.height_m)
     origin = tile_origin_m(key.ix, key.iy, terrain.height_m)
     points, faces = ground_triangles((key.ix * TILE_M, key.iy * TILE_M), TILE_M, terrain.height_m)
+    assert np.array_equal(points[:, 2], terrain.height_m(points[:, 0].copy(), points[:, 1].copy()))
+    assert np.array_equal(np.lexsort((points[:, 0], points[:, 1])), np.arange(len(points)))
     grid = mesh.vertices_m[: len(points)].astype(np.float64) + origin
     assert np.abs(grid[:, 2] - terrain.height_m(grid[:, 0], grid[:, 1])).max() < 2e-6
     solid = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)

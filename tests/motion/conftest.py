@@ -56,19 +56,8 @@ def gait():
     """Make a gait of which everything moves, less what is given."""
 
     def make(**own):
-        amplitudes = {
-            "step_hz": 1.85,
-            "vertical_m": 0.02,
-            "second_harmonic_m": 0.003,
-            "heel_strike_m": 0.001,
-            "sideways_m": 0.02,
-            "fore_aft_m": 0.01,
-            "roll_deg": 1.7,
-            "pitch_deg": 2.0,
-            "yaw_deg": 3.5,
-            "variation": 0.02,
-        }
-        return Gait(**{**amplitudes, **own})
+        round_m = {"vertical_m": 0.02, "sideways_m": 0.02, "heel_strike_m": 0.001}
+        return Gait(**{"step_hz": 1.85, "roll_deg": 1.7, "yaw_deg": 3.5, "variation": 0.02, **round_m, **own})
 
     return make
 

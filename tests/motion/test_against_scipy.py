@@ -1,6 +1,7 @@
 """Splines, straps and recordings against those of scipy and by what defines them."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,44 +22,24 @@ def uneven(n, least=0.2):
     return np.cumsum(rng.uniform(least, 2.0, n)), rng.normal(size=(n, 2))
 
 
-def agree(found, wanted, at):
-    """Compare values and two derivatives between the ends."""
-    x = np.linspace(at[0], at[-1], 500)
+SPLINES = [
+    (3, "not-a-knot", CubicSpline, (2, 3, 4, 5, 9, 200)),
+    (3, "natural", partial(CubicSpline, bc_type="natural"), (2, 3, 4, 5, 9, 200)),
+    (3, "periodic", partial(CubicSpline, bc_type="periodic"), (3, 4, 9, 200)),
+    (5, "not-a-knot", partial(make_interp_spline, k=5), (6, 7, 12, 200)),
+    (5, "periodic", partial(make_interp_spline, k=5, bc_type="periodic"), (40,)),
+]
+"""Degree, ends, those of scipy, and numbers of points."""
+
+
+@pytest.mark.parametrize(("degree", "ends", "theirs", "n"), [(*row[:3], n) for row in SPLINES for n in row[3]])
+def test_splines_are_scipys(degree, ends, theirs, n):
+    """Values and two derivatives are those of scipy to rounding, also where a lap is solved along with its neighbours, and with few points."""
+    at, values = uneven(n, 1.5 if degree == 5 else 0.2)
+    values[-1] = values[0] if ends == "periodic" else values[-1]
+    found, wanted, x = interpolant(at, values, degree, ends), theirs(at, values), np.linspace(at[0], at[-1], 500)
     for derivative in range(3):
         np.testing.assert_allclose(found(x, derivative), wanted(x, derivative), rtol=1e-11, atol=1e-11)
-
-
-@pytest.mark.parametrize("n", [2, 3, 4, 5, 9, 200])
-def test_cubic_splines_are_scipys(n):
-    """With natural and not-a-knot ends, with few points too, they are those of scipy, to rounding."""
-    at, values = uneven(n)
-    agree(interpolant(at, values), CubicSpline(at, values), at)
-    agree(interpolant(at, values, ends="natural"), CubicSpline(at, values, bc_type="natural"), at)
-
-
-@pytest.mark.parametrize("n", [3, 4, 9, 200])
-def test_periodic_cubic_splines_are_scipys(n):
-    """The neighbouring laps that are solved along do not show, however few the points are."""
-    at, values = uneven(n)
-    values[-1] = values[0]
-    agree(interpolant(at, values, ends="periodic"), CubicSpline(at, values, bc_type="periodic"), at)
-
-
-@pytest.mark.parametrize("n", [6, 7, 12, 200])
-def test_quintic_splines_are_scipys(n):
-    """Quintic splines are those of scipy, to rounding."""
-    at, values = uneven(n, least=1.5)
-    agree(interpolant(at, values, 5), make_interp_spline(at, values, k=5), at)
-
-
-def test_periodic_quintic_splines_are_scipys():
-    """A closed quintic spline is that of scipy, to rounding, and leads from its end into its start."""
-    at, values = uneven(40, least=1.5)
-    values[-1] = values[0]
-    found = interpolant(at, values, 5, "periodic")
-    agree(found, make_interp_spline(at, values, k=5, bc_type="periodic"), at)
-    for derivative in range(5):
-        np.testing.assert_allclose(*(found(at[[end]], derivative) for end in (0, -1)), rtol=0, atol=1e-10)
 
 
 SPAN_S = 0.15

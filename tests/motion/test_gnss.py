@@ -187,11 +187,3 @@ def test_there_and_back_again(origin):
     rng = np.random.default_rng(3)
     local_m = rng.uniform(-100_000, 100_000, (200, 3)) * [1, 1, 0.05]
     np.testing.assert_allclose(to_local(to_geodetic(local_m, origin), origin), local_m, rtol=0, atol=1e-6)
-
-
-def test_longitude_wraps_at_the_date_line():
-    """East of 180 degrees comes -180."""
-    longitude_deg = to_geodetic(
-        np.array([[1000.0, 0.0, 0.0]]), Gps(latitude_deg=10.0, longitude_deg=179.999, height_m=0.0)
-    )[0, 1]
-    assert -180.0 <= longitude_deg < -179.9

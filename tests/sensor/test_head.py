@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.motion.pose import rotations
-from vlp16emu.sensor.beams import BEAM_TABLES, beams_of, with_angle_errors
+from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin
-from vlp16emu.sensor.settings import FreeSensor
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000_123_456_789
@@ -102,15 +101,3 @@ def test_angle_errors_turn_the_beams_and_nothing_else(head):
     )
     for name in ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m"):
         np.testing.assert_array_equal(getattr(true, name), getattr(reported, name))
-
-
-def test_a_free_head_turns_by_its_resolution():
-    """From sequence to sequence 256 free beams turn by the resolution, to what half a nanosecond is at that speed."""
-    beams = beams_of(
-        FreeSensor(model="free", beams=256, vertical_fov_deg=(-25, 15), azimuth_resolution_deg=0.35, rpm=777)
-    )
-    free = Head(beams, Rotor((Spin(0, 0.0, 777),), Encoder(1)), Clock((ClockSpan(0),)), START_NS)
-    firings = free.aim(0, 8, pose())
-    assert firings.direction.shape == (8, 256, 3)
-    np.testing.assert_allclose(np.diff(firings.azimuth_deg, axis=0), 0.35, atol=777 * 6 * 0.5e-9 + 1e-12)
-    np.testing.assert_allclose(np.degrees(np.arcsin(firings.direction[3, :, 2])), np.linspace(-25, 15, 256), atol=1e-12)

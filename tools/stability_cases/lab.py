@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble
-from vlp16emu.forest.stand.nearby import AllNear
+from vlp16emu.forest.stand.twin import AllNear
 from vlp16emu.packets import LASERS
 from vlp16emu.raycast import Beam
 from vlp16emu.raycast.beam import LINE, Footprint

@@ -72,12 +72,7 @@ def _root(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Carry out one command line.
-
-    Returns
-    -------
-    Exit code: 0 done, 1 failed while running or rules broken, 2 bad input, 130 interrupted
-    """
+    """Carry out one command line, and return its exit code: 0 done, 1 failed or rules broken, 2 bad input, 130 interrupted."""
     try:
         first = next((word for word in arguments if not word.startswith("-")), None)
         is_verb = first is not None and has_door(first, "verbs")
@@ -141,7 +136,8 @@ def _code_of(error: OSError, code: int | None) -> int:
         if error.filename is None and error.errno in _OF_WRITING:  # of a long text nothing is left to be flushed
             raise error
     except OSError:  # it is standard output that cannot be written
-        _drop_output()
+        # What is left of our output goes nowhere: Python would try to write it at exit, and complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     else:
         where = "the system" if error.filename is None else error.filename
         _complain(f"{where}: {error.strerror or error}")
@@ -163,11 +159,6 @@ def _interrupt(_signal: int, _frame: object) -> None:
     timer.daemon = True
     timer.start()
     raise KeyboardInterrupt
-
-
-def _drop_output() -> None:
-    """Send what is left of our output nowhere: Python would try to write it at exit, and complain."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(message: str) -> None:

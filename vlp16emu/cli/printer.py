@@ -33,12 +33,9 @@ _WIDEST = 10.0  # quotient of the ends of an interval beyond which it does not g
 
 
 def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
-    """Print what a run has written or sent; exit as interrupted if it was.
+    """Print a result, a dataclass or mapping, as rows under a title or as JSON; exit as interrupted if it has been.
 
-    Parameters
-    ----------
-    result : dataclass or mapping; `interrupted` is true if a signal has ended it
-    title : first line of the rows; if left out it says that the first member was written
+    Without a title the first line says that the first member was written.
     """
     (_, place), *others = members(result)
     interrupted = bool(dict(others).get("interrupted"))

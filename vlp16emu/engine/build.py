@@ -59,12 +59,7 @@ class GpsInput:
         return (t_ns - self.sentence_delay_ns) // S_NS * S_NS if self.connected else None
 
     def sentence(self, fix: GnssFix, seed: int) -> bytes:  # noqa: ARG002  # as above
-        """Sentence of a fix as it reaches the sensor.
-
-        Parameters
-        ----------
-        seed : of the unit
-        """
+        """Sentence of a fix as it reaches the sensor; `seed` is that of the unit."""
         return rmc(fix)
 
 
@@ -157,11 +152,7 @@ def in_one_world(one: Scenario, other: Scenario) -> bool:
 
 
 def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
-    """Make the parts that a scenario describes.
-
-    Parameters
-    ----------
-    like : another run; if both are in one world, carrier and world are those of the other
+    """Make the parts that a scenario describes; carrier and world are those of `like` if both are in one world.
 
     Raises InputError if a part cannot be made of what its section says.
     """

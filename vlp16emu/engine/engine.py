@@ -85,14 +85,9 @@ class Engine:
     def of(
         cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: "Engine | None" = None
     ) -> Self:
-        """Set up a scenario; no geometry is built yet.
+        """Set up a scenario for some workers, 0 for one per core; no geometry is built yet.
 
-        Parameters
-        ----------
-        threads : workers, 0 for one per core
-        like : another engine, whose world is used again if it is the same
-
-        Raises InputError if a part of the scenario cannot be made.
+        The world of `like` is used again if it is the same. Raises InputError if a part of the scenario cannot be made.
         """
         parts, threads = assemble(scenario, like), threads or os.cpu_count() or 1
         batching = Batching.of(parts.head.beams)

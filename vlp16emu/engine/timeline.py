@@ -122,12 +122,7 @@ class Timeline:
 
 
 class Packer:
-    """Packs the returns of a stretch into data packets; it keeps those of the packet that is not full yet.
-
-    Parameters
-    ----------
-    truth_of : ground truth of the records that packets carry; None for none
-    """
+    """Packs the returns of a stretch into data packets, with ground truth if asked; it keeps those of the packet that is not full."""
 
     def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:
         self._unit, self._stretch, self._truth_of = unit, stretch, truth_of

@@ -28,16 +28,10 @@ _FEW_FACES = 2000
 """Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
 
 
-def _projection() -> F8:
-    level, up = np.sqrt(1.0 - np.square(KNOTS))[:, None], KNOTS[:, None]
-    sine = (np.arange(TILTS) + 0.5) / TILTS
-    azimuth = (np.arange(256) + 0.5) * (np.pi / 256)
-    a, b = level * np.sqrt(1.0 - np.square(sine)), up * sine
-    mean: F8 = np.abs(a[..., None] * cos(azimuth) + b[..., None]).mean(axis=-1)
-    return mean
-
-
-PROJECTION = _projection()
+_SINE = (np.arange(TILTS) + 0.5) / TILTS
+_LEVEL = np.sqrt(1.0 - np.square(KNOTS))[:, None] * np.sqrt(1.0 - np.square(_SINE))
+_AZIMUTH = (np.arange(256) + 0.5) * (np.pi / 256)
+PROJECTION: F8 = np.abs(_LEVEL[..., None] * cos(_AZIMUTH) + (KNOTS[:, None] * _SINE)[..., None]).mean(axis=-1)
 """(knots, tilts) mean projected share of a face over all azimuths."""
 
 

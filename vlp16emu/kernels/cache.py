@@ -86,12 +86,12 @@ def kernel_names() -> list[str]:
 
 
 def sources_of(modules: frozenset[str]) -> list[str]:
-    """Return the files of the package that modules are made of: their own, and those of all that they import."""
+    """Return the files of the package that modules are made of: their own, and those of all that they import, but for this room."""
     left, found = set(modules), set[str]()
     while left:
         place = left.pop().partition(".")[2].replace(".", "/")
         for file in {f"{place}.py", f"{place}/__init__.py"} - found:
-            if place and (PACKAGE / file).is_file():
+            if place and not place.startswith("kernels") and (PACKAGE / file).is_file():
                 found.add(file)
                 left.update(_read(file)[1])
     return sorted(found)

@@ -148,9 +148,7 @@ def table(group: str | None = None) -> list[dict[str, Any]]:
 def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     """Compile what the table has for a group of runs, or for all, and is not on disk yet.
 
-    Yields
-    ------
-    How many kernels are done, none at first, and how many there are; nothing where all are on disk
+    Yields how many kernels are done, none at first, and how many there are; nothing if all are on disk.
     """
     missing = [row for row in table(group) if not _is_kept(row)]
     if not missing:

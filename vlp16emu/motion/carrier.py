@@ -70,7 +70,7 @@ def make_carrier(
         return StaticMotion(position_m, section.yaw_deg, section.pitch_deg, section.roll_deg), xy_m
     if not isinstance(section, Walk):
         motion, xy_m = section.carrier(height_m, start_ns)
-        if (places_m := getattr(motion, "position_m", None)) is not None:
+        if (places_m := getattr(motion, "position_m", None)) is not None:  # as recorded poses have, before the run
             _check_place(places_m, origin_m, height_m, reach_m)
         return motion, xy_m
     _check_gait(section.gait, section.sensor_height_m)
@@ -84,6 +84,7 @@ def make_carrier(
 
 def _check_gait(gait: Gait, sensor_height_m: float) -> None:
     """Warn of a gait that lowers the sensor below the ground, from where nothing of the world is seen."""
+    # The lowest point of a step that is one sigma deeper than others.
     dip_m = (1.0 + gait.variation) * (gait.vertical_m + gait.second_harmonic_m + gait.heel_strike_m)
     if dip_m >= sensor_height_m:
         _log.warning(
@@ -98,7 +99,7 @@ def _check_place(
     """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - height_m(*plan_m.T)
-    if (norm(plan_m - origin_m[:2]) < norm(plan_m)).all():
+    if (norm(plan_m - origin_m[:2]) < norm(plan_m)).all():  # the origin as maps have it is nearer than (0, 0)
         _log.warning(
             "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
             " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",

@@ -32,7 +32,7 @@ def step_rate_hz(speed_m_s: float) -> float:
 
 
 class Trunk:
-    """Samples of the trunk's motion at a walking speed, from which a step rate that the gait leaves out follows.
+    """Samples of the trunk's motion at a walking speed, which gives the step rate unless the gait does.
 
     The seed decides how strides vary.
     """

@@ -43,10 +43,10 @@ class GnssReading:
     """Measurement of a receiver in one second, beside the ground truth."""
 
     t_ns: int  # UTC, a whole second
-    antenna_m: Array  # (3,) where it truly is, world
-    velocity_m_s: Array  # (3,) how it truly moves, world
-    measured_m: Array  # (3,) where it believes to be, world
-    measured_m_s: Array  # (2,) how it believes to move, east and north
+    antenna_m: Array  # (3,) true place in the world
+    velocity_m_s: Array  # (3,) true velocity in the world
+    measured_m: Array  # (3,) measured place in the world
+    measured_m_s: Array  # (2,) measured velocity, east and north
     cover: float  # share of the sky that is hidden
     valid: bool  # true if it has a fix
 
@@ -72,7 +72,7 @@ class Receiver:
         return self._known(t_ns)
 
     def fix(self, t_ns: int) -> GnssFix:
-        """Report the whole UTC second `t_ns`; the course is from the north at the world's origin.
+        """Return the fix that is reported for the whole UTC second `t_ns`; its course is from the north at the world's origin.
 
         Where the second has no fix, the numbers are those of the last one. Where there was none for 10 s they
         are what the receiver believes of 10 s ago, as if it carried its track on.
@@ -102,7 +102,7 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
     odds = (cover - gps.canopy_half_cover) / _COVER_WIDTH
     lost = _exceeded(wander(seed, _LOSS, second, _LOSS_S)) if sky else 1.0
     valid = sky is None or lost >= 0.5 + 0.5 * tanh(0.5 * odds)
-    measured_m = antenna_m.copy()
+    measured_m = antenna_m.copy()  # heights are not measured: sentences have none
     measured_m[:2] += grown * (gps.position_noise_m * white_m + gps.wander_m * slow)
     measured_m_s = velocity_m_s[:2] + grown * gps.velocity_noise_m_s * white_m_s
     return GnssReading(t_ns, antenna_m, velocity_m_s, measured_m, measured_m_s, cover, valid)

@@ -84,7 +84,7 @@ class Pack:
         """
         pieces = self._pieces(second)
         node = np.arange(NODES_PER_KNOT * KNOTS_PER_S + 1)
-        k = np.minimum(node // NODES_PER_KNOT, KNOTS_PER_S - 1)
+        k = np.minimum(node // NODES_PER_KNOT, KNOTS_PER_S - 1)  # the last node ends the last piece
         s = ((node - k * NODES_PER_KNOT) * (1.0 / (NODES_PER_KNOT * KNOTS_PER_S)))[:, None]
         a = np.moveaxis(pieces[k], -1, 0)
         value = a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * (a[4] + s * a[5]))))
@@ -107,7 +107,7 @@ class Pack:
         Summed from what each second within memory did by itself, so it does not matter where one starts.
         """
         state = np.zeros((AXES, 2))
-        for past in range(max(0, second - self._memory_s), second):
+        for past in range(max(0, second - self._memory_s), second):  # older swings are below the last bit
             state = matvec(self._second, state) + self._pushed(past)
         return state
 

@@ -15,7 +15,7 @@ from vlp16emu.units import S_NS
 
 
 def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
-    """Motion of a device as of `MountedMotion`; the carrier's own where the mount changes nothing."""
+    """Return the motion of a device on its carrier; the carrier's own if the mount changes nothing."""
     return carrier if mount.trivial else MountedMotion(carrier, mount, start_ns)
 
 
@@ -83,9 +83,9 @@ class MountedMotion:
 def _spin(whole_s: IntArray, rest_ns: IntArray, spin_hz: float, tilts: Array, out: Array) -> None:
     """Fill the tilt turned about the axis, by Rodrigues' formula."""
     for i in range(len(out)):
+        # Seconds and the rest apart: after days a product of both would have lost the last digits of the angle.
         revolutions = spin_hz * whole_s[i] % 1.0 + spin_hz * (rest_ns[i] * 1.0e-9)
-        angle = 2.0 * math.pi * revolutions
-        c, s = cos_sin(angle)
+        c, s = cos_sin(2.0 * math.pi * revolutions)
         for a in range(3):
             for b in range(3):
                 out[i, a, b] = tilts[0, a, b] + s * tilts[1, a, b] + (1.0 - c) * tilts[2, a, b]

@@ -58,7 +58,7 @@ def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: Array) -> Non
 
 @numba.njit(cache=True, nogil=True)
 def rotations(yaw_rad: Array, pitch_rad: float, roll_rad: float) -> Array:
-    """world_R_body (n, 3, 3) for headings (n,) and a fixed inclination, angles as in `rotate`."""
+    """Return world_R_body (n, 3, 3) for headings (n,) and a fixed inclination, angles as in `rotate`."""
     out = np.empty((yaw_rad.size, 3, 3))
     for i in range(yaw_rad.size):
         rotate(yaw_rad[i], pitch_rad, roll_rad, out[i])
@@ -66,7 +66,7 @@ def rotations(yaw_rad: Array, pitch_rad: float, roll_rad: float) -> Array:
 
 
 def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
-    """Rotation (3, 3), body to world, angles as in `rotate`."""
+    """Return a rotation (3, 3), body to world, with angles as in `rotate`."""
     inclination = math.radians(pitch_deg), math.radians(roll_deg)
     return rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
 

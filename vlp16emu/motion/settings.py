@@ -308,7 +308,7 @@ class Walk(MotionSection):
 
 
 class Gps(Section):
-    """The GPS receiver wired to the sensor, and how well it knows where it is.
+    """The GPS receiver wired to the sensor, and its errors.
 
     Of the errors, those under open sky follow a receiver for cars (Garmin GPS 16x, 190-00228-08 Rev. C, section
     1.5.4.4: 3 m in 95 % of all cases with WAAS, and 0.1 knot); how they are split and what trees do to them

@@ -99,7 +99,7 @@ class WalkMotion:
         """Sample the trunk's motion (count, 6) as `_pushes` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
-        return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))
+        return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))  # smooth: starts and stops jerk no pack
 
     def _tabulate(self, second: int) -> Array:
         """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
@@ -196,7 +196,7 @@ def _kinematics(
     w_rad_s: Array,
     alpha_rad_s2: Array,
 ) -> None:
-    per_s = 1.0e9 / _NODE_NS
+    per_s = 1.0e9 / _NODE_NS  # derivatives are by the share of a piece
     q = np.empty((3, AXES))
     for i in which:
         since_ns = t_ns[i] - begin_ns

@@ -82,11 +82,6 @@ class Datagram(NamedTuple):
         return b"" if at is None else self.header[at : at + 6]
 
     @property
-    def udp_checksum(self) -> int:
-        """UDP checksum as sent; 0 stands for none."""
-        return int.from_bytes(self.header[-2:])
-
-    @property
     def ip(self) -> bytes:
         """IP header with its options or extensions."""
         return self.header[self.ip_offset : -8]

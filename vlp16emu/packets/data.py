@@ -21,21 +21,10 @@ _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
 
 
 def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int = 0) -> list[Packet]:
-    """Pack whole packets and say when each leaves.
+    """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them; other parameters and errors as `data_payloads`.
 
-    Parameters
-    ----------
-    returns : k firing sequences of 16 lasers; k a multiple of 24, or of 12 in dual return
-    mode : which returns are sent
-    model : decides the factory byte
-    unit : place in the rig of the sensor that sends them
-
-    Returns
-    -------
-    list of k / 24 (k / 12) packets. `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first
-    pulse, or 663.552 us in dual return, where no sequence is left out.
-
-    Raises InputError as `data_payloads`.
+    `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first pulse, or 663.552 us in dual return,
+    where no sequence is left out.
     """
     payloads = data_payloads(returns, mode, model)
     sequences = SEQUENCES_PER_PACKET[mode]
@@ -56,17 +45,13 @@ def returns_in(packet: Packet) -> int:
 
 
 def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
-    """Pack whole packets into bytes.
+    """Pack whole packets into bytes, (n, 1206), one payload per row.
 
     Parameters
     ----------
     returns : k firing sequences of 16 lasers; k a multiple of 24, or of 12 in dual return
     mode : which returns are sent
     model : decides the factory byte
-
-    Returns
-    -------
-    (n, 1206) uint8, one payload per row
 
     Raises InputError unless there are 16 lasers, whole packets, and angles and distances that are finite and not negative.
     """

@@ -91,18 +91,16 @@ def data_fields(payloads: U1) -> NDArray[np.void]:
 
 
 def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | None = None) -> Points:
-    """Turn data packets into points.
+    """Turn data packets into points, each packet's without regard to the others.
+
+    A pulse's azimuth is that of its block and what the rotor turns until its own instant, at the packet's mean speed
+    (63-9243 Rev D, section 9.5, p. 65).
 
     Parameters
     ----------
     payloads : (n, 1206) uint8, of one sensor, in order of sending; the return mode may change
     keep_no_returns : whether pulses without return become records too
     model : of units from before release, whose product byte is that of another sensor
-
-    Returns
-    -------
-    Points, each packet's without regard to the others. A pulse's azimuth is that of its block and what the
-    rotor turns until its own instant, at the packet's mean speed (63-9243 Rev D, section 9.5, p. 65).
 
     Raises PacketError for packets of other sensors than VLP-16 and Puck Hi-Res, or of two models.
     """

@@ -64,13 +64,9 @@ def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
 
 
 def position_frame(link: Link, payload: bytes, number: int) -> bytes:
-    """Whole frame of a position packet.
+    """Whole frame of a position packet, whose payload has 512 bytes, fewer if it is cut.
 
-    Parameters
-    ----------
-    payload : 512 bytes, fewer of a packet that is cut
-    number : position packets before it, by which the identification is greater than the first one; of both the low 16 bits
-
+    Its identification is greater by `number`, the position packets before it, than the first one; of both the low 16 bits.
     Raises PacketError if the payload is longer than 512 bytes.
     """
     if len(payload) > POSITION_BYTES:

@@ -18,17 +18,9 @@ _MINUTE_DECIMALS = 7  # decimals that real units echo; 0.2 mm on the ground
 
 
 def rmc(fix: GnssFix) -> bytes:
-    """Write the sentence of one whole second.
+    """Write the sentence of one whole second: 13 fields of NMEA 0183 version 2.3 with checksum, CR and LF (63-9243 Rev D, section 7.4).
 
-    Parameters
-    ----------
-    fix : where `valid` is false the status is V and the mode letter N, and the last known numbers stay
-
-    Returns
-    -------
-    ASCII with checksum, CR and LF; 13 comma-separated fields, NMEA 0183 version 2.3
-    (63-9243 Rev D, section 7.4)
-
+    If `fix.valid` is false the status is V and the mode letter N, and the last known numbers stay.
     Raises InputError for NaN, a place outside the globe, a negative speed, or a time that is no whole second.
     """
     import pynmea2  # here, since a sensor without a receiver does without it

@@ -72,17 +72,10 @@ def positions_from_ns(rate: PositionRate, start_ns: int, phase: float) -> int:
 
 
 def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, count: int) -> I8:
-    """Return the times (n,) at which position packets leave; the return mode does not matter (63-9243 Rev D, section 8.2.3).
+    """Return the times (count,) in UTC ns at which position packets leave; the return mode does not matter.
 
-    Parameters
-    ----------
-    seed : of the scenario
-    start_ns : UTC from which packets are counted
-    first, count : number of the first packet wanted, from 0, and how many
-
-    Returns
-    -------
-    (count,) UTC ns, increasing, not before `start_ns`
+    They increase from `start_ns` on, from which packets are counted; `first` is the number of the first one wanted, from 0.
+    Source: 63-9243 Rev D, section 8.2.3.
     """
     schedule = _SCHEDULES[rate]
     cycle, place = np.divmod(np.arange(first, first + count), len(schedule.pattern_ns))
@@ -101,17 +94,13 @@ def first_position_packet(rate: PositionRate, seed: int, start_ns: int, t_ns: in
 
 
 def pack_position(clock_ns: int, pps: PpsState, sentence: bytes) -> bytes:
-    """Write one position packet.
+    """Write one position packet; what the firmware of 2016 leaves zero is zero.
 
     Parameters
     ----------
     clock_ns : the sensor's clock `STAMP_LEAD_NS` before the packet leaves; whole hours fall away
     pps : state of the pulse-per-second input
     sentence : the NMEA sentence last received, with CR LF; empty where none ever came
-
-    Returns
-    -------
-    512 bytes; what the firmware of 2016 leaves zero is zero
 
     Raises InputError for a sentence longer than 128 bytes, not ASCII, or without CR LF at its end.
     """

@@ -52,12 +52,9 @@ class Clock(StrEnum):
 
 
 class PacketClock:
-    """Turns the stamps of the packets of one sensor into UTC, packet by packet in order.
+    """Turns the stamps of the packets of one sensor into UTC by a clock, packet by packet in order.
 
-    Parameters
-    ----------
-    clock : source of the time
-    host_behind_ns : by how much capture stamps are behind UTC, as far as the choice of the hour is concerned
+    The hour is chosen as if capture stamps were behind UTC by `host_behind_ns`.
     """
 
     def __init__(self, clock: Clock = Clock.SENSOR, host_behind_ns: int = 0) -> None:

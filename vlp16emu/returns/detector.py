@@ -71,7 +71,7 @@ class UnitDetector:
         """
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
-        own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()
+        own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()  # log-normal: no error below 0
         walk = float(normal(seed, Purpose.UNIT_NOISE, 2, 1)[0])
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(

@@ -118,7 +118,7 @@ def lose(
         before[0, laser] = -1.0
         return
     code, level, range_m = min(np.float64(reflectivity[0]), 100.0), before[0, laser], np.float64(distance_m[0])
-    calm = _ROUGH_M / (_ROUGH_M + before[2, laser])
+    calm = _ROUGH_M / (_ROUGH_M + before[2, laser])  # where ranges jump, as in trees, steps cost fewer records
     change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
     before[2, laser] += _SETTLES * (change_m - before[2, laser])
     before[1, laser] = range_m
@@ -134,7 +134,7 @@ def lose(
         jump *= calm
     black, near = max(0.0, 1.0 - code / _BLACK), min(1.0, _NEAR_M / range_m)
     sure = jump + rates.any + rates.dark * black * near * near
-    lost = noise[0] * _DIGITS - np.floor(noise[0] * _DIGITS)
+    lost = noise[0] * _DIGITS - np.floor(noise[0] * _DIGITS)  # no further number is drawn
     if lost >= sure:
         if lost >= sure + calm * rates.step or pulse[3] - pulse[2] < 2:
             return
@@ -199,5 +199,5 @@ def raised(
                     most = max(most, code * ratio, 2.0 * no_return)
                     alone = (64.0 * how) % 1.0 < _UNEQUAL
                 break
-            share *= _ON
+            share *= _ON  # what is farther off is raised only behind one that is
     return _multiple(most, no_return) if most > 0.0 else most, alone

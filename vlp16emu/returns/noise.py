@@ -99,7 +99,7 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
     out = np.tile(np.arange(101, dtype=np.uint8), (lasers, 1))
     for laser in range(lasers if step > 1.0 else 0):
         drawn = iter(uniform(seed, Purpose.REFLECTIVITY, 0, 64, 2 + laser).tolist())
-        at = _COARSE + next(drawn)
+        at = _COARSE + next(drawn)  # each laser leaves out codes of its own from about there on
         edges = [0.0]
         stop = slope = 0.0
         while at < 100.0:

@@ -126,9 +126,7 @@ class Emulator:
     def truth(self, to: TruthPlace | None, span_s: tuple[float, float], *, of: Any = None) -> Iterator[Any]:
         """Open the folder for the ground truth of a span, an `extras.truth.truth.Truth`; None if none is wanted.
 
-        Parameters
-        ----------
-        of : feed whose engine makes the packets, with the events so far; left out where none happen
+        It is the truth of the feed `of`, with its events so far, or of the scene as it is.
         """
         if (place := TruthTo.of(to)) is None:
             yield None
@@ -150,10 +148,7 @@ class Emulator:
     ) -> Iterator[Returns]:
         """Yield the returns of unit 1, 2 ... before packing, in whole blocks that hold at least the span.
 
-        Parameters
-        ----------
-        truth : whether they have the surfaces that they are from
-
+        With `truth` they have the surfaces that they are from.
         Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span does.
         """
         return self.engine.returns(start_s, stop_s, self.number(unit), truth=truth)
@@ -207,9 +202,7 @@ class Emulator:
     def stream(self, **options: Any) -> Streamed:
         """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
 
-        Parameters
-        ----------
-        options : fields of `StreamOptions` and of `extras.bench.options.BenchOptions`, and functions that are called while it runs, as `stream_run` takes them
+        The options are fields of `extras.bench.options.BenchOptions`, and functions that `stream_run` calls while it runs.
 
         Raises OutputError if the receiver is unknown or out of reach, or the sensor's address is not this machine's;
         InputError if an option is not right, options exclude each other, or poses are for a scene that is not live;
@@ -222,14 +215,8 @@ class Emulator:
     def keep_up(self, speed: float = 1.0) -> Any:
         """Measure this machine for some seconds, and set the beam and the reach so that a stream leaves a fifth of its time free.
 
-        Parameters
-        ----------
-        speed : simulated seconds per second of the stream
-
-        Returns
-        -------
-        `extras.keep_up.KeptUp`, with the rung of the ladder that is taken; its settings are those of `vlp16emu record --set`,
-        with the same bytes
+        Its speed is in simulated seconds per second. Returns `extras.keep_up.KeptUp`, with the rung of the ladder that is
+        taken; its settings are those of `vlp16emu record --set`, with the same bytes.
         """
         chosen, kept = door("keep_up")(self, speed)
         self.engine, self.audit = chosen.engine, chosen.audit

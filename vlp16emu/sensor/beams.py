@@ -81,7 +81,7 @@ def beams_of(section: Sensor | FreeSensor) -> BeamTable:
         return BEAM_TABLES[SensorModel(section.model)]
     elevation_deg, radius_m = section.beam_elevations_deg, section.lens_radius_m
     sequence_ns = round(section.azimuth_resolution_deg / (6 * section.rpm) * S_NS)
-    offset_m = -radius_m * tan(np.radians(np.array(elevation_deg)))
+    offset_m = -radius_m * tan(np.radians(np.array(elevation_deg)))  # where lines through the lens meet the axis
     return _table(elevation_deg, offset_m, radius_m, sequence_ns, sequence_ns // len(elevation_deg))
 
 

@@ -55,7 +55,7 @@ class Head:
         table = np.radians(beams.azimuth_error_deg), elevation_rad, beams.vertical_offset_m
         for begin in range(0, count, _TOGETHER):
             part = slice(begin, begin + _TOGETHER)
-            poses = poses_at(t_ns[part].reshape(-1))
+            poses = poses_at(t_ns[part].reshape(-1))  # each pulse has a pose of its own
             pulses = origin_m[part], direction[part], level[part]
             _aim(azimuth_deg[part], *table, poses.world_R_body, poses.world_p_body_m, *pulses)
         return Firings(

@@ -39,7 +39,7 @@ Sine = tuple[float, float]  # amplitude and phase, in degrees; none where the am
 
 @dataclass(frozen=True, slots=True)
 class Spin:
-    """The rotor from an instant on: at constant speed, or faster and faster."""
+    """The rotor from an instant on, at constant speed or at constant acceleration."""
 
     from_ns: int  # since the start
     angle_deg: float  # true angle at that instant

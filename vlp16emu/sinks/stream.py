@@ -122,9 +122,7 @@ class LookAhead:
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
         """Compute again the packets due from `due_ns` on that are not taken yet; from any thread. After the last packet, do nothing.
 
-        Parameters
-        ----------
-        restart : makes the iterator of packets begin again at a due time; called by the thread that computes
+        `restart` makes the iterator of packets begin again at a due time; the thread that computes calls it.
         """
         with self._changed:
             if self._ended:

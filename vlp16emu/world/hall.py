@@ -84,7 +84,7 @@ class HallWorld:
             )
 
     def shape_name(self, _key: ShapeKey) -> str:
-        """Nothing of a hall is kept."""
+        """Return no name: nothing of a hall is kept on disk."""
         return ""
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
@@ -99,6 +99,7 @@ class HallWorld:
         world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [(0.0, 0.0, self.size_m[2] / 2), *places_m]
         first = np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32)
         placed = self._keys, np.arange(n, dtype=np.int32), world_T_shape, first
+        # Whole metres, which float32 has exactly, near the sensor.
         return Window(np.round(track_m.mean(axis=0)), *placed, self._surfaces)
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:

@@ -46,19 +46,6 @@ def test_without_errors_a_point_lies_on_its_pulse(head):
     np.testing.assert_allclose(points.world_m, world_m, atol=1e-11)
 
 
-def test_one_pose_holds_for_all(head):
-    """A sensor that stands has one pose, and its points are those of as many poses of the same place."""
-
-    def still(t_ns):
-        return Poses(t_ns[:1], rotations(np.array([0.3]), 0.1, 0.0), np.array([[1.0, 2.0, 3.0]]))
-
-    def each(t_ns):
-        one = still(t_ns)
-        return Poses(t_ns, one.world_R_body.repeat(len(t_ns), 0), one.world_p_body_m.repeat(len(t_ns), 0))
-
-    np.testing.assert_array_equal(placed(head, still)[1].world_m, placed(head, each)[1].world_m)
-
-
 def test_points_are_where_the_sensor_believes(head):
     """Encoder and angle errors move the pulse and not the belief: points stay in the directions of table and reading."""
     rotor = replace(head.rotor, encoder=Encoder(1, once=(0.06, 40.0)))

@@ -98,20 +98,12 @@ def test_random_walk_spreads_with_the_root_of_time(unit):
 
 def test_readings_do_not_depend_on_what_was_read_before(unit):
     """Ten thousand samples, read 3000 at a time, have the bits of any single one of them."""
-    errors = {
-        "gyro_bias_rad_s": 1e-2,
-        "gyro_noise_rad_s_sqrt_hz": 1e-3,
-        "gyro_walk_rad_s2_sqrt_hz": 1e-4,
-        "accel_bias_m_s2": 1e-1,
-        "accel_noise_m_s2_sqrt_hz": 1e-2,
-        "accel_walk_m_s3_sqrt_hz": 1e-3,
-    }
-    one = unit(**errors)
+    one = unit(preset="field")
     parts = [one.read(first, min(3000, 10_000 - first)) for first in range(0, 10_000, 3000)]
     rates = np.concatenate([part.angular_rate_rad_s for part in parts])
     forces = np.concatenate([part.specific_force_m_s2 for part in parts])
     for sample in (0, 4095, 4096, 9_999):
-        alone = unit(**errors).read(sample, 1)
+        alone = unit(preset="field").read(sample, 1)
         assert (alone.angular_rate_rad_s[0] == rates[sample]).all()
         assert (alone.specific_force_m_s2[0] == forces[sample]).all()
 

@@ -113,16 +113,6 @@ def test_nodes_of_a_scene_stand_where_their_transforms_put_them(tmp_path):
     assert np.ptp(high[:, 0]) == pytest.approx(np.sqrt(2))
 
 
-def test_a_mesh_is_the_same_bytes_every_time(tmp_path):
-    """Reading a file twice gives the same arrays."""
-    path = write(tmp_path, CORNERS + "o b\nf 1 2 3\no a\nf 1 2 4\nf 1 3 4\n")
-    one, other = (load_mesh(path, unit="m", up="z") for _ in range(2))
-    for a, b in zip(one.parts, other.parts, strict=True):
-        assert a.name == b.name
-        assert a.mesh.vertices_m.tobytes() == b.mesh.vertices_m.tobytes()
-        assert a.mesh.faces.tobytes() == b.mesh.faces.tobytes()
-
-
 @pytest.mark.parametrize(
     ("faces", "finding"),
     [

@@ -17,33 +17,22 @@ LIVING = [species for species in TABLE.values() if species.foliage]
 @pytest.mark.parametrize(
     ("name", "heights_m"),
     [
-        ("norway_spruce", [12.1, 20.1, 24, 26.2, 28.6]),
+        ("norway_spruce", [12.1, 20.1, 24, 26.2, 28.6]),  # uniform curves
         ("scots_pine", [13.7, 20.8, 24, 25.8, 27.7]),
         ("silver_birch", [17.3, 22.1, 24, 25, 26.1]),
         ("european_beech", [11.7, 20, 24, 26.3, 28.9]),
         ("english_oak", [14.5, 21.1, 24, 25.6, 27.3]),
         ("sycamore", [14.5, 21.1, 24, 25.6, 27.3]),
-    ],
-)
-def test_uniform_height_curve(name, heights_m):
-    """Heights of trees of 10 to 60 cm in a stand of 30 cm and 24 m, worked out from the published curves."""
-    dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
-    assert TABLE[name].height_curve(dbh_cm, 30.0, 24.0) == pytest.approx(heights_m, abs=0.06)
-
-
-@pytest.mark.parametrize(
-    ("name", "heights_m"),
-    [
-        ("sugar_maple", [12.1, 17.4, 20.8, 23.3, 26.8]),
+        ("sugar_maple", [12.1, 17.4, 20.8, 23.3, 26.8]),  # Curtis-Arney curves
         ("red_maple", [11.6, 16.4, 19.5, 21.9, 25.3]),
         ("white_oak", [11, 17, 20.8, 23.4, 27.1]),
         ("black_walnut", [11, 17.2, 20.3, 22.1, 24.2]),
     ],
 )
-def test_curtis_arney_height_curve(name, heights_m):
-    """Where the stand's mean tree lies on the published curve, so do all others, within 1 % of their height."""
+def test_heights_are_those_of_the_published_curves(name, heights_m):
+    """Heights of trees of 10 to 60 cm, in a stand whose mean tree of 30 cm lies on the curve, are as worked out from it, within 1 %."""
     dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
-    assert TABLE[name].height_curve(dbh_cm, 30.0, heights_m[2]) == pytest.approx(heights_m, rel=0.01)
+    assert TABLE[name].height_curve(dbh_cm, 30.0, heights_m[2]) == pytest.approx(heights_m, rel=0.006, abs=0.05)
 
 
 def test_height_passes_through_the_mean_tree_and_rises():

@@ -199,19 +199,17 @@ def test_a_tree_more_at_the_end_changes_no_other(make):
     assert len(long.trees(0, 0)) == 3
 
 
-def test_trees_in_the_way_are_refused_all_at_once(make):
-    """Stems whose surface comes nearer to the path than the clearance are named by line and place, with their distance."""
+def test_trees_in_the_way_are_refused_all_at_once_or_dropped(make, caplog):
+    """Stems whose surface comes nearer to the path than the clearance are named by line and place, with their distance.
+
+    Dropped, they are left out with a warning that names them; the others are the same trees as without them.
+    """
     path = np.array([[0.0, 4.7], [10.0, 4.7]])
     rows = ROWS + "8,5,silver_birch,20,20,9,4,0,0\n"
     message = r"2 of 6 trees nearer to the path than path_clearance_m = 0.3: line 6 at \(4, 5\) m, 0.1\d m away; line 7 at \(8, 5\) m, 0.1"
     with pytest.raises(GeometryError, match=message):
         make(rows, path_xy_m=path, path_clearance_m=0.3)
     make(rows, path_xy_m=path, path_clearance_m=0.1)
-
-
-def test_trees_in_the_way_are_dropped_on_request(make, caplog):
-    """They are left out with a warning that names them; the others are the same trees as without them."""
-    path, rows = np.array([[0.0, 4.7], [10.0, 4.7]]), ROWS + "8,5,silver_birch,20,20,9,4,0,0\n"
     stand = make(rows, path, 0.3, on_conflict="drop")
     assert "left out 2 of 6 trees nearer to the path than path_clearance_m = 0.3: line 6 at" in caplog.text
     assert stand.trees(0, 0).tolist() == make(rows).trees(0, 0)[:1].tolist()

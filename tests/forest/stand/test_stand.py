@@ -73,16 +73,13 @@ def test_shares_and_sizes_must_be_plausible():
         SpeciesShare(species="silver_birch", share=1.0, dbh_cm=110.0, height_m=12.0)
 
 
-def test_species_come_in_their_shares(trees):
-    """A quarter of the stems is birch, by a binomial test."""
-    birches = int((trees["species"] == 1).sum())
-    assert stats.binomtest(birches, len(trees), 0.25).pvalue > 0.01
-
-
-def test_stems_lean_a_little_in_all_directions(trees):
-    """Lean is Rayleigh with 1.5 degrees per axis, and its direction uniform."""
+def test_chance_has_the_distributions_that_it_should(trees):
+    """A quarter of the stems is birch, lean is Rayleigh with 1.5 degrees per axis in any direction, bark spreads evenly over 0.08 either way."""
+    birch = trees[trees["species"] == 1]
+    assert stats.binomtest(len(birch), len(trees), 0.25).pvalue > 0.01
     assert stats.kstest(trees["lean_deg"], stats.rayleigh(scale=1.5).cdf).pvalue > 0.01
     assert stats.kstest(trees["lean_towards_deg"], stats.uniform(0, 360).cdf).pvalue > 0.01
+    assert stats.kstest(birch["bark_reflectance"], stats.uniform(0.47, 0.16).cdf).pvalue > 0.01
 
 
 def test_foot_is_on_the_ground_and_sizes_make_sense(trees):
@@ -140,12 +137,6 @@ def test_neighbours_shorten_crowns(spruces):
     assert stats.spearmanr(near[inner], rest[inner])[0] < -0.15
 
 
-def test_reflectance_varies_between_trees_within_its_range(trees):
-    """Bark of each species is spread evenly over 0.08 on either side of its table value."""
-    birch = trees[trees["species"] == 1]
-    assert stats.kstest(birch["bark_reflectance"], stats.uniform(0.47, 0.16).cdf).pvalue > 0.01
-
-
 def test_crown_prototypes_are_scaled_little(trees):
     """No crown is twice as wide as its prototype or half as wide; few are a third longer or shorter, or begin deep in the ground."""
     stand = make_stand()
@@ -168,14 +159,10 @@ def leaf_area_m2(stand, trees):
 
 
 def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
-    """Leaves that the prototypes' crowns would carry cover 3/4 x 6 + 1/4 x 3 by share."""
+    """Leaves that the prototypes' crowns would carry cover 3/4 x 6 + 1/4 x 3 by share; a lone tree bears 1.5 times its index at most."""
     by_crown = [(trees["crown_width_m"][trees["species"] == n] ** 2).sum() for n in (1, 2)]
     expected = np.average([3.0, 6.0], weights=by_crown)
     assert leaf_area_m2(make_stand(), trees) / (14 * 20.0) ** 2 == pytest.approx(expected, rel=0.03)
-
-
-def test_a_sparse_stand_does_not_reach_that_index():
-    """A lone tree bears at most one and a half times its index over its own projection."""
     crown = make_stand(stems_per_ha=5.0).crown(1, 0, 0)
     assert crown.leaf_area_m2 == pytest.approx(6.0 * 1.5 * np.pi / 4 * crown.crown_width_m**2)
 
@@ -250,12 +237,6 @@ def test_path_is_kept_clear_of_stems():
     assert np.array_equal(all_trees[np.isin(all_trees["x_m"], trees["x_m"])], trees)
 
 
-def test_unknown_species_is_named():
-    """An unknown species is refused with the names that exist."""
-    with pytest.raises(GeometryError, match="unknown species 'larch'; expected one of silver_birch, norway_spruce"):
-        make_stand(species=(BIRCH.model_copy(update={"species": "larch"}),))
-
-
 @pytest.mark.parametrize(
     "pattern",
     [Scattered(kind="hard_core"), Plantation(kind="plantation", row_spacing_m=3.0, tree_spacing_m=1.6)],
@@ -272,17 +253,20 @@ def test_no_stem_stands_on_a_trail_and_the_density_is_as_set(pattern):
     assert len(trees) == pytest.approx(expected, abs=3 * np.sqrt(expected) + 0.02 * expected)
 
 
-def test_rows_that_cannot_hold_the_density_off_trails_are_refused():
-    """The error says the density that was asked for, and what the rows hold without what trails take: four of twenty metres."""
-    trails = Trails(Terrain(trail_spacing_m=20.0), seed=14)
-    rows = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
-    with pytest.raises(GeometryError, match=r"found 1800; expected at most 1600, which rows of .* off the trails"):
-        make_stand(stems_per_ha=1800.0, pattern=rows, trails=trails)
+GIANTS = SpeciesShare(species="norway_spruce", share=1.0, dbh_cm=120.0, height_m=50.0)
+ROWS = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
 
 
-def test_more_wood_than_any_forest_has_is_refused():
-    """More than the densest coast redwoods have is refused: 300 stems of 1.2 m per hectare are planted, 5 000 are not."""
-    giants = SpeciesShare(species="norway_spruce", share=1.0, dbh_cm=120.0, height_m=50.0)
-    assert make_stand(stems_per_ha=300.0, species=[giants]).per_ha == 300.0
-    with pytest.raises(GeometryError, match="found a basal area of 5655 m2 per ha; expected at most 350"):
-        make_stand(stems_per_ha=5000.0, species=[giants])
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ({"species": (BIRCH.model_copy(update={"species": "larch"}),)}, "unknown species 'larch'; expected one of silver_birch, norway_spruce"),
+        ({"stems_per_ha": 5000.0, "species": [GIANTS]}, "found a basal area of 5655 m2 per ha; expected at most 350"),
+        ({"stems_per_ha": 1800.0, "pattern": ROWS}, "found 1800; expected at most 1600, which rows of .* off the trails"),
+    ],
+)  # fmt: skip
+def test_a_stand_that_cannot_be_is_refused(section, message):
+    """Unknown species, more wood than the densest coast redwoods have, and more stems than rows hold off trails, which take four of twenty metres."""
+    assert make_stand(stems_per_ha=300.0, species=[GIANTS]).per_ha == 300.0
+    with pytest.raises(GeometryError, match=message):
+        make_stand(**section, trails=Trails(Terrain(trail_spacing_m=20.0), seed=14))

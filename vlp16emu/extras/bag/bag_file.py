@@ -169,16 +169,9 @@ class BagFile:
         is_fixed, any_time = topic == "/tf_static", QosTime(0, 0)
         more: dict[str, object] = {"latching": 1} if is_fixed else {}
         if not self.is_ros1:
-            qos = Qos(
-                QosHistory.KEEP_LAST,
-                1 if is_fixed else 10,
-                QosReliability.RELIABLE,
-                QosDurability.TRANSIENT_LOCAL if is_fixed else QosDurability.VOLATILE,
-                any_time,
-                any_time,
-                QosLiveliness.SYSTEM_DEFAULT,
-                any_time,
-                avoid_ros_namespace_conventions=False,
-            )
+            depth, durability = (1, QosDurability.TRANSIENT_LOCAL) if is_fixed else (10, QosDurability.VOLATILE)
+            kept = QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE, durability
+            times = any_time, any_time, QosLiveliness.SYSTEM_DEFAULT, any_time
+            qos = Qos(*kept, *times, avoid_ros_namespace_conventions=False)
             more = {"offered_qos_profiles": [qos]}
         return self._writer.add_connection(topic, name, typestore=self._store, **more)

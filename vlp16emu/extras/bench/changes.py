@@ -28,8 +28,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 class Wobbling:
     """A sine on top of the speed, for a time."""
 
-    from_ns: int
-    """Since the start."""
+    from_ns: int  # since the start
     lasts_ns: int
     amplitude_rpm: float
     period_s: float
@@ -103,14 +102,9 @@ class DisturbedGps(GpsInput):
     @classmethod
     def of(cls, gps: Gps, events: Iterable[Event], start_ns: int) -> "DisturbedGps":
         """Return the input of a sensor to which `events` happen."""
-        return cls(
-            gps.connected,
-            seconds_to_ns(gps.sentence_delay_s),
-            seconds_to_ns(gps.pps_window_s),
-            gps.requires_valid,
-            tuple(event for event in events if event.effect in ("gps", "power")),
-            start_ns,
-        )
+        spans_ns = seconds_to_ns(gps.sentence_delay_s), seconds_to_ns(gps.pps_window_s)
+        own = tuple(event for event in events if event.effect in ("gps", "power"))
+        return cls(gps.connected, *spans_ns, gps.requires_valid, own, start_ns)
 
     def spans_ns(self, state: PpsState) -> _Spans:
         """Spans of UTC in which the pulse is in a state, in order."""
@@ -245,15 +239,12 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
         return unit
     section, start_ns = unit.section, scenario.start_ns
     gps = DisturbedGps.of(scenario.gps, events, start_ns)
-    wobbles = [event for event in events if event.kind == "rpm_wobble"]
-    rotor = replace(
-        unit.head.rotor,
-        spins=spins(unit, events, start_ns),
-        wobbles=tuple(
-            Wobbling(event.begin_ns, event.end_ns - event.begin_ns, event.amplitude_rpm, event.period_s)
-            for event in wobbles
-        ),
+    wobbles = (
+        Wobbling(one.begin_ns, one.end_ns - one.begin_ns, one.amplitude_rpm, one.period_s)
+        for one in events
+        if one.kind == "rpm_wobble"
     )
+    rotor = replace(unit.head.rotor, spins=spins(unit, events, start_ns), wobbles=tuple(wobbles))
     head = replace(unit.head, rotor=rotor, clock=Clock(clock_spans(section, events, gps, start_ns)))
     silences_ns = tuple((event.begin_ns, event.end_ns) for event in events if event.effect == "power")
     optics = [event for event in events if event.effect == "optics"]

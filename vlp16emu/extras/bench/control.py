@@ -89,7 +89,6 @@ class Control:
         self._events: list[Event] = list(feed.engine.scenario.events)
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
-        self._errors = [event for event in self._events if event.effect == "web"]
         self._wanted = list[dict[str, Any]]()  # events that are to happen with the next change, without their times
         self._at_ns = 0  # UTC, ns, from which on packets follow the latest change
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
@@ -152,7 +151,7 @@ class Control:
 
     def fault(self, unit: int) -> int | None:
         """Return the status of all answers of a unit now, 0 for no answer at all; None if nothing is wrong."""
-        since_ns, own = self._since_ns(), (error for error in self._errors if error.unit == unit + 1)
+        since_ns, own = self._since_ns(), (one for one in self._events if (one.effect, one.unit) == ("web", unit + 1))
         return next((error.status or 0 for error in own if error.begin_ns <= since_ns < error.end_ns), None)
 
     def status(self, unit: int) -> DeviceStatus:
@@ -259,7 +258,6 @@ class Control:
                 self._events = self._events + made + happening
             if not made and not happening:
                 return None
-            self._errors += [event for event in happening if event.effect == "web"]
             self._calm_s, self._prompt = time.monotonic() + _CALM_S, max(self._prompt - 1, 0)
             self._at_ns = self._scenario.start_ns + seconds_to_ns(at_s)
             engine, due_ns = self._feed.engine.with_events(self._events), self._scenario.start_ns + from_ns
@@ -292,15 +290,9 @@ def _in_force(settings: DeviceSettings) -> InForce:
 def _showing(settings: DeviceSettings, new: InForce) -> DeviceSettings:
     """Return the settings with those in force; a phase that is off keeps its number."""
     phase = new.phase_lock_deg
-    return replace(
-        settings,
-        rpm=new.rpm,
-        return_mode=ReturnMode(new.return_mode),
-        laser_on=new.laser,
-        fov_deg=new.fov_deg,
-        phase_lock_on=phase != "off",
-        phase_lock_cdeg=settings.phase_lock_cdeg if phase == "off" else round(100 * phase) % 36_000,
-    )
+    cdeg = settings.phase_lock_cdeg if phase == "off" else round(100 * phase) % 36_000
+    own: dict[str, Any] = {"rpm": new.rpm, "return_mode": ReturnMode(new.return_mode), "fov_deg": new.fov_deg}
+    return replace(settings, laser_on=new.laser, phase_lock_on=phase != "off", phase_lock_cdeg=cdeg, **own)
 
 
 def _place(sentence: bytes) -> str:

@@ -119,14 +119,8 @@ def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
     utc += timedelta(seconds=by_s)
     if now_ns is not None:
         utc += timedelta(hours=round((now_ns / S_NS - utc.timestamp()) / 3600))
-    body = b"%b,%b%b,%b%b%b" % (
-        found["kind"],
-        f"{utc:%H%M%S}".encode(),
-        found["decimals"],
-        found["place"],
-        f"{utc:%d%m%y}".encode(),
-        found["rest"],
-    )
+    clock, day = (f"{utc:{form}}".encode() for form in ("%H%M%S", "%d%m%y"))
+    body = b"%b,%b%b,%b%b%b" % (found["kind"], clock, found["decimals"], found["place"], day, found["rest"])
     checksum = 0
     for byte in body:
         checksum ^= byte

@@ -152,16 +152,9 @@ def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
     since_ns = chunk.clock_ns - chunk.packet_ns[points.packet]
     kept = ~twins(points)
-    arrays: dict[str, NDArray[Any]] = {
-        "t_ns": chunk.t_ns,
-        "xyz_m": points.xyz_m,
-        "distance_m": points.distance_m,
-        "azimuth_deg": points.azimuth_deg,
-        "ring": points.ring.astype(np.uint16),
-        "reflectivity": points.reflectivity,
-        "is_last": points.is_last,
-        **labels,
-    }
+    as_they_are = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
+    arrays: dict[str, NDArray[Any]] = {"t_ns": chunk.t_ns, "ring": points.ring.astype(np.uint16), **labels}
+    arrays |= {name: getattr(points, name) for name in as_they_are}
     return Chunk(
         t_ns=(chunk.utc_ns[:, None] + block_ns)[is_reading],
         azimuth_deg=blocks["azimuth_cdeg"][is_reading] / 100,
@@ -204,15 +197,9 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
     is_last = points["return_number"] == 1
     is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
     order = np.lexsort((~is_last, points["laser"], sequence))
-    arrays = {
-        "t_ns": points["t_ns"],
-        "xyz_m": points["sensor_m"].astype(np.float32),
-        "distance_m": points["distance_m"],
-        "azimuth_deg": points["azimuth_deg"],
-        "ring": points["ring"],
-        "reflectivity": points["reflectivity"],
-        "is_last": is_last,
-    } | ({name: points[name] for name in (*_LABELS, "range_m")} if truth else {})
+    names = ("t_ns", "distance_m", "azimuth_deg", "ring", "reflectivity", *((*_LABELS, "range_m") if truth else ()))
+    arrays = {name: points[name] for name in names}
+    arrays |= {"xyz_m": points["sensor_m"].astype(np.float32), "is_last": is_last}
     return Chunk(
         t_ns=reading_ns[taken],
         azimuth_deg=firings.reading_deg[::step][taken],
@@ -236,11 +223,8 @@ def points_of(
     placed = place(beams, firings, sequence, laser, distance_m, poses, tangents)
     points: dict[str, NDArray[Any]] = {
         "t_ns": pulse_ns,
-        "world_m": placed.world_m,
-        "sensor_m": placed.sensor_m,
+        **{name: getattr(placed, name) for name in ("world_m", "sensor_m", "azimuth_deg", "elevation_deg")},
         "distance_m": distance_m,
-        "azimuth_deg": placed.azimuth_deg,
-        "elevation_deg": placed.elevation_deg,
         "reflectivity": returns.reflectivity[sent],
         "ring": beams.ring[laser],
         "laser": laser,

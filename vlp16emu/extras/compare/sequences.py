@@ -32,8 +32,7 @@ class Sequences:
     clock_ns: I8  # (p,) the sensor's clock, hours added
     stamp_ns: I8  # (p,) of the capture
     packet: I8  # (p,) from 0, numbered through gaps
-    last: tuple[I8, I8] | None
-    """Distances and reflectivities (n, 16) of the even blocks, in dual return."""
+    last: tuple[I8, I8] | None  # distances and reflectivities (n, 16) of the even blocks, in dual return
 
     @property
     def is_dual(self) -> bool:

@@ -42,8 +42,7 @@ class Stretches:
     """s stretches of 15 pulses of one laser on a smooth surface."""
 
     residual_mm: F8  # (s, 15) ranges less the cubic
-    first_slot: I8
-    """(s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from pulse to pulse."""
+    first_slot: I8  # (s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from pulse to pulse
     codes: I8  # (s, 15) reflectivities
 
     @property

@@ -33,11 +33,8 @@ if TYPE_CHECKING:
 Cell = tuple[int, int, int]  # name of a box of the world, for whose sensors a window is opened
 
 _RATES = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
-_COLUMNS = {
-    **TIMED_POSES,
-    **{key: Column({key: 1.0}) for key in _RATES},
-    "cell": Column({"cell": 1.0}, is_filled=False),
-}
+_RATE_COLUMNS = {name: Column({name: 1.0}) for name in _RATES}
+_COLUMNS = {**TIMED_POSES, **_RATE_COLUMNS, "cell": Column({"cell": 1.0}, is_filled=False)}
 FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 
 

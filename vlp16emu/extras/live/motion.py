@@ -174,7 +174,7 @@ class LiveMotion:
         self._smoothing_s, self._start_ns = section.smoothing_s, start_ns
         self._clock_ns, self._sleep, self._lock = clock_ns, sleep, threading.Lock()
         self._zero_ns = 0
-        self._knots: Knots | None = None
+        self.knots: Knots | None = None  # all so far; None before the beginning
         self._used: SeenPose | None = None
         self.poses = PoseInput(clock_ns)
         self.is_open = False  # whether poses are waited for, as in a stream
@@ -186,22 +186,20 @@ class LiveMotion:
         self._zero_ns = zero_ns
         self.poses.longest_gap_ns = 0
         self.poses.gaps_ns.clear()
-        self._knots = Knots(self._start_ns, self._seen().state[None])
+        self.knots = Knots(self._start_ns, self._seen().state[None])
 
     def end(self) -> None:
         """Forget what was flown, and take no more poses."""
-        self.is_open, self._knots, self._used = False, None, None
+        self.is_open, self.knots, self._used = False, None, None
         self.poses = PoseInput(self._clock_ns)
         self.first_uses.clear()
 
     def require_open(self) -> None:
         """Raise `TrajectoryError` if no poses come in, as nobody streams."""
         if not self.is_open:
-            raise TrajectoryError(
-                "motion.kind",
-                'found "live", whose poses come in while `vlp16emu stream` runs',
-                'motion.flown = "FILE", what a stream has written with --flown, beside it',
-            )
+            found = 'found "live", whose poses come in while `vlp16emu stream` runs'
+            expected = 'motion.flown = "FILE", what a stream has written with --flown, beside it'
+            raise TrajectoryError("motion.kind", found, expected)
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None) -> bool:
         """Take a pose; parameters, result and errors as of `PoseInput.put`."""
@@ -218,17 +216,12 @@ class LiveMotion:
     @property
     def elapsed_ns(self) -> int:
         """Time since the first pulse; 0 before the beginning."""
-        return 0 if self._knots is None else self._clock_ns() - self._zero_ns
+        return 0 if self.knots is None else self._clock_ns() - self._zero_ns
 
     @property
     def state(self) -> Array:
         """(13,) of the last knot, or before the beginning of the last pose."""
-        return self._seen().state if self._knots is None else self._knots.last_state
-
-    @property
-    def knots(self) -> Knots | None:
-        """All so far; None before the beginning."""
-        return self._knots
+        return self._seen().state if self.knots is None else self.knots.last_state
 
     def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
@@ -249,12 +242,12 @@ class LiveMotion:
 
     def _knots_until(self, t_ns: int) -> Knots:
         """Make knots until a UTC instant, each when its time has come."""
-        if self._knots is None:
+        if self.knots is None:
             rest = np.append(self._seen().state[:7], np.zeros(STATE - 7))
             return Knots(self._start_ns, np.stack([rest, self._after(rest, rest, 0.0)]))
         while True:
             with self._lock:
-                knots, now_ns = self._knots, self._clock_ns()
+                knots, now_ns = self.knots, self._clock_ns()
                 while knots.last < 1 or knots.last_ns < t_ns - self._start_ns:
                     early_ns = self._zero_ns + knots.last_ns - _AHEAD_NS - now_ns
                     if early_ns > 0:

@@ -15,14 +15,9 @@ from vlp16emu.tables import Column, optional, read_table
 
 Cloud = dict[str, NDArray[Any]]
 
-_PLACES = (
-    ("world_m",),
-    ("xyz_m",),
-    ("xyz",),
-    ("world_x_m", "world_y_m", "world_z_m"),
-    tuple("xyz"),
-    ("x_m", "y_m", "z_m"),
-)  # columns that hold the place of a point, the world's before the sensor's
+_PLACES = [
+    names.split() for names in ("world_m", "xyz_m", "xyz", "world_x_m world_y_m world_z_m", "x y z", "x_m y_m z_m")
+]  # columns that hold the place of a point, the world's before the sensor's
 _INSTANCES = ("instance", "treeID", "tree_id", "treeid")
 """Names of the column of instances: the first that is there counts, of ours and of other tools."""
 _KEPT = ("semantic", "part", "leaf_wood", "instance")

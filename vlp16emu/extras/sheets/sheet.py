@@ -19,8 +19,7 @@ from vlp16emu.extras.sheets.survey import Survey, subtitle_of, summary_of, surve
 from vlp16emu.forest.ground.dem import write_ascii
 from vlp16emu.forest.plants.stem import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import write_csv
-from vlp16emu.forest.stand.nearby import AllNear, Grow, cut_out
-from vlp16emu.forest.twin import write_glb
+from vlp16emu.forest.stand.twin import AllNear, Grow, cut_out, write_glb
 from vlp16emu.output import OutputFile
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.scenario import Scenario
@@ -338,12 +337,6 @@ _BEAM_M = 12.0  # how far the lines of the field of view are drawn
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
-def section_pixels_per_m(section: StandSection) -> float:
-    """Return the scale at which a section fills the sheet's width, or is as tall as it may be."""
-    wide, tall = (_WIDTH_IN - 2 * _EDGE_IN) / section.length_m, section.high_m - section.low_m
-    return min(wide, _TALLEST_SECTION_IN / tall) * _DPI
-
-
 def draw_sheet(file: BinaryIO, seen: Survey, section: StandSection, drawn: U1, *, title: str, subtitle: str) -> None:
     """Draw plan and section as PNG, with a title of two lines; `drawn` (rows, columns, 3) is the section by `draw_section`."""
     low_m, high_m = extent_m(seen)
@@ -362,15 +355,9 @@ def draw_sheet(file: BinaryIO, seen: Survey, section: StandSection, drawn: U1, *
 
         draw_plan(place(_FOOT_IN + side_in + _GAP_IN, plan_width_in, plan_in), seen, section)
         corner = (1 - (_LEGEND_IN + 0.2) / _WIDTH_IN, 1 - _HEAD_IN / height_in)
-        figure.legend(
-            handles=legend_entries(seen),
-            loc="upper left",
-            bbox_to_anchor=corner,
-            frameon=False,
-            fontsize=9,
-            labelcolor=INK,
-            labelspacing=0.7,
-        )
+        looks: dict[str, Any] = {"loc": "upper left", "frameon": False, "fontsize": 9}
+        looks |= {"labelcolor": INK, "labelspacing": 0.7}
+        figure.legend(handles=legend_entries(seen), bbox_to_anchor=corner, **looks)
         draw_side(place(_FOOT_IN, side_width_in, side_in), seen, section, drawn)
         figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.38 / height_in, title, size=15, color=INK, weight="bold")
         figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.66 / height_in, subtitle, size=9.5, color=SOFT)
@@ -450,6 +437,7 @@ def _writer(
             window, shape = cut_out(window, shape, instances=np.array(list(at_m), np.uint32), inside=seen.inside)
         colours = surface_colours(seen.window.surfaces, seen.species)
         return lambda file: write_glb(file, window, shape, places_m=at_m, species=seen.species, colours=colours)
-    section = section_of(seen)
-    drawn = draw_stand(seen, section, section_pixels_per_m(section))
+    section = section_of(seen)  # it fills the sheet's width, or is as tall as it may be
+    wide, tall = (_WIDTH_IN - 2 * _EDGE_IN) / section.length_m, section.high_m - section.low_m
+    drawn = draw_stand(seen, section, min(wide, _TALLEST_SECTION_IN / tall) * _DPI)
     return lambda file: draw_sheet(file, seen, section, drawn, title=title, subtitle=subtitle_of(summary))

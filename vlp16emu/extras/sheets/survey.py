@@ -20,9 +20,9 @@ from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
 from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
-from vlp16emu.forest.stand.nearby import Thing, things_near
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.forest.stand.tree_models import TreeModels
+from vlp16emu.forest.stand.twin import Thing, things_near
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F8, I8, U4, HeightField, PlantPart, Semantic, Window, World

@@ -78,8 +78,7 @@ class Rig:
     """What a configuration depends on; the default is what `protocol/slam` is for."""
 
     rpm: float = 600.0
-    base_T_lidar: F8 | None = None
-    """(4, 4) extrinsics, as the next; None if they are the identity, or change."""
+    base_T_lidar: F8 | None = None  # (4, 4) extrinsics, as the next; None if they are the identity, or change
     base_T_imu: F8 | None = None
     imu: Mapping[str, Any] | None = None  # section of the scene
     lidar_frame: str = "velodyne"
@@ -138,7 +137,9 @@ def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
 
 def configurations(program: Program, rig: Rig) -> dict[str, str]:
     """Return the files of a configuration, by name."""
-    return {file.name: _text(program, file, rig) for file in program.files}
+    head = f"{program.name} ({program.repository}): {rig.words}.", f"Read in {', '.join(program.read)}."
+    lines = {file.name: _FORMATS[file.name.rpartition(".")[2]](file, leaves(file, rig), head) for file in program.files}
+    return {name: "\n".join(of) + "\n" for name, of in lines.items()}
 
 
 @contextmanager
@@ -172,11 +173,6 @@ def leaves(file: ConfigFile, rig: Rig) -> Leaves:
         own = (default or "empty") if isinstance(default, str) else as_text(default)
         found.append((key, value, "" if default in (None, value) else f"{why}; its own value is {own}"))
     return found
-
-
-def _text(program: Program, file: ConfigFile, rig: Rig) -> str:
-    head = f"{program.name} ({program.repository}): {rig.words}.", f"Read in {', '.join(program.read)}."
-    return "\n".join(_FORMATS[file.name.rpartition(".")[2]](file, leaves(file, rig), head)) + "\n"
 
 
 def _tree(file: ConfigFile, leaves: Leaves) -> dict[str, Any]:

@@ -41,8 +41,7 @@ class Facts:
     samples: list[tuple[float, ...]] = field(default_factory=list)
     """Stamp as those of clouds, angular rate, acceleration, length of the quaternion, first covariances of attitude, angular rate
     and acceleration."""
-    fixed: dict[str, tuple[str, F8]] = field(default_factory=dict)
-    """Parent and pose of each frame of /tf_static."""
+    fixed: dict[str, tuple[str, F8]] = field(default_factory=dict)  # parent and pose of each frame of /tf_static
     parents: dict[str, set[str]] = field(default_factory=dict)  # all parents of each frame, fixed or moving
 
     def pose(self, frame: str, of: str) -> F8 | None:

@@ -90,27 +90,17 @@ _LATE = 64  # by how many packets one may be late in a capture
 _EXPECTED = "the returns.parquet of the run that made the capture (`record --truth DIR --truth-returns`)"
 
 SLOT_COLUMNS = {
-    "packet": "uint32",
-    "stamp_us": "uint32",
-    "block": "uint8",
-    "channel": "uint8",
+    **dict.fromkeys(("packet", "stamp_us"), "uint32"),
+    **dict.fromkeys(("block", "channel"), "uint8"),
     "t_ns": "int64",
     "echo": "uint8",
-    "range_m": "float32",
-    "x_m": "float32",
-    "y_m": "float32",
-    "z_m": "float32",
-    "world_x_m": "float64",
-    "world_y_m": "float64",
-    "world_z_m": "float64",
-    "semantic": "uint8",
-    "part": "uint8",
-    "leaf_wood": "uint8",
+    **dict.fromkeys(("range_m", "x_m", "y_m", "z_m"), "float32"),
+    **dict.fromkeys(("world_x_m", "world_y_m", "world_z_m"), "float64"),
+    **dict.fromkeys(("semantic", "part", "leaf_wood"), "uint8"),
     "instance": "uint32",
     "species": "uint16",
     "share": "float32",
-    "miss": "bool",
-    "repeat": "bool",
+    **dict.fromkeys(("miss", "repeat"), "bool"),
 }  # columns with their types; of a record without distance those from `echo` to `share` are null
 _OF_RETURNS = tuple(SLOT_COLUMNS)[5:-2]
 _FLOATS = [name for name in _OF_RETURNS if SLOT_COLUMNS[name].startswith("float")]
@@ -163,20 +153,16 @@ class SlotTable:
         rows = np.array([packet.slots for packet in packets]).reshape(-1)
         slot = np.tile(np.arange(RECORDS_PER_PACKET), len(packets))
         miss = rows["echo"] == NO_ECHO
-        columns = {
+        columns = {name: rows[name] for name in SLOT.names or () if rows[name].ndim == 1}
+        for i, axis in enumerate("xyz"):
+            columns |= {f"{axis}_m": rows["sensor_m"][:, i], f"world_{axis}_m": rows["world_m"][:, i]}
+        columns |= {
             "packet": np.repeat(np.arange(len(packets)) + self._number, RECORDS_PER_PACKET),
             "stamp_us": np.repeat([_stamp_us(packet.payload) for packet in packets], RECORDS_PER_PACKET),
             "block": slot // _CHANNELS,
             "channel": slot % _CHANNELS,
-            **{
-                name: rows[name]
-                for name in ("t_ns", "echo", "range_m", "semantic", "part", "instance", "species", "share")
-            },
-            **{f"{axis}_m": rows["sensor_m"][:, i] for i, axis in enumerate("xyz")},
-            **{f"world_{axis}_m": rows["world_m"][:, i] for i, axis in enumerate("xyz")},
             "leaf_wood": LEAF_OR_WOOD[rows["part"]],
             "miss": miss,
-            "repeat": rows["repeat"],
         }
         arrays = [
             self._arrow.array(

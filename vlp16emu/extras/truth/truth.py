@@ -92,9 +92,8 @@ def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: in
             until_ns = last_ns + 1 - start_ns
         count = number_at(scenario, unit, kind, until_ns) - first
         times = start_ns + begin_ns, start_ns + until_ns
-        yield Happening(
-            *times, place + 1, event.unit, event.kind, kind, first - number_at(scenario, unit, kind, 0), count
-        )
+        since_first = first - number_at(scenario, unit, kind, 0)
+        yield Happening(*times, place + 1, event.unit, event.kind, kind, since_first, count)
 
 
 def _single(

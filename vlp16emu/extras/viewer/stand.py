@@ -80,7 +80,10 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
             else:
                 yield _piece(f"things/{which}_{number}", few, colour, window.world_T_shape[alike])
     for count, (colour, meshes) in enumerate(single.items()):
-        yield _piece(f"single/{count}", _joined(meshes), colour, _ONE)
+        first = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
+        faces = [_triangles(mesh) + np.uint32(begin) for mesh, begin in zip(meshes, first, strict=False)]
+        joined = Mesh(np.concatenate([mesh.vertices_m for mesh in meshes]), np.concatenate(faces))
+        yield _piece(f"single/{count}", joined, colour, _ONE)
 
 
 def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
@@ -185,12 +188,6 @@ def _ground(seen: Survey) -> Mesh:
     used, faces = np.unique(quads, return_inverse=True)
     vertices_m = np.column_stack([x, y, z])[used].astype(np.float32)
     return Mesh(vertices_m, faces.reshape(-1, 4).astype(np.uint32))
-
-
-def _joined(meshes: list[Mesh]) -> Mesh:
-    first = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
-    faces = [_triangles(mesh) + np.uint32(begin) for mesh, begin in zip(meshes, first, strict=False)]
-    return Mesh(np.concatenate([mesh.vertices_m for mesh in meshes]), np.concatenate(faces))
 
 
 def _triangles(mesh: Mesh) -> U4:

@@ -21,7 +21,7 @@ from vlp16emu.forest.plants.branches import (
     volume_m3,
 )
 from vlp16emu.forest.plants.foliage import foliage_mesh
-from vlp16emu.forest.plants.species import Habit, Shrub, Species, Table, Trees, flora, species_table
+from vlp16emu.forest.plants.species import Shrub, Species, Table, Trees, flora, species_table
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season
@@ -164,7 +164,9 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
     crown_m = key.height_m - base_m
     foot_m = key.height_m / SLENDERNESS / 2
     stem_m = foot_m * (1 - CROWN_BASE_SHARE) * np.linspace(1, 0, 16)
-    habit = _small(species.crown, crown_m)
+    twigs = species.crown.twigs.model_copy(update={"length_m": (0.01, species.crown.twigs.length_m[1])})
+    spacing_m = min(species.crown.whorl_spacing_m, crown_m / _FEWEST_WHORLS)
+    habit = species.crown.model_copy(update={"whorl_spacing_m": spacing_m, "twigs": twigs})
     first = first_order(rng, habit, (crown_m, width_m), stem_m)
     second = side_branches(rng, habit.twigs, first, 2)
     crooked = partial(_crooked, key.height_m, rng.uniform(0.0, 1.0, 8))
@@ -206,12 +208,6 @@ def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
     vertices_m[:, 0] += x * (reach - 1) + shift_m[0]
     vertices_m[:, 1] += y * (reach - 1) + shift_m[1]
     return Mesh(vertices_m.astype(np.float32), mesh.faces)
-
-
-def _small(habit: Habit, crown_m: float) -> Habit:
-    spacing_m = min(habit.whorl_spacing_m, crown_m / _FEWEST_WHORLS)
-    twigs = habit.twigs.model_copy(update={"length_m": (0.01, habit.twigs.length_m[1])})
-    return habit.model_copy(update={"whorl_spacing_m": spacing_m, "twigs": twigs})
 
 
 def _raised(mesh: Mesh, by_m: float) -> Mesh:

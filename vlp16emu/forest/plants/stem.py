@@ -92,12 +92,6 @@ class StemForms:
         size_m = radius_m * np.sqrt(np.pi / polygon_m2(shape, step))
         return shape * size_m[..., None]
 
-    def leader_aside_m(self, above_m: Array, fork_m: Array) -> Array:
-        """Distance (n, r, 2) of second leaders from the first, at heights (n, r), of forks at heights (n,)."""
-        _, _, _, slope, gap_m, towards = (column[:, None] for column in self.forks.T)
-        away_m = gap_m * -expm1(-slope / gap_m * (above_m - fork_m[:, None]))
-        return away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
-
     def of(self, which: IntArray) -> "StemForms":
         """Return the forms of some of the stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
@@ -202,7 +196,9 @@ class Leaders:
     def axis_m(self, above_m: Array) -> Array:
         """Points (m, r, 3) of their axes relative to the feet, at heights (m, r)."""
         middle_m = axis_m(self.trees, self.forms, above_m)
-        middle_m[..., :2] += self.forms.leader_aside_m(above_m, self.fork_m)
+        slope, gap_m, towards = (column[:, None] for column in self.forms.forks.T[3:])
+        away_m = gap_m * -expm1(-slope / gap_m * (above_m - self.fork_m[:, None]))
+        middle_m[..., :2] += away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
         return middle_m
 
 

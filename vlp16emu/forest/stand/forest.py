@@ -63,13 +63,10 @@ class ForestWorld:
 
     Parameters
     ----------
-    path : of the sensor as a whole, fine enough that its chords are as good as the path itself
-    reach_m : how far the sensor sees
-    plants : trees and shrubs; those of the program if none are given
-    trails : where no saplings and shrubs grow
+    path, reach_m : of the sensor as a whole, fine enough that its chords are as good as the path; how far the sensor sees
+    plants, trails : trees and shrubs, those of the program by default; where no saplings and shrubs grow
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
-    name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
-    plants_name : of the plants, likewise
+    name, plants_name : digests of all that decides the forest, seed and path too, and the plants; empty if nothing is kept on disk
     """
 
     def __init__(

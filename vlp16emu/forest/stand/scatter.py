@@ -375,16 +375,6 @@ def layers_of(
     return [made(getattr(section, kind.name)) for kind in _KINDS.values()]
 
 
-def stones_per_ha(cover: float) -> float:
-    """Stones per hectare that cover a share of the ground, seen from above.
-
-    Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane bare
-    (Boolean model; Chiu et al., Stochastic Geometry, section 3.1). What is seen of a stone is its section
-    at the ground, or its outline where its widest part is above.
-    """
-    return -log1p(-cover) / _stone_area_m2() * 10_000
-
-
 def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
     """Plants per hectare whose outlines cover a share c of the ground, overlaps counted once as of stones: even ones, those in patches.
 
@@ -413,7 +403,9 @@ def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None
         case settings.Grass():
             even = 10_000 * section.tufts_per_m2
         case settings.Stones():
-            even = stones_per_ha(section.cover)
+            # Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane bare
+            # (Boolean model; Chiu et al., Stochastic Geometry, section 3.1).
+            even = -log1p(-section.cover) / _stone_area_m2() * 10_000
         case settings.Logs() | settings.Stumps():
             even = section.per_ha
     return scattered(seed=seed, purpose=kind.purpose, per_ha=even)
@@ -421,6 +413,7 @@ def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None
 
 @cache
 def _stone_area_m2() -> float:
+    """Mean area of a stone from above: its section at the ground, or its outline where its widest part is above."""
     low, high = _STONE_BURIED
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
     seen = 1 - np.square(np.clip(2 * buried - 1, 0, None))  # section of an ellipsoid at a relative height

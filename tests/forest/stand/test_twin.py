@@ -11,10 +11,9 @@ from forest.kit import feet_m
 
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.species import flora, species_table
-from vlp16emu.forest.stand.nearby import cut_out, things_near
 from vlp16emu.forest.stand.stand import REGENERATION
+from vlp16emu.forest.stand.twin import cut_out, things_near, write_glb
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.forest.twin import write_glb
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall, HallPole
@@ -178,17 +177,16 @@ def test_every_instance_is_one_node_with_its_labels(glb, header, near):
     assert children == {name.split("/")[0] for name in wanted}
 
 
-def test_parts_say_in_numbers_what_their_names_say(header):
-    """The extras of a part's node are the numbers of its class, part, instance and species."""
+def test_parts_say_in_numbers_what_their_names_say_and_share_meshes(header):
+    """The extras of a part's node are the numbers of its class, part, instance and species.
+
+    Stones, tufts and crowns of one prototype share its mesh: there are fewer meshes than nodes that show one.
+    """
     node = next(n for n in header["nodes"] if n["name"].endswith("/stem") and n["name"].startswith("tree_"))
     name, species, _ = node["name"].split("/")
     extras = node["extras"]
     assert SPECIES[extras.pop("species")] == species
     assert extras == {"semantic": Semantic.TREE, "part": PlantPart.STEM, "instance": int(name.removeprefix("tree_"))}
-
-
-def test_shapes_are_stored_once(header, near):
-    """Stones, tufts and crowns of one prototype share its mesh: there are fewer meshes than nodes that show one."""
     shown = [node["mesh"] for node in header["nodes"] if "mesh" in node]
     assert sorted(set(shown)) == list(range(len(header["meshes"])))
     assert len(shown) > 2 * len(header["meshes"])

@@ -1,0 +1,249 @@
+"""Things near a path, a piece cut out of the world, and its digital twin: glTF, every thing a node that carries its labels.
+
+glTF has y up (glTF 2.0 specification, section 3.4), so one node above all turns the world's z up into it;
+programs that have z up themselves, such as Blender, turn it back.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import groupby
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import matvec, norm
+from vlp16emu.foliage.polyline import Polyline
+from vlp16emu.forest.plants.prototypes import SaplingKey
+from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
+from vlp16emu.forest.stand.inventory import hull_m
+from vlp16emu.forest.tiles import TILE_M, TileKey
+from vlp16emu.types import Array, Mesh, PlantPart, Semantic, ShapeKey, Window
+
+Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class AllNear:
+    """World of one window without a far medium."""
+
+    inside: Window
+    shape: Grow
+    near_m: float = math.inf
+    seed: int = 0
+
+    def window(self, _track_m: Array) -> Window:
+        """Return the window for any track."""
+        return self.inside
+
+    def shape_name(self, _key: ShapeKey) -> str:
+        """Return no name: no shape is kept on disk."""
+        return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """A thing that stands or lies there and is no tree of the stand."""
+
+    placement: int  # in the window
+    instance: int
+    species: int
+    kind: str
+    """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
+    place_m: Array  # (3,) origin of its shape in the world
+    outline_m: Array  # (k, 2) convex outline seen from above, counter-clockwise, in the world
+    size_m: tuple[float, float, float]
+    """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
+    stumps the diameter at the top and the height; of anything else its extent."""
+
+
+def things_near(
+    window: Window, shape: Grow, *, trees: NDArray[np.uint32], path: Polyline, radius_m: float
+) -> list[Thing]:
+    """Things whose place is within a radius of a path, in the order of the window; instances of `trees` (n,) are none."""
+    grounds = (
+        isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS) for key in window.shapes
+    )
+    is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
+    no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
+    near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
+    # What spans the convex hull of a shape is all that outlines need, in any placement.
+    corners = cache(lambda key: hull_m(np.concatenate([mesh.vertices_m for mesh in shape(key)]).astype(np.float64)))
+    found = []
+    for i in np.flatnonzero(is_thing & no_tree & near).tolist():
+        key, world_T_shape = window.shapes[window.shape[i]], window.world_T_shape[i]
+        row, corners_m = window.surfaces[window.first_surface[i]], corners(key)
+        seen_m = (matvec(world_T_shape[:, :3], corners_m) + world_T_shape[:, 3])[:, :2]
+        # Shapes of the floor have unit size by what they are, not by their outermost corner.
+        unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
+        size_m = tuple((unit_m * norm(world_T_shape[:, :3].T)).tolist())
+        kind = key.kind.value if isinstance(key, FloorKey) else Semantic(row["semantic"]).name.lower()
+        kind = "sapling" if isinstance(key, SaplingKey) else kind
+        numbers, place_m = (int(row["instance"]), int(row["species"])), world_T_shape[:, 3].copy()
+        found.append(Thing(i, *numbers, kind, place_m, hull_m(seen_m), size_m))
+    return found
+
+
+def cut_out(
+    window: Window, shape: Grow, *, instances: NDArray[np.uint32], inside: Callable[[Array], NDArray[np.bool_]]
+) -> tuple[Window, Grow]:
+    """Leave of a window the ground of a place, which points (n, 2) lie inside, and some instances (n,) whole.
+
+    Returns a window of the same surfaces, and how its shapes grow: in tiles, meshes of other instances are left empty.
+    """
+    wanted = np.isin(window.surfaces["instance"], instances)
+    keep, tile_at = _kept(window, wanted, inside)
+    used, which = np.unique(window.shape[keep], return_inverse=True)
+    shapes, first = tuple(window.shapes[i] for i in used), window.first_surface[keep]
+    world_T_shape = window.world_T_shape[keep]
+    left = Window(window.origin_m, shapes, which.astype(np.int32), world_T_shape, first, window.surfaces)
+
+    def grow(key: ShapeKey) -> tuple[Mesh, ...]:
+        if not isinstance(key, TileKey):
+            return shape(key)
+        (ground, *stems), place = shape(key), tile_at[key]
+        corner_m, row = window.world_T_shape[place, :2, 3], int(window.first_surface[place]) + 1
+        middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
+        stays = wanted[row : row + len(stems)].tolist()
+        paired = zip(stems, stays, strict=True)
+        cut = (mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0]) for mesh, whole in paired)
+        corners, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
+        return Mesh(ground.vertices_m[corners], faces.reshape(-1, 3).astype(np.uint32)), *cut
+
+    return left, grow
+
+
+def _kept(
+    window: Window, wanted: NDArray[np.bool_], inside: Callable[[Array], NDArray[np.bool_]]
+) -> tuple[NDArray[np.bool_], dict[TileKey, int]]:
+    """Return a mask (n,) of placements that show a wanted surface or ground of the place, and the placement of each tile."""
+    keys = (window.shapes[which] for which in window.shape)
+    tile_at = {key: i for i, key in enumerate(keys) if isinstance(key, TileKey)}
+    keep = wanted[window.first_surface]
+    starts = np.append(np.sort(window.first_surface), len(wanted))
+    for key, i in tile_at.items():
+        first = window.first_surface[i]
+        end = starts[np.searchsorted(starts, first, side="right")]
+        # Points a metre apart miss no more of the place than a corner of it.
+        x_m, y_m = np.meshgrid(*(TILE_M * n + np.arange(TILE_M + 1) for n in (key.ix, key.iy)))
+        keep[i] = wanted[first:end].any() or inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any()
+    return keep, tile_at
+
+
+_YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])
+"""Turns x east, y north, z up into x east, y up, z south."""
+_ROOT = "world z up"  # name of the node that holds everything
+
+
+def label(row: np.void, species: Mapping[int, str], *, with_part: bool) -> str:
+    """Name one `SURFACE` by its labels, for instance `tree_000123/silver_birch/stem`; ground is just `ground`."""
+    words = [Semantic(row["semantic"]).name.lower()]
+    if row["instance"]:
+        words[0] += f"_{row['instance']:06d}"
+    if row["species"]:
+        words.append(species[int(row["species"])])
+    if with_part and row["part"]:
+        words.append(PlantPart(row["part"]).name.lower())
+    return "/".join(words)
+
+
+def write_glb(
+    file: BinaryIO,
+    window: Window,
+    shape: Callable[[ShapeKey], tuple[Mesh, ...]],
+    *,
+    places_m: Mapping[int, Array],
+    species: Mapping[int, str],
+    colours: NDArray[np.uint8],
+) -> int:
+    """Write all that is in a window; what is placed often is stored once. Returns the number of instances.
+
+    Parameters
+    ----------
+    places_m : by instance, (3,) origin of its node in the world; where its placement is, if not given
+    species : names by number
+    colours : (m, 3) sRGB of the window's surfaces
+    """
+    twin = _Twin(window, species, colours, places_m)
+    order = np.argsort(window.shape, kind="stable").tolist()
+    for which, alike in groupby(order, key=lambda placement: int(window.shape[placement])):
+        meshes = shape(window.shapes[which])  # one shape at a time is held in memory
+        for placement in alike:
+            for number, mesh in enumerate(meshes):
+                if len(mesh.faces):
+                    twin.add(placement, number, mesh)
+    file.write(twin.trimesh.exchange.gltf.export_glb(twin.scene, include_normals=False))
+    return len(twin.instances)
+
+
+class _Twin:
+    def __init__(
+        self, window: Window, species: Mapping[int, str], colours: NDArray[np.uint8], places_m: Mapping[int, Array]
+    ) -> None:
+        import trimesh  # here: it takes a while to load
+
+        self.trimesh = trimesh
+        self._window, self._species, self._colours, self._places_m = window, species, colours, places_m
+        self._materials: dict[str, Any] = {}
+        self._nodes: dict[str, int] = {}  # how often each name is taken
+        self.instances: set[int] = set()
+        self.scene = trimesh.Scene(metadata={"unit": "m"})
+        self.scene.graph.update(frame_to=_ROOT, matrix=_YUP_R_WORLD)
+
+    def add(self, placement: int, number: int, mesh: Mesh) -> None:
+        """Hang mesh `number` of a placement below the node of its plant; what is no part of a plant is its own node."""
+        window = self._window
+        surface = int(window.first_surface[placement]) + number
+        row = window.surfaces[surface]
+        if row["instance"]:
+            self.instances.add(int(row["instance"]))
+        which, parent = int(window.shape[placement]), _ROOT
+        vertices_m, world_T_shape = mesh.vertices_m, np.eye(4)
+        world_T_shape[:3] = window.world_T_shape[placement]
+        if row["instance"] and row["part"]:
+            place_m = self._places_m.get(int(row["instance"]), window.world_T_shape[placement, :, 3])
+            parent = self._instance(row, place_m)
+            world_T_shape[:3, 3] -= place_m
+            if isinstance(window.shapes[which], TileKey):  # not shared: its origin becomes its node's
+                vertices_m = (vertices_m + world_T_shape[:3, 3]).astype(np.float32)
+                world_T_shape[:3, 3] = 0.0
+        name = f"shape_{which}_{number}"
+        if name not in self.scene.geometry:
+            faces = mesh.faces
+            if faces.shape[1] == 4:  # quads (a, b, c, d) are cut into (a, b, d) and (c, d, b) as casters do
+                faces = np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
+            look = self.trimesh.visual.TextureVisuals(material=self._material(row, self._colours[surface]))
+            self.scene.geometry[name] = self.trimesh.Trimesh(vertices_m, faces, visual=look, process=False)
+        node = label(row, self._species, with_part=True)
+        self._nodes[node] = self._nodes.get(node, 0) + 1
+        node += f".{self._nodes[node]}" if self._nodes[node] > 1 else ""
+        self.scene.graph.update(node, parent, matrix=world_T_shape, geometry=name, metadata=_extras(row))
+
+    def _instance(self, row: np.void, place_m: Array) -> str:
+        name = label(row, self._species, with_part=False)
+        if name not in self._nodes:
+            self._nodes[name] = 1
+            world_T_instance = self.trimesh.transformations.translation_matrix(place_m)
+            extras = {key: value for key, value in _extras(row).items() if key != "part"}
+            self.scene.graph.update(name, _ROOT, matrix=world_T_instance, metadata=extras)
+        return name
+
+    def _material(self, row: np.void, colour: NDArray[np.uint8]) -> Any:
+        """Material of a part of a species, or of what is no plant; one for all that show it."""
+        what = PlantPart(row["part"]).name if row["part"] else Semantic(row["semantic"]).name
+        name = f"{self._species.get(int(row['species']), '')} {what}".strip().lower()
+        if name not in self._materials:
+            # Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2).
+            share = colour / 255
+            linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
+            look = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
+            self._materials[name] = self.trimesh.visual.material.PBRMaterial(
+                name, baseColorFactor=[*linear, 1.0], **look
+            )
+        return self._materials[name]
+
+
+def _extras(row: np.void) -> dict[str, int]:
+    return {name: int(row[name]) for name in ("semantic", "part", "instance", "species")}
