@@ -9,10 +9,9 @@ import trimesh
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.errors import GeometryError, ScenarioError
-from vlp16emu.packets import decode_data
+from vlp16emu.errors import GeometryError
 from vlp16emu.scenario import load
-from vlp16emu.types import FIRST_FREE_INSTANCE, PacketKind, PlantPart, Semantic
+from vlp16emu.types import FIRST_FREE_INSTANCE, PlantPart, Semantic
 
 EAST_M, NORTH_M, UP_M = 500_000.0, 5_700_000.0, 210.0
 SCENE = f"""\
@@ -149,17 +148,6 @@ def test_the_path_of_a_walk_leads_around_the_trees_of_the_list(folder):
         Emulator(load(str(folder / "plot.toml"), [walk, "world.meshes=[]"]), threads=1)
 
 
-def test_packets_carry_it(folder):
-    """The same scene gives data packets with the distances of the returns, to half a step of 2 mm."""
-    emulator = Emulator(load(str(folder / "plot.toml")), threads=1)
-    data = [p.payload for p in emulator.packets(0.0, 0.02) if p.kind == PacketKind.DATA]
-    points = decode_data(np.array([list(payload) for payload in data], np.uint8), keep_no_returns=True)
-    blocks = [block.distance_m[..., 0].ravel() for block in emulator.returns(0.0, 0.02)]
-    returns = np.concatenate(blocks)[: len(points.distance_m)]
-    assert np.abs(points.distance_m - returns).max() < 0.001 + 1e-5
-    assert np.count_nonzero(returns) > 500
-
-
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
@@ -224,18 +212,3 @@ def test_a_mesh_that_nobody_sees_is_reported(folder, caplog, monkeypatch):
             assert (
                 f"box.obj: not in sight, {gap_m:.1f} m from the path at the nearest; expected a place 31 m" in lines[0]
             )
-
-
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ("world.dem.cell=1", "world.dem.cell=1: unknown key; expected cell_m, the nearest known one"),
-        ("world.dem.cell_m=-1", "world.dem.cell_m=-1: found -1; expected a number above 0"),
-        ("world.stem_list=3", "world.stem_list=3: found 3; expected a text in quotes"),
-        ("world.terrain.relief=steep", 'world.terrain.relief=steep: found "steep"; expected "flat", "rolling", "hilly" or "rough"'),
-    ],
-)  # fmt: skip
-def test_keys_of_given_things_are_checked_like_all_others(folder, setting, message):
-    """A misspelt or misused key of a file section is named with what was expected."""
-    with pytest.raises(ScenarioError, match=message):
-        load(str(folder / "plot.toml"), [setting])

@@ -37,12 +37,8 @@ def test_the_recording_counts_each_unit(cli, tmp_path):
 def test_verify_reads_a_capture_of_many_units_twice(cli, rig, tmp_path, monkeypatch):
     """Each frame is looked at once to find the units and once to check it, however many units there are."""
     content = rig.read_bytes()
-    (length,) = struct.unpack_from("<I", content, 24 + 8)
-    record = content[24 : 24 + 16 + length]
-    while length != 1248:
-        content = content[:24] + content[24 + 16 + length :]
-        (length,) = struct.unpack_from("<I", content, 24 + 8)
-        record = content[24 : 24 + 16 + length]
+    at = content.index(struct.pack("<II", 1248, 1248)) - 8
+    record = content[at : at + 16 + 1248]
     address = 16 + 14 + 12
     frames = [record[:address] + struct.pack(">I", 0x0A000000 + i) + record[address + 4 :] for i in range(40)]
     path = tmp_path / "crowd.pcap"
