@@ -107,8 +107,7 @@ class Windows(Generic[S]):
             return opener.submit(open_segment, name)
 
         self._opened = opened
-        self.stop = Event()
-        """Of the run under way; see `stopped_by`."""
+        self.stop = Event()  # of the run under way; see `stopped_by`
 
     @contextmanager
     def stopped_by(self, stop: Event) -> Iterator[None]:
@@ -190,10 +189,7 @@ def in_order(
     threads : workers
     stop : number of the block after the last
 
-    Raises
-    ------
-    CancelledError
-        If the windows are stopped; what is under way is left to itself
+    Raises CancelledError if the windows are stopped; what is under way is left to itself.
     """
     pending: deque[Future[T]] = deque()
     with workers(threads, "work", windows.stop) as pool:

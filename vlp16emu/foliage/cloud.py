@@ -19,10 +19,8 @@ from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
 
-TILTS = 64
-"""Classes of faces by the sine of their normal's elevation."""
-_PIXELS = 32
-"""Pixels along a voxel's edge in which faces are drawn, 16 mm each."""
+TILTS = 64  # classes of faces by the sine of their normal's elevation
+_PIXELS = 32  # pixels along a voxel's edge in which faces are drawn, 16 mm each
 _CELL_M = 0.25
 _FEW_FACES = 2000
 """Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
@@ -39,24 +37,17 @@ PROJECTION: F8 = np.abs(_LEVEL[..., None] * cos(_AZIMUTH) + (KNOTS[:, None] * _S
 class Cloud:
     """Projected area of a shape, for a medium."""
 
-    place_m: F4
-    """(n, 3) where its area lies, in the shape's own frame; none of shapes with few faces."""
-    area_m2: F4
-    """(n,) that a ray can meet: one side of leaves, half the surface of closed bodies."""
-    mesh: U1
-    """(n,) to which of the shape's meshes it belongs."""
+    place_m: F4  # (n, 3) where its area lies, in the shape's own frame; none of shapes with few faces
+    area_m2: F4  # (n,) that a ray can meet: one side of leaves, half the surface of closed bodies
+    mesh: U1  # (n,) to which of the shape's meshes it belongs
     corners_m: F4
     """(f, 4, 3) faces of a shape with few of them, triangles with their last corner twice; none of other shapes."""
-    corner_mesh: U1
-    """(f,) to which of the shape's meshes they belong."""
-    share: F4
-    """(meshes,) of a face's area that counts: 1 of leaves, 0.5 of closed bodies."""
+    corner_mesh: U1  # (f,) to which of the shape's meshes they belong
+    share: F4  # (meshes,) of a face's area that counts: 1 of leaves, 0.5 of closed bodies
     projection: F4
     """(meshes, knots) projected area over area, for light of any azimuth: the angular law of the shape's parts."""
-    cosine: F4
-    """(meshes, knots, QUANTILES) of the cosine of incidence where light meets them."""
-    radius_m: float
-    """Greatest distance of a corner from the shape's origin."""
+    cosine: F4  # (meshes, knots, QUANTILES) of the cosine of incidence where light meets them
+    radius_m: float  # greatest distance of a corner from the shape's origin
 
 
 def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
@@ -266,21 +257,17 @@ def _row(edges: F8, y: float, first: int, last: int) -> tuple[int, int]:
 class Library(NamedTuple):
     """Clouds of several shapes, one after the other."""
 
-    first_cell: I8
-    """(shapes + 1,)."""
+    first_cell: I8  # (shapes + 1,)
     place_m: F4
     area_m2: F4
     mesh: U1
-    first_face: I8
-    """(shapes + 1,)."""
+    first_face: I8  # (shapes + 1,)
     corners_m: F4
     corner_mesh: U1
-    first_law: I8
-    """(shapes + 1,) law of each shape's first mesh."""
+    first_law: I8  # (shapes + 1,) law of each shape's first mesh
     share: F4
     projection: F4
-    radius_m: F8
-    """(shapes,)."""
+    radius_m: F8  # (shapes,)
 
     @classmethod
     def of(cls, clouds: Sequence[Cloud]) -> "Library":

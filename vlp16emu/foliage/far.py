@@ -27,10 +27,8 @@ from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recalled
 from vlp16emu.types import F4, F8, U1, Mesh, ShapeKey, Window
 
-STRAY_M = 1.0
-"""Greatest distance of a sensor from the positions of its window."""
-_LEVEL = float(LEVEL) - 1e-4
-"""Slope below which the rays of a pulse are level in float32, too."""
+STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
+_LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are level in float32, too
 _TILE_M = COLUMNS * VOXEL_M
 _BRICKS = COLUMNS // BRICK
 _NO_GROUND_M = np.float32(-1e6)

@@ -25,24 +25,18 @@ from vlp16emu.foliage.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
 from vlp16emu.types import F8, I8, U4, U8
 
 T = TypeVar("T", bound=np.generic)
-Name = tuple[int, int]
-"""Name of a tile."""
+Name = tuple[int, int]  # name of a tile
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
     """The voxels of a tile, in bricks of 4 x 4 x 4."""
 
-    bottom: int
-    """Level of the lowest bricks, in bricks from a height of 0."""
-    mask: U8
-    """(10, 10, n) which voxels of each brick hold anything: bit 16 x + 4 y + z."""
-    first: U4
-    """(10, 10, n) record of the first of them that holds anything."""
-    record: U4
-    """(m,) codes of projected area at the three knots, and the flag of the ground."""
-    first_owner: U4
-    """(m,) of each record; its last owner has a share of 255."""
+    bottom: int  # level of the lowest bricks, in bricks from a height of 0
+    mask: U8  # (10, 10, n) which voxels of each brick hold anything: bit 16 x + 4 y + z
+    first: U4  # (10, 10, n) record of the first of them that holds anything
+    record: U4  # (m,) codes of projected area at the three knots, and the flag of the ground
+    first_owner: U4  # (m,) of each record; its last owner has a share of 255
     owner: U8
     """(o,) row of a tile's surfaces; over `LAW_BIT` bits the law in the library; over `TILE_BIT` bits 3 (dx + 1) + dy + 1 of
     that tile; over `SHARE_BIT` bits the share of the voxel's projected area, in 255ths, of it and of those before it."""
@@ -124,10 +118,8 @@ class Laid(NamedTuple):
 
     bottom: int
     mask: U8
-    first: U4
-    """Records in the array of the shelf."""
-    records: slice
-    """Place of its records on the shelf."""
+    first: U4  # records in the array of the shelf
+    records: slice  # place of its records on the shelf
     owners: slice
 
 

@@ -24,30 +24,21 @@ STEM = np.dtype(
 )
 """A far stem, or the second leader of one: circles across its axis."""
 
-EXACT = 255
-"""Stands for the `PlantPart` of a `FarTile`'s mesh that is exact as `STEM`s, and no medium."""
+EXACT = 255  # stands for the `PlantPart` of a `FarTile`'s mesh that is exact as `STEM`s, and no medium
 
 
 @dataclass(frozen=True, slots=True)
 class FarTile:
     """A far square of the world, 20 m wide: what becomes a medium, and what stays exact."""
 
-    corner_m: F8
-    """(3,) south-west corner; the height is a multiple of 2 m, near the ground."""
-    keys: tuple[ShapeKey, ...]
-    """Different shapes of what becomes a medium."""
-    shape: I8
-    """(n,) of each placement, index into `keys`."""
-    world_T_shape: F8
-    """(n, 3, 4)."""
-    first_surface: I8
-    """(n,) row of the tile's surfaces."""
-    first_part: I8
-    """(shapes + 1,) where the meshes of each shape begin in `part`."""
-    part: U1
-    """(meshes,) `PlantPart` of each, or `EXACT`."""
-    stems: NDArray[np.void]
-    """(s,) `STEM`."""
+    corner_m: F8  # (3,) south-west corner; the height is a multiple of 2 m, near the ground
+    keys: tuple[ShapeKey, ...]  # different shapes of what becomes a medium
+    shape: I8  # (n,) of each placement, index into `keys`
+    world_T_shape: F8  # (n, 3, 4)
+    first_surface: I8  # (n,) row of the tile's surfaces
+    first_part: I8  # (shapes + 1,) where the meshes of each shape begin in `part`
+    part: U1  # (meshes,) `PlantPart` of each, or `EXACT`
+    stems: NDArray[np.void]  # (s,) `STEM`
     ground_m: F8
     """(85, 85) heights every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
 
@@ -56,14 +47,11 @@ class FarTile:
 class TiledWindow(Window):
     """A window with squares that may be seen from afar."""
 
-    track_m: F8
-    """(t, 3) positions of the sensors that the window is for, to which things are near or far."""
+    track_m: F8  # (t, 3) positions of the sensors that the window is for, to which things are near or far
     tiles: tuple[tuple[int, int, int], ...]
     """Squares (ix, iy) that are seen from afar by `TiledWorld.far_tile`, and the row of `surfaces` at which theirs begin."""
-    far: NDArray[np.bool_]
-    """(n,) which placements `tiles` stand for."""
-    low: NDArray[np.bool_]
-    """(n,) which of the others are so low that light from afar meets the ground in their place."""
+    far: NDArray[np.bool_]  # (n,) which placements `tiles` stand for
+    low: NDArray[np.bool_]  # (n,) which of the others are so low that light from afar meets the ground in their place
 
     def with_more(self, count: int) -> dict[str, Any]:
         """Return the further fields of the window for `count` placements that are exact at any range."""

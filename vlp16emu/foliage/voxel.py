@@ -3,21 +3,16 @@
 import numpy as np
 
 VOXEL_M = 0.5
-BRICK = 4
-"""Voxels along the edge of a brick."""
-COLUMNS = 40
-"""Voxels along the edge of a tile of 20 m."""
+BRICK = 4  # voxels along the edge of a brick
+COLUMNS = 40  # voxels along the edge of a tile of 20 m
 
-FINER = 2
-"""Squares of the ground along the edge of a voxel."""
+FINER = 2  # squares of the ground along the edge of a voxel
 
 KNOTS = np.array([0.0, 0.3, 1.0])
 """Sines of the elevations at which projected areas are known: level, 17 degrees, and upright."""
-QUANTILES = 16
-"""Quantiles of the cosine of incidence, at middles of equal shares of the projected area."""
+QUANTILES = 16  # quantiles of the cosine of incidence, at middles of equal shares of the projected area
 
-CODES, MOST_PER_M = 127, 24.0
-"""Greatest code, and its projected area per volume."""
+CODES, MOST_PER_M = 127, 24.0  # greatest code, and its projected area per volume
 TAU_PER_M = (MOST_PER_M * np.square(np.arange(CODES + 1) / CODES)).astype(np.float32)
 """Projected area per volume of each of the codes that voxels have."""
 

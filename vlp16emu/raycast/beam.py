@@ -192,9 +192,7 @@ def pulse_axes(origin_m: F8, direction: F8, beam_axis: F8, from_m: F8, i: int, j
 def beam_axis_of(firings: Firings, beam: Footprint) -> F8:
     """Horizontal axes of the footprints, (k, L, 3).
 
-    Raises
-    ------
-    ValueError : where the firings have none
+    Raises ValueError where the firings have none.
     """
     if firings.beam_axis is None:
         raise ValueError(f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}")

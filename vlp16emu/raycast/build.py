@@ -65,9 +65,7 @@ class EmbreeMesh:
     def scene(self, piece: int) -> int:
         """Return the address of the scene of a piece; build it the first time.
 
-        Raises
-        ------
-        RunError : where Embree fails
+        Raises RunError where Embree fails.
         """
         with self._building:
             if piece not in self._scenes:
@@ -189,17 +187,14 @@ class Placed:
     window, meshes : with a mesh for each placement
     workers : where pieces are built side by side
 
-    Raises
-    ------
-    RunError : where a window lasts too long for Embree
+    Raises RunError where a window lasts too long for Embree.
     """
 
     def __init__(self, window: Window, meshes: Sequence[EmbreeMesh], workers: Executor) -> None:
         self.window, self.meshes, self._workers = window, meshes, workers
         self.motion, self._moving = motion_of(window)
         counts = [len(mesh.boxes_m) for mesh in meshes]
-        self.placement = np.repeat(np.arange(len(meshes)), counts)
-        """(n,) of each piece."""
+        self.placement = np.repeat(np.arange(len(meshes)), counts)  # (n,) of each piece
         self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])
         """(n, 2, 3) around each, in coordinates of its shape."""
         self.buffers, self.row = _buffers(meshes, counts)
@@ -209,9 +204,7 @@ class Placed:
     def scene(self, kept: NDArray[np.bool_]) -> int:
         """Build the scene of some pieces (n,) and return its address, valid for the life of this object.
 
-        Raises
-        ------
-        RunError : where Embree fails
+        Raises RunError where Embree fails.
         """
         wanted = defaultdict[EmbreeMesh, set[int]](set)
         numbers = np.flatnonzero(kept).tolist()
@@ -289,9 +282,7 @@ def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, F4]]:
     -------
     The motion, and window_T_shape (k, 3, 4) at all knots of each placement that moves
 
-    Raises
-    ------
-    RunError : where a window lasts too long for Embree
+    Raises RunError where a window lasts too long for Embree.
     """
     if (sway := window.sway) is None:
         return InstanceMotion(0, 0, np.empty((0, len(window.shape), 2), np.float32), np.empty(0)), {}

@@ -37,9 +37,7 @@ class Caster(Protocol):
 def caster(world: World, workers: Executor) -> Caster:
     """Make the caster of a world: of faces alone, or with what the door "far" has.
 
-    Raises
-    ------
-    EmbreeMissingError : where the library cannot be loaded
+    Raises EmbreeMissingError where the library cannot be loaded.
     """
     # Kernels bind to the library as soon as they are loaded, and a world that has nothing far needs none for it.
     if math.isinf(world.near_m):

@@ -54,9 +54,7 @@ class EmbreeMissingError(Vlp16emuError):
 def library_path() -> Path:
     """Return the path of the library in the wheel.
 
-    Raises
-    ------
-    EmbreeMissingError : where embreex is not installed or carries no such file
+    Raises EmbreeMissingError where embreex is not installed or carries no such file.
     """
     try:
         files = metadata.files("embreex") or []
@@ -72,9 +70,7 @@ def library_path() -> Path:
 def library() -> ctypes.CDLL:
     """Load the library once, for kernels too, and declare its functions.
 
-    Raises
-    ------
-    EmbreeMissingError : where it cannot be loaded or a function is missing
+    Raises EmbreeMissingError where it cannot be loaded or a function is missing.
     """
     import embreex.rtcore_scene  # noqa: F401  # brings the libraries that Embree itself needs
     from llvmlite import binding
@@ -94,9 +90,7 @@ def library() -> ctypes.CDLL:
 def device() -> int:
     """Return the one device of the process; beside a second one Embree would keep a thread busy for ever.
 
-    Raises
-    ------
-    RunError : where Embree gives none
+    Raises RunError where Embree gives none.
     """
     with _MAKING:  # the cache alone would let two threads make one each
         return _new_device()

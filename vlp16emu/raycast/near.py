@@ -62,9 +62,7 @@ class EmbreeGeometry:
         beam : how wide a pulse is
         as_far : whether also what is near is cast as the medium that it is from afar, where there is one
 
-        Raises
-        ------
-        ValueError : where the firings are not as said above
+        Raises ValueError where the firings are not as said above.
         """
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
@@ -145,9 +143,7 @@ class EmbreeCaster:
     def open(self, window: Window) -> EmbreeGeometry:
         """Make a window ready for casting.
 
-        Raises
-        ------
-        RunError : where Embree reports an error, for instance that memory ran out
+        Raises RunError where Embree reports an error, for instance that memory ran out.
         """
         try:
             with self._lock:

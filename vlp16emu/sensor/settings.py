@@ -183,9 +183,7 @@ AnySensor = Annotated[Sensor | FreeSensor, OneOf(Lidar, "sensors", "model", "vlp
 def on_the_wire(sensor: Sensor | FreeSensor) -> Sensor:
     """Return a sensor that has packets.
 
-    Raises
-    ------
-    ScenarioError : If it has none
+    Raises ScenarioError if it has none.
     """
     if isinstance(sensor, FreeSensor):
         raise ScenarioError(

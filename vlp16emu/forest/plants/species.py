@@ -208,8 +208,7 @@ class Species(Plant):
     taper: Taper
     stem: StemForm = StemForm()
     crown: Habit
-    foliage: Foliage | None = None
-    """None on a dead tree."""
+    foliage: Foliage | None = None  # none on a dead tree
     biomass: Biomass | None = None
 
     def crown_width_m(self, dbh_cm: Array, residual: Array | None = None) -> Array:
@@ -249,18 +248,12 @@ class Species(Plant):
 class Shrub(Plant):
     """A kind of shrub."""
 
-    height_m: Pair
-    """From small to large."""
-    width_share: float
-    """Width over height, as it grows by itself."""
-    stems: Annotated[int, Field(ge=1, le=100)]
-    """That come out of the ground."""
-    slenderness: float
-    """Length of a stem over its diameter at the ground."""
-    rise_deg: Pair
-    """Elevation of the outermost and of the innermost stem at the ground."""
-    droop_deg: float
-    """How much a stem's elevation falls towards its tip."""
+    height_m: Pair  # from small to large
+    width_share: float  # width over height, as it grows by itself
+    stems: Annotated[int, Field(ge=1, le=100)]  # that come out of the ground
+    slenderness: float  # length of a stem over its diameter at the ground
+    rise_deg: Pair  # elevation of the outermost and of the innermost stem at the ground
+    droop_deg: float  # how much a stem's elevation falls towards its tip
     crook_deg: Crook
     twigs: Twigs
     foliage: Foliage
