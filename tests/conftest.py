@@ -126,6 +126,14 @@ def _things_of_halls():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _memory_is_kept():
+    """Leave freed memory in the process: a worker of a thousand tests would clear it anew for each window."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vlp16emu.raycast.embree.give_memory_back", lambda: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def workers():
     """Threads that build shapes."""

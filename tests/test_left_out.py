@@ -14,7 +14,6 @@ from vlp16emu.engine.windows import window_of
 from vlp16emu.foliage.far import Far
 from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.motion import gait, harness, walk
-from vlp16emu.packets import position
 from vlp16emu.raycast import near as fast
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
@@ -151,7 +150,7 @@ def test_without_a_harness_nothing_is_solved(monkeypatch):
 def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
     """No ray is cast at the sky without a receiver, or for one that sees through trees; else one look a second."""
     looks = []
-    monkeypatch.setattr(position, "sky_cover", lambda *_: looks.append(1) or 0.0)
+    monkeypatch.setattr(page, "sky_cover", lambda *_: looks.append(1) or 0.0)
     list(Emulator(load("static_bench", [setting]), threads=1).packets(0.0, 0.5))
     assert not looks
     list(Emulator(load("static_bench", ["gps.connected=true"]), threads=1).packets(0.0, 0.5))

@@ -99,9 +99,9 @@ class OneOf:
         return handler(tagged_union_schema(choices, discriminator=self.tag))
 
     def sections(self) -> dict[Any, type[Section]]:
-        """Return all sections by the words that select them."""
+        """Return all sections by the words that select them, ours first, whatever has been loaded before."""
         own = {word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)}
-        return {**dict(added(self.group)), **dict(self._defined(self.base)), **own}
+        return {**own, **dict(added(self.group)), **dict(self._defined(self.base)), **own}
 
     def _section(self, word: object) -> type[Section] | None:
         if not isinstance(word, str):

@@ -126,13 +126,18 @@ def _flat(x_m: NDArray[np.float64], _y_m: NDArray[np.float64]) -> NDArray[np.flo
     return np.zeros_like(x_m)
 
 
+def _followed(way_m: NDArray[np.float64], along_m: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return points (n, 3) and headings (n,) at arc lengths (n,) of a path."""
+    return [derivatives[:, 0] for derivatives in WalkedPath(way_m, _flat).derivatives_at(along_m)]
+
+
 def far_walks() -> Iterator[Row]:
     """Follow the same path 100 km and 1000 km from the origin, and beyond."""
     way_m = np.array(_WAY_M)
     along_m = np.linspace(0.0, 2.6, 10_001)
-    near_m, heading_rad = WalkedPath(way_m, _flat).at(along_m)
+    near_m, heading_rad = _followed(way_m, along_m)
     for away_m in (1e5, 9e5):
-        far_m, far_rad = WalkedPath(way_m + away_m, _flat).at(along_m)
+        far_m, far_rad = _followed(way_m + away_m, along_m)
         error_m = float(np.abs(far_m[:, :2] - away_m - near_m[:, :2]).max())
         yield Row(f"path {away_m / 1000:g} km from the origin", "moved, m", error_m, 2 * np.spacing(away_m))
         yield Row(
