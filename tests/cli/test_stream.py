@@ -204,7 +204,7 @@ def test_port_0_is_a_free_one(cli):
 
 
 def test_the_line_names_seconds_cause_policy_and_settings():
-    """Where the engine is too slow, one line has how late it is, how fast the engine is, and what keeps up."""
+    """One line reports how late a stream with a slow engine is, how fast the engine is, and which settings keep up."""
     line = behind_line(FellBehind(14.2, 0.051, True, 0.83), load("birch_walk"), Late.PACE, 1.0)
     assert line == (
         "behind: 0.051 s late at 14.2 s, as the engine computes 0.83 x real time; the delay stays, at the sensor's own "
@@ -214,7 +214,7 @@ def test_the_line_names_seconds_cause_policy_and_settings():
 
 
 def test_a_stop_is_no_fault_of_the_settings():
-    """Where the process stood still no settings are named."""
+    """A pause of the process itself is reported without settings that would keep up."""
     line = behind_line(FellBehind(12.3, 5.01, False, 0.1), load("birch_walk"), Late.SKIP, 1.0)
     assert line == (
         "behind: 5.010 s late at 12.3 s, as the process stood still or got no core; late packets are dropped until the "

@@ -213,7 +213,7 @@ def some_rays(world, towards, count, seed=1):
 
 @pytest.mark.parametrize("towards", DIRECTIONS)
 def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
-    """Of 900 rays all but one (steep ones all but three) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
+    """All of 900 rays but one (steep ones but three) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
     world, window, medium = stand
     twin, good, hits, seen = Twin(medium), 0, 0, set()
     origin_m, direction = some_rays(world, towards, 1500 if towards == "-z" else 900)

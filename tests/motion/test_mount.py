@@ -68,7 +68,7 @@ def test_poses_and_kinematics_are_one_function(walking, start_ns, spin_hz):
 
 @pytest.mark.parametrize("spins", [False, True])
 def test_rates_are_the_derivatives_of_poses(walking, straps, start_ns, spins):
-    """Of a pack in loose straps, and of a tilted device that spins on it: velocity, angular rate and both accelerations, by differences."""
+    """Velocity, angular rate and both accelerations of a pack in loose straps, and of a tilted device that spins on it, equal differences."""
     motion = walking(harness=straps((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2))
     if spins:
         turns = {"yaw_deg": 20.0, "pitch_deg": 30.0, "roll_deg": -10.0, "spin_hz": 0.5}

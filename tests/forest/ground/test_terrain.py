@@ -163,7 +163,7 @@ def test_triangles_follow_ruts_to_millimetres():
 
 
 def test_the_ground_is_free_but_for_a_strip_along_each_trail():
-    """Of scattered points the share off trails is 1 - 4 m / 25 m, and no rut reaches where trees may stand; without trails all are free."""
+    """The share of scattered points off trails is 1 - 4 m / 25 m, and no rut reaches where trees may stand; without trails all are free."""
     xy_m = np.random.default_rng(2).uniform(-500, 500, (40_000, 2))
     terrain = flat_with_trails()
     free = terrain.trails.are_free(xy_m)

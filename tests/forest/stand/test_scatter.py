@@ -212,7 +212,7 @@ def size_m(world_T):
 
 
 def test_stones_cover_the_share_that_was_asked_for():
-    """Of vertical rays on 2.6 hectares of flat ground one in twenty meets a stone, within 6 %, three sigma."""
+    """One in twenty vertical rays on 2.6 hectares of flat ground meets a stone, within 6 %, three sigma."""
     at_m = np.random.default_rng(2).uniform(2, 158, (50_000, 2))
     tree, rays = KDTree(at_m), {}
     for tile in TILES:
@@ -297,7 +297,7 @@ def test_grass_grows_beside_the_path_alone():
     ids=["herbs", "ferns", "dwarf_shrubs", "moss", "litter"],
 )
 def test_plants_cover_the_share_that_was_asked_for(section, reach_m):
-    """Of the ground beside the path, up to their reach, outlines cover the share of the scene, within 10 %; heights are even in their range."""
+    """Outlines cover the share of the scene of the ground beside the path, up to their reach, within 10 %; heights are even in their range."""
     at_m = np.random.default_rng(1).uniform(2, 158, (30_000, 2))
     away = distance_m(at_m, NEAR)
     at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []

@@ -33,7 +33,7 @@ def test_the_path_keeps_its_distance_and_its_waypoints():
 
 
 def test_a_free_path_stays_as_it_is():
-    """Where nothing is too near, no waypoint is added."""
+    """A path with nothing too near gets no further waypoint."""
     points = way([0, 0], [10, 1], [20, 0])
     assert around(points, np.array([[10.0, 5.0]]), np.array([1.0])) is points
 
