@@ -28,7 +28,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "live": "vlp16emu.extras.live.settings:Live",
         "recorded": "vlp16emu.extras.recorded.settings:Recorded",
         "static": "vlp16emu.motion.settings:Static",
-        "walk": "vlp16emu.motion.settings:Walk",
+        "walk": "vlp16emu.extras.walk.settings:Walk",
     },
     "sensors": {
         "free": "vlp16emu.sensor.settings:FreeSensor",
@@ -94,8 +94,6 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "truth": "vlp16emu.extras.truth.truth:Truth",
         "truth_of_records": "vlp16emu.extras.truth.slots:slots_of",
         "unwrapper": "vlp16emu.extras.captures.links:Unwrapper",
-        "way_around": "vlp16emu.forest.stand.way_around:around",
-        "way_points": "vlp16emu.extras.recorded.way_points:read_way_points",
         "web": "vlp16emu.extras.bench.control:web_interfaces",
         "wind_section": "vlp16emu.forest.settings:Wind",
     },

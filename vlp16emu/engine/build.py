@@ -12,7 +12,6 @@ from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
-from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
@@ -206,16 +205,12 @@ def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
     site = section.site(seed)
-    carrier, path_xy_m = make_carrier(
-        scenario.motion,
-        site.height_m,
-        site.name,
-        origin_m=site.origin_m,
+    carrier, path_xy_m = scenario.motion.carrier(
+        site,
         gps=scenario.gps,
         reach_m=scenario.sensor.max_range_m,
         start_ns=scenario.start_ns,
         seed=scenario.motion_seed,
-        obstacles=site.obstacles,
     )
     world, wind = site.world(
         path_xy_m,
