@@ -54,7 +54,7 @@ EXTRAS_TAKE = {
     "accuracy": {"plots"},
     "bag": {"imu", "slam", "truth"},
     "bench": {"imu"},
-    "clouds": {"options", "recorded", "truth"},
+    "clouds": {"displace", "options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},

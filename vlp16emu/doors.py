@@ -31,7 +31,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "walk": "vlp16emu.extras.walk.settings:Walk",
     },
     "sensors": {
-        "free": "vlp16emu.sensor.settings:FreeSensor",
+        "free": "vlp16emu.extras.free_sensor:FreeSensor",
         "puck-hi-res": "vlp16emu.sensor.settings:Sensor",
         "puck-lite": "vlp16emu.sensor.settings:Sensor",
         "vlp-16": "vlp16emu.sensor.settings:Sensor",
@@ -66,6 +66,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "audit": "vlp16emu.extras.accuracy.audit:Audit",
         "bag": "vlp16emu.extras.bag:bag_of_run",
         "beside": "vlp16emu.extras.bench.outlets:Beside",
+        "displace": "vlp16emu.extras.displace:displace",
         "events": "vlp16emu.extras.bench.changes:with_events",
         "events_of_scene": "vlp16emu.extras.bench.events:checked",
         "events_schema": "vlp16emu.extras.bench.events:tables",
