@@ -23,7 +23,8 @@ ROOMS = (
     "extras/imu",
     "extras/live",
     "extras/meshes",
-    "extras/recorded/way_points.py",
+    "extras/splines.py",
+    "extras/walk",
     "foliage",
     "forest",
     "motion",
@@ -46,7 +47,7 @@ ALLOWED = {
     "forest/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
     "forest/stand/inventory.py": "scipy",  # which corners span a crown
     "forest/stand/twin.py": "**",  # colours for other programs
-    "motion/harness.py": "**",  # powers of a whole number
+    "extras/walk/pack.py": "**",  # powers of a whole number
 }
 """What decides no byte, by file."""
 

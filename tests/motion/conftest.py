@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vlp16emu.motion import Gait, Harness, Walk
-from vlp16emu.motion.walk import WalkMotion
+from vlp16emu.extras.walk import Gait, Harness, Walk
+from vlp16emu.extras.walk.motion import WalkMotion
 
 START_NS = 1_780_000_000 * 10**9
 

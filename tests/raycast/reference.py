@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 
 from vlp16emu.elementary import matvec
+from vlp16emu.extras.displace import displace
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import LINE, ROUND, Footprint, beam_axis_of, lay, pulse_axes, turn
 from vlp16emu.raycast.build import relative_to_window, sheared
-from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import F4, F8, I8, NO_SURFACE, U4, Firings, Hits, Mesh, ShapeKey, Window
 

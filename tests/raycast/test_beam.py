@@ -7,7 +7,7 @@ from raycast.reference import sub_rays
 from scipy.special import ive
 from scipy.stats import kstest, norm, spearmanr
 
-from vlp16emu.raycast.displace import displace, offset_tangents
+from vlp16emu.extras.displace import displace, offset_tangents
 
 
 def unit_points(pulses, rays, first=0, seed=7, model="fixed"):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stability_cases.row import Row, refused
 from vlp16emu import Emulator
-from vlp16emu.motion.path import Path as WalkedPath
+from vlp16emu.extras.walk.path import Path as WalkedPath
 from vlp16emu.packets import data_fields
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind

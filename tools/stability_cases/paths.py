@@ -11,7 +11,7 @@ from vlp16emu.engine import assemble
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.motion.path import Path
+from vlp16emu.extras.walk.path import Path
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from stability_cases.row import Row, refused
 from vlp16emu import Emulator
-from vlp16emu.motion import Harness
-from vlp16emu.motion.harness import KNOTS_PER_S, Pack
+from vlp16emu.extras.walk import Harness
+from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack
 from vlp16emu.packets import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, DATA_BYTES, DISTANCE_LSB_M, LASERS, decode_data
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LASER_NS, SEQUENCE_NS
