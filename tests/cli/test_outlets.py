@@ -120,24 +120,6 @@ def test_sentences_are_those_of_the_position_packets(cli, receiver, cable):
     assert abs(time.time_ns() - last_ns) < 10 * S_NS
 
 
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (["--gps-out", "loop://"], "gps.connected: found false; expected true"),
-        (["--imu-out", "udp://127.0.0.1:9"], "imu: no such table in the scene; expected [imu]"),
-        (
-            ["--imu-out", "tcp://127.0.0.1:9", "--set", "imu.rate_hz=100"],
-            "--imu-out: found tcp://127.0.0.1:9; expected udp://HOST:PORT",
-        ),
-    ],
-)
-def test_refusals_are_one_line(cli, options, line):
-    """What the scene or the machine has not is refused by one line that names the key or the option."""
-    outcome = cli("stream", "static_bench", *SILENT, *options)
-    assert outcome.code == 2
-    assert outcome.err.splitlines()[-1].startswith(f"error: {line}")
-
-
 def watched(port, seconds):
     """Reports of place and time that gpsd gives to its clients."""
     end_s, buffer = time.monotonic() + seconds, b""

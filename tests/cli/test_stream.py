@@ -125,20 +125,6 @@ def test_a_prepared_stream_is_the_same_on_the_wire(cli, bench, listeners, ports,
     assert (file.exists(), list(temporary.iterdir())) == (kept, [])
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ("--prepare-to -", "-: no file that can be read again; expected the name of a file"),
-        ("--prepare-to x.mcap", "x.mcap: found the ending .mcap; expected .pcap"),
-    ],
-)
-def test_what_cannot_be_prepared_is_refused(cli, options, said):
-    """Places that cannot be read again, and names of other formats, are refused in one line."""
-    outcome = cli("stream", "static_bench", *options.split(), "--json")
-    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
-    assert outcome.err.startswith(f"error: {said}")
-
-
 @pytest.fixture
 def arrivals():
     """A port of the loopback, and a function that waits for n data packets; the kernel stamps arrivals in ns."""

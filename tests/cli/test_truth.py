@@ -92,13 +92,3 @@ def test_bad_folders_are_reported_before_anything_is_written(cli, tmp_path):
         outcome = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", "--truth", folder)
         assert (outcome.code, outcome.err) == (2, f"error: {folder}: {said}\n")
         assert not (tmp_path / "x.pcap").exists()
-
-
-@pytest.mark.parametrize("verb", ["record", "stream"])
-def test_poses_of_packets_want_a_folder(cli, tmp_path, verb):
-    """--truth-packets alone says that --truth is missing, and nothing is written."""
-    out = [tmp_path / "x.pcap"] if verb == "record" else []
-    outcome = cli(verb, "static_bench", *out, "--duration", "0.1", "--truth-packets")
-    assert outcome.code == 2
-    assert outcome.err == "error: --truth-packets: found no --truth; expected --truth DIR beside it\n"
-    assert not list(tmp_path.iterdir())

@@ -7,7 +7,6 @@ import pytest
 
 from vlp16emu.engine import assemble
 from vlp16emu.errors import ScenarioError
-from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.settings import presets
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.scenario import load
@@ -146,13 +145,3 @@ def test_a_forest_that_makes_no_sense_is_reported_in_one_line(tmp_path, world, m
     """Unknown presets, densities given twice or never, and ranges that run backwards are named with their key."""
     with pytest.raises(ScenarioError, match=message):
         scene(tmp_path, world)
-
-
-def test_species_of_all_presets_are_in_the_table():
-    """Every tree that a preset names exists."""
-    names = set()
-    for table in presets().values():
-        for storey in (table, *table.get("storeys", [])):
-            names |= {line["species"] for line in storey["species"]}
-    assert len(names) >= 8
-    assert names <= set(species_table())
