@@ -16,22 +16,9 @@ from vlp16emu.output import OutputFile
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 KEYS = [
-    "file",
-    "about",
-    "units",
-    "bytes",
-    "sha256",
-    "simulated_s",
-    "walk_share",
-    "wall_s",
-    "audit",
-    "interrupted",
-    "messages",
-    "returns",
-    "real_time_factor",
-    "packets",
-    "position_packets",
-]
+    "file", "about", "units", "bytes", "sha256", "simulated_s", "walk_share", "wall_s", "audit", "interrupted",
+    "messages", "returns", "real_time_factor", "packets", "position_packets",
+]  # fmt: skip
 
 
 def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
