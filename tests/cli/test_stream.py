@@ -22,7 +22,7 @@ from vlp16emu.sinks import FellBehind, Late
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 PERIOD_NS = 1_327_104
-STOPPED_S = 5.0
+STOPPED_S = 2.0
 SO_TIMESTAMPNS = 35
 """Source: asm-generic/socket.h."""
 
