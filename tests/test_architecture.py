@@ -151,14 +151,6 @@ def test_the_core_knows_no_forest_and_no_extra():
     assert {name: full for name, full in found.items() if full} == {}
 
 
-def test_foliage_and_forest_know_no_run():
-    """What is far takes from casting, a forest from worlds and from what is far; neither knows engine, runs or extras."""
-    above = {"forest", "scenario", "engine", "run", "extras", "cli"}
-    for name in NAMES:
-        if (room := room_of(name)) in ("foliage", "forest"):
-            assert not {full.split(".")[0] for full in targets(name)} & (above - {room}), name
-
-
 def test_arrows_in_the_forest_run_down():
     """Ground, tiles, plants, stand: a room of the forest imports from its own floor and from lower ones."""
     for name in NAMES:
