@@ -213,27 +213,25 @@ def some_rays(world, towards, count, seed=1):
 
 @pytest.mark.parametrize("towards", DIRECTIONS)
 def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
-    """All of 900 rays but one (steep ones but three) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
+    """All of 450 rays but one (of 750 steep ones but two) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
     world, window, medium = stand
     twin, good, hits, seen = Twin(medium), 0, 0, set()
-    origin_m, direction = some_rays(world, towards, 1500 if towards == "-z" else 900)
+    origin_m, direction = some_rays(world, towards, 750 if towards == "-z" else 450)
     for o, d in zip(origin_m, direction, strict=True):
         far_m = within_m(medium, o, d)
         (range_m,), (surface,), _ = marched(medium, [o], [d], far_m=far_m)
         true_m, true_surface = twin.cast(o.astype(float), d.astype(float), far_m)
         ground = true_surface != NO_SURFACE and window.surfaces["semantic"][true_surface] == 1
-        same = surface == true_surface and (
-            surface == NO_SURFACE or abs(range_m - true_m) < (0.004 if ground else 0.001)
-        )
-        good += same
+        close = surface == NO_SURFACE or abs(range_m - true_m) < (0.004 if ground else 0.001)
+        good += surface == true_surface and close
         hits += surface != NO_SURFACE
         if surface != NO_SURFACE:
             seen.add((int(window.surfaces["semantic"][surface]), int(window.surfaces["part"][surface])))
-    assert hits > (20 if towards == "z" else 100)
+    assert hits > (10 if towards == "z" else 50)
     assert {(2, 1), (2, 4)} <= seen
     assert towards == "z" or {(1, 0), (4, 0)} <= seen
     # A cone that is met steeply is found in too few steps: see the radius of a stem in `march`.
-    assert good >= len(origin_m) - (3 if "z" in towards else 1)
+    assert good >= len(origin_m) - (2 if "z" in towards else 1)
 
 
 def test_light_that_leaves_the_grid_meets_nothing_beyond():
@@ -261,7 +259,7 @@ def test_a_ray_is_the_same_alone_and_in_any_order(stand):
     """A sub-ray meets the same, bit by bit, alone, among the eight of its pulse, and with these in another order."""
     world, _, medium = stand
     met, order = 0, np.array([3, 7, 0, 5, 1, 6, 2, 4])
-    for axis, origin_m, direction in pulses_of_eight(world, 600):
+    for axis, origin_m, direction in pulses_of_eight(world, 240):
         eight = marched(medium, origin_m, direction, axis)
         other = marched(medium, origin_m[order], direction[order], axis)
         for array, shuffled in zip(eight, other, strict=True):
@@ -270,7 +268,7 @@ def test_a_ray_is_the_same_alone_and_in_any_order(stand):
             alone = marched(medium, origin_m[[lane]], direction[[lane]], axis)
             assert all(a[0] == b[lane] for a, b in zip(alone, eight, strict=True))
         met += int((eight[1] != NO_SURFACE).sum())
-    assert met > 1500
+    assert met > 600
 
 
 @pytest.mark.parametrize("half_width", [0.05, 0.6, 3.0])

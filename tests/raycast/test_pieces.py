@@ -7,11 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from raycast import lab
-from raycast.reference import ReferenceCaster, frozen
+from raycast.reference import ReferenceScene, frozen
 
 from vlp16emu.foliage import far
 from vlp16emu.foliage.far import STRAY_M, FarCaster, within_reach
-from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.packet import LEVEL
 from vlp16emu.raycast.pieces import faces_of, in_pieces
 from vlp16emu.types import SURFACE, Mesh, Sway, Window
@@ -78,14 +77,12 @@ def test_light_meets_pieces_as_it_meets_the_whole(workers):
     place[:, :, 3] = lab.UTM_M + [[8.0, 0.0, -1.0], [4.0, -12.0, -1.0]]
     surfaces = np.zeros(2 * len(meshes), SURFACE)
     window = Window(lab.UTM_M, ("all",), np.zeros(2, "i4"), place, np.array([0, 5], "u4"), surfaces)
-    firings = lab.pulses(2048)
-    some = {name: getattr(firings, name)[::8] for name in ("t_ns", "clock_ns", "azimuth_deg", "reading_deg")}
-    some |= {name: getattr(firings, name)[::8].copy() for name in ("origin_m", "direction", "beam_axis")}
-    firings = replace(firings, **some)
-    fast, slow = (
-        caster.open(window).cast(firings, lab.NEAR_M, lab.FAR_M)
-        for caster in (EmbreeCaster(lab.world(lambda _: meshes), workers), ReferenceCaster(lambda _: meshes))
+    direction = np.random.default_rng(7).normal(0, [1, 1, 0.2], (2048, 3))
+    firings = lab.rays(
+        np.tile(lab.UTM_M + [0, 0, 0.1], (2048, 1)), direction / np.linalg.norm(direction, axis=1)[:, None]
     )
+    scenes = lab.opened(workers, window, lambda _: meshes), ReferenceScene(window, lambda _: meshes)
+    fast, slow = (scene.cast(firings, np.zeros(1), lab.FAR_M) for scene in scenes)
     same = fast.surface == slow.surface
     assert same.mean() > 0.999
     hit = np.isfinite(fast.range_m) & same
@@ -100,11 +97,9 @@ def test_boxes_hold_the_faces_of_their_pieces():
     ordered, begin, boxes_m = in_pieces(faces)
     assert len(boxes_m) == len(begin) - 1
     for (first, stop), box_m in zip(pairwise(begin), boxes_m, strict=True):
+        parts = zip(ordered, first, stop, strict=True)
         corners_m = np.concatenate(
-            [
-                vertices_m[triangles[a:b]].reshape(-1, 3)
-                for (vertices_m, triangles), a, b in zip(ordered, first, stop, strict=True)
-            ]
+            [vertices_m[triangles[a:b]].reshape(-1, 3) for (vertices_m, triangles), a, b in parts]
         )
         assert np.array_equal(box_m, [corners_m.min(axis=0), corners_m.max(axis=0)])
 
