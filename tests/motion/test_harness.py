@@ -12,7 +12,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Gait, Gps, Walk
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.gait import Trunk, step_rate_hz
-from vlp16emu.motion.harness import KNOTS_PER_S, Pack, decay_per_s, response
+from vlp16emu.motion.harness import KNOTS_PER_S, Pack, response
 
 NODES_S = np.arange(1001) / 1000
 
@@ -68,23 +68,11 @@ def test_random_access_gives_the_same_bits(straps):
     assert (jumper.nodes(7) == walked[7]).all()
 
 
-def test_straps_rest_before_the_first_step(straps):
-    """Until the first step nothing is stretched, however much is asked for."""
-    pack = Pack(sines, straps(1.0, 0.2))
-    assert not pack.nodes(-1)[:-20].any()
-
-
 @pytest.mark.parametrize(("hz", "damping", "found"), [(2.0, 0.0, "for ever"), (1.0, 1e-3, "6230 s")])
 def test_undamped_straps_are_refused(hz, damping, found, straps):
     """Straps that would swing for more than ten minutes are refused in one line that says for how long."""
     with pytest.raises(TrajectoryError, match=f"harness: swings .*{found}.*more damping"):
         Pack(sines, straps(hz, damping))
-
-
-def test_slowest_part_decides_how_long_a_swing_lasts():
-    """Weak straps fade with the damping, strong dampers with their slow creep."""
-    assert decay_per_s(1.0, 0.1) == pytest.approx(0.2 * math.pi)
-    assert decay_per_s(1.0, 10.0) == pytest.approx(2 * math.pi * (10 - math.sqrt(99)))
 
 
 T = np.linspace(0.0, 60.0, 12_001)
@@ -95,15 +83,6 @@ def test_step_rate_follows_speed_as_measured():
     """People take 111 steps a minute at 1.19 m/s and half as many at 1.19 * 0.5 ** (1 / 0.58) m/s."""
     assert step_rate_hz(1.19) * 60 == pytest.approx(111.0)
     assert step_rate_hz(1.19 * 0.5 ** (1 / 0.58)) * 60 == pytest.approx(55.5)
-
-
-def test_two_amplitudes_alone_are_two_plain_sines(gait):
-    """Vertical is a sine at step rate, sideways one at stride rate, and nothing else moves."""
-    own = dict.fromkeys(("second_harmonic_m", "heel_strike_m", "fore_aft_m", "roll_deg", "pitch_deg", "yaw_deg"), 0.0)
-    u = Trunk(gait(**own, variation=0.0), 1.2, 1).at(T, WALKS)
-    np.testing.assert_allclose(u[:, 2], 0.02 * np.sin(2 * np.pi * 1.85 * T), atol=1e-13)
-    np.testing.assert_allclose(u[:, 1], 0.02 * np.sin(np.pi * 1.85 * T + np.pi / 4), atol=1e-13)
-    assert not u[:, [0, 3, 4, 5]].any()
 
 
 def test_heel_strikes_are_short_dips_at_the_lowest_point(gait):
@@ -135,7 +114,7 @@ def test_amplitudes_vary_as_published(gait):
     """Over many walkers the amplitude at an instant is normal about one with the set deviation."""
     t, one = np.array([100.0]), np.ones(1)
     fixed = {"step_hz": 1e-12, "variation": 0.1}  # the phase stands, so only the amplitude varies
-    sway = np.array([Trunk(gait(**fixed), 1.2, seed).at(t, one)[0] for seed in range(1500)])
+    sway = np.array([Trunk(gait(**fixed), 1.2, seed).at(t, one)[0] for seed in range(600)])
     for axis in (0, 1, 5):
         factor = sway[:, axis] / (0.01, 0.02 * np.sqrt(0.5), 0, 0, 0, np.radians(3.5) * np.sqrt(0.5))[axis]
         assert stats.kstest((factor - 1.0) / 0.1, "norm").pvalue > 0.01
@@ -143,7 +122,7 @@ def test_amplitudes_vary_as_published(gait):
 
 def test_stride_times_vary_as_published_and_with_long_memory(gait):
     """Stride times deviate by the set share, and neighbours resemble each other as those of people do."""
-    t = np.linspace(0.0, 1200.0, 480_001)
+    t = np.linspace(0.0, 1200.0, 160_001)
     u = Trunk(gait(variation=0.03), 1.2, 5).at(t, np.ones_like(t))[:, 1]
     up = np.flatnonzero((u[:-1] < 0) & (u[1:] >= 0))
     strides = np.diff(t[up] - u[up] * (t[1] - t[0]) / (u[up + 1] - u[up]))

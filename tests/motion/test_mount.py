@@ -73,7 +73,7 @@ def test_rates_are_the_derivatives_of_poses(walking, straps, start_ns, spins):
     if spins:
         turns = {"yaw_deg": 20.0, "pitch_deg": 30.0, "roll_deg": -10.0, "spin_hz": 0.5}
         motion = mounted(motion, Mount(lever_arm_m=(0.1, -0.2, 0.5), spin_axis=(0.2, 0.0, 1.0), **turns), start_ns)
-    t_ns, h_ns = start_ns + np.arange(0, 60 * 10**9, 12_345_678), 20_000
+    t_ns, h_ns = start_ns + np.arange(0, 25 * 10**9, 12_345_678), 20_000
     before, at, after = (motion.kinematics_at(t_ns + d) for d in (-h_ns, 0, h_ns))
     per_s = 0.5e9 / h_ns
     turned = Rotation.from_matrix(before.world_R_body.swapaxes(1, 2) @ after.world_R_body).as_rotvec()

@@ -37,6 +37,7 @@ def test_gait_moves_the_pack_about_the_path(walking, circle, gait, still, at):
     t = np.arange(3.0, 9.0, 1e-3)
     poses, bare = (at(walking(own_gait=g), t) for g in (gait(**plain), still))
     sway = np.einsum("nji,nj->ni", bare.world_R_body, poses.world_p_body_m - bare.world_p_body_m)
+    np.testing.assert_allclose(sway[:, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(sway[:, 2], 0.02 * np.sin(2 * np.pi * 1.85 * t), atol=1e-9)
     np.testing.assert_allclose(sway[:, 1], 0.02 * np.sin(np.pi * 1.85 * t + np.pi / 4), atol=1e-9)
 

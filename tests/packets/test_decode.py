@@ -72,18 +72,6 @@ def test_dropping_no_returns(random_returns, mode):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[seen])
 
 
-def test_what_was_packed_is_read(random_returns):
-    """Distances come back to 1 mm, reflectivities and angles of the first lasers as they were."""
-    returns = random_returns(24 * 10, seed=23)
-    points = decode_data(data_payloads(returns, ReturnMode.STRONGEST, VLP_16), keep_no_returns=True)
-    sent = returns.distance_m[..., 0].ravel()
-    seen = (sent >= 0.5) & (sent <= 131)
-    assert np.abs(points.distance_m - sent)[seen].max() <= 0.00101
-    np.testing.assert_array_equal(points.reflectivity[seen], returns.reflectivity[..., 0].ravel()[seen])
-    behind_deg = (returns.firings.reading_deg[::2] - points.azimuth_deg[::32]) % 360
-    assert behind_deg.max() < 0.01
-
-
 @pytest.mark.parametrize("mode", ReturnMode)
 def test_precision_azimuth(make_returns, mode):
     """With a steady rotor every pulse's angle is that of its own instant to the 0.01 deg of a floored reading."""
@@ -104,17 +92,6 @@ def test_times(make_returns):
     assert points.time_ns[-1] < points.time_ns[0]
     assert set(np.diff(since_ns, axis=2).ravel()) == {2_304}
     assert set(np.diff(since_ns[..., 0], axis=1).ravel()) == {55_296}
-
-
-def test_rings():
-    """Ring 0 looks down most, ring 15 up most, on both models."""
-    payload = np.zeros((1, 1206), np.uint8)
-    payload.view(DATA_PAYLOAD)["blocks"]["flag"] = 0xEEFF
-    for factory, model in ((0x22, SensorModel.VLP_16), (0x24, SensorModel.PUCK_HI_RES)):
-        payload[0, 1204:] = 0x37, factory
-        points = decode_data(payload, keep_no_returns=True)
-        elevation_deg = BEAM_TABLES[model].elevation_deg[points.laser]
-        np.testing.assert_array_equal(np.sort(BEAM_TABLES[model].elevation_deg)[points.ring], elevation_deg)
 
 
 def test_packets_do_not_depend_on_their_company(random_returns):
@@ -183,17 +160,6 @@ def test_refuses_other_lengths(shape):
     """Payloads of another length are an error before anything is read from them."""
     with pytest.raises(PacketError, match=r"expected \(n, 1206\) uint8"):
         data_fields(np.zeros(shape, np.uint8))
-
-
-def test_scan_starts(make_returns):
-    """A scan begins at the first azimuth and wherever the azimuth wraps, also in dual return."""
-    for mode in (ReturnMode.STRONGEST, ReturnMode.DUAL):
-        points = decode_data(steady(make_returns, mode, 320, start_deg=350), keep_no_returns=True)
-        starts = scan_starts(points.azimuth_deg)
-        assert starts[0] == 0
-        assert (points.azimuth_deg[starts[1:]] < 0.08).all()  # the rotor turns 0.066 deg while lasers recharge
-        turns = 1 + int((350 + 0.1990656 * 320 * (12 if mode is ReturnMode.DUAL else 24)) // 360)
-        assert len(starts) == turns
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def obvious_returns(range_m, reflectance):
 lights = st.lists(st.tuples(st.floats(0, 6), st.floats(0.02, 1.0)), min_size=1, max_size=12)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(lights)
 @example([(0.0, 1.0), (0.0, 1.0), (6e-16, 1.0)])
 def test_peaks_are_those_of_the_waveform(light):
@@ -102,7 +102,7 @@ def test_two_equal_pulses_part_at_two_sigmas():
 sub_rays = st.lists(st.tuples(st.floats(2, 8), st.floats(0.05, 1.0)), min_size=1, max_size=8)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(sub_rays, min_size=1, max_size=16))
 def test_returns_are_those_of_the_twin(detector, firings, table, batch):
     """Strongest, last and second strongest stand where the waveform on a grid has them: to 4 mm or, on flat tops, 0.1 %."""
@@ -136,7 +136,7 @@ anything = st.lists(
 )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(anything, min_size=24, max_size=24), st.booleans(), st.sampled_from([None, 60.0]))
 def test_every_dual_pair_is_lawful(detector, firings, table, batch, noisy, visibility_m):
     """Whatever is hit: even blocks hold the last return, odd ones no farther one, 1 m apart if two, and one alone twice."""

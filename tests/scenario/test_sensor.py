@@ -26,7 +26,6 @@ def test_beams_are_spread_evenly_over_the_field_of_view():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        (["sensor.beams=8"], '--set sensor.beams=8: unknown key; expected sensor.model = "free" beside it, '),
         (
             [FREE, "sensor.position_rate=manual"],
             '--set sensor.position_rate=manual: unknown key; expected sensor.model = "puck-hi-res", "puck-lite" or "vlp-16" ',

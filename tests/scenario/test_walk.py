@@ -20,14 +20,6 @@ def scene(folder, motion):
     return str(path)
 
 
-def test_files_are_relative_to_the_scene(tmp_path):
-    """Waypoints and recorded poses are named relative to the scene file."""
-    walk = load(scene(tmp_path, 'kind = "walk"\nway_points_file = "way.csv"')).motion
-    assert walk.way_points_file == str(tmp_path / "way.csv")
-    flown = load(scene(tmp_path, 'kind = "recorded"\nfile = "poses.txt"\nformat = "tum"')).motion
-    assert flown.file == str(tmp_path / "poses.txt")
-
-
 @pytest.mark.parametrize(
     ("motion", "key", "expected"),
     [

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -16,16 +17,6 @@ from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 
 RECORD_BYTES = 16 + 42 + 1206
-PROGRAM = """
-import itertools, resource, sys
-from pathlib import Path
-from vlp16emu.sinks import PcapSink
-from vlp16emu.types import Packet, PacketKind
-
-def send(sink, i):
-    sink.send(Packet(PacketKind.DATA, i * 1_327_104, i.to_bytes(2) * 603))
-
-"""
 
 
 def read(path):
@@ -88,17 +79,24 @@ def test_pipe_is_written_like_a_file(tmp_path, make_packets):
     assert hashlib.sha256(received[0]).hexdigest() == sink.result.sha256
 
 
+KILLED = """
+import itertools, sys
+from pathlib import Path
+from vlp16emu.sinks import PcapSink
+from vlp16emu.types import Packet, PacketKind
+
+sink = PcapSink(Path(sys.argv[1]))
+for i in itertools.count():
+    sink.send(Packet(PacketKind.DATA, i * 1_327_104, (i % 65536).to_bytes(2) * 603))
+    if i == 999:
+        print("sent", flush=True)
+"""
+
+
 def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
     """After SIGKILL in the middle of writing, every packet sent before is whole and in order in the file."""
     path = tmp_path / "out.pcap"
-    program = PROGRAM + (
-        "sink = PcapSink(Path(sys.argv[1]))\n"
-        "for i in itertools.count():\n"
-        "    send(sink, i % 65536)\n"
-        "    if i == 999:\n"
-        "        print('sent', flush=True)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", program, path], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen([sys.executable, "-c", KILLED, path], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"sent\n"
         process.send_signal(signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
@@ -147,23 +145,17 @@ def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
     """If only part of a record has room, the error names the file that ends with the packet before it; the earlier stays."""
     path = tmp_path / "out.pcap"
     path.write_bytes(b"earlier")
-    room = 24 + 10 * RECORD_BYTES + 700
-    program = PROGRAM + (
-        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
-        "from vlp16emu.errors import RunError\n"
-        "with PcapSink(Path(sys.argv[1])) as sink:\n"
-        "    try:\n"
-        "        for i in range(100):\n"
-        "            send(sink, i)\n"
-        "    except RunError as error:\n"
-        "        print(error)\n"
-        "print(sink.result.sha256)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=True)
-    message, result = done.stdout.splitlines()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (24 + 10 * RECORD_BYTES + 700, before[1]))
+    try:
+        with PcapSink(path) as sink, pytest.raises(RunError) as caught:  # noqa: PT012
+            for i in range(100):
+                sink.send(Packet(PacketKind.DATA, i, bytes(1206)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     (part,) = tmp_path.glob("out.pcap.*.part")
-    assert message == f"{path}: File too large at packet 11; the 10 packets before it are in {part}"
-    assert result == hashlib.sha256(part.read_bytes()).hexdigest()
+    assert str(caught.value) == f"{path}: File too large at packet 11; the 10 packets before it are in {part}"
+    assert sink.result.sha256 == hashlib.sha256(part.read_bytes()).hexdigest()
     assert path.read_bytes() == b"earlier"
     datagrams, cut = read(part)
     assert (len(datagrams), cut) == (10, False)
