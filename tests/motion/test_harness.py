@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from motion.kit import gait, straps
 from scipy import stats
 from scipy.linalg import expm
 
@@ -54,13 +55,13 @@ def test_step_is_the_matrix_exponential():
         assert np.abs(error).max() < 1e-9, (hz, damping)
 
 
-def test_stiff_straps_are_no_straps(straps):
+def test_stiff_straps_are_no_straps():
     """At 1 GHz the pack is where the trunk is, within 1e-9 in displacement, velocity and acceleration."""
     rigid, stiff = Pack(sines, None).nodes(2), Pack(sines, straps(1e9, 0.5)).nodes(2)
     np.testing.assert_allclose(stiff, rigid, atol=1e-9)
 
 
-def test_random_access_gives_the_same_bits(straps):
+def test_random_access_gives_the_same_bits():
     """A late second asked for first equals the one reached second by second."""
     steady, jumper = (Pack(sines, straps(1.5, 0.2)) for _ in range(2))
     walked = [steady.nodes(second) for second in range(40)]
@@ -69,7 +70,7 @@ def test_random_access_gives_the_same_bits(straps):
 
 
 @pytest.mark.parametrize(("hz", "damping", "found"), [(2.0, 0.0, "for ever"), (1.0, 1e-3, "6230 s")])
-def test_undamped_straps_are_refused(hz, damping, found, straps):
+def test_undamped_straps_are_refused(hz, damping, found):
     """Straps that would swing for more than ten minutes are refused in one line that says for how long."""
     with pytest.raises(TrajectoryError, match=f"harness: swings .*{found}.*more damping"):
         Pack(sines, straps(hz, damping))
@@ -85,7 +86,7 @@ def test_step_rate_follows_speed_as_measured():
     assert step_rate_hz(1.19 * 0.5 ** (1 / 0.58)) * 60 == pytest.approx(55.5)
 
 
-def test_heel_strikes_are_short_dips_at_the_lowest_point(gait):
+def test_heel_strikes_are_short_dips_at_the_lowest_point():
     """With a heel strike only, the trunk dips once per step by the given depth where the step is lowest."""
     own = dict.fromkeys(("vertical_m", "second_harmonic_m"), 0.0)
     u = Trunk(gait(**own, variation=0.0), 1.2, 1).at(T, WALKS)[:, 2]
@@ -95,14 +96,14 @@ def test_heel_strikes_are_short_dips_at_the_lowest_point(gait):
     assert np.abs(u[np.abs(phase - 0.75) > 0.2]).max() < 1e-6
 
 
-def test_one_who_stands_does_not_bob(gait):
+def test_one_who_stands_does_not_bob():
     """Effort zero is no motion at all, and half of it half the motion."""
     trunk = Trunk(gait(), 1.2, 1)
     assert not trunk.at(T, 0.0 * WALKS).any()
     np.testing.assert_allclose(trunk.at(T, 0.5 * WALKS), 0.5 * trunk.at(T, WALKS), rtol=1e-12, atol=1e-18)
 
 
-def test_trunk_leans_over_the_leg_it_stands_on(gait):
+def test_trunk_leans_over_the_leg_it_stands_on():
     """Where the trunk is farthest to the left it rolls to the left, and it is highest there."""
     u = Trunk(gait(variation=0.0, second_harmonic_m=0.0, heel_strike_m=0.0), 1.2, 1).at(T, WALKS)
     left = np.argmax(u[:, 1])
@@ -110,7 +111,7 @@ def test_trunk_leans_over_the_leg_it_stands_on(gait):
     assert u[left, 2] > 0.0199
 
 
-def test_amplitudes_vary_as_published(gait):
+def test_amplitudes_vary_as_published():
     """Over many walkers the amplitude at an instant is normal about one with the set deviation."""
     t, one = np.array([100.0]), np.ones(1)
     fixed = {"step_hz": 1e-12, "variation": 0.1}  # the phase stands, so only the amplitude varies
@@ -120,7 +121,7 @@ def test_amplitudes_vary_as_published(gait):
         assert stats.kstest((factor - 1.0) / 0.1, "norm").pvalue > 0.01
 
 
-def test_stride_times_vary_as_published_and_with_long_memory(gait):
+def test_stride_times_vary_as_published_and_with_long_memory():
     """Stride times deviate by the set share, and neighbours resemble each other as those of people do."""
     t = np.linspace(0.0, 1200.0, 160_001)
     u = Trunk(gait(variation=0.03), 1.2, 5).at(t, np.ones_like(t))[:, 1]

@@ -9,6 +9,7 @@ import sys
 import threading
 
 import pytest
+from sinks.kit import make_packets
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.capture import Capture
@@ -25,7 +26,7 @@ def read(path):
         return list(capture), capture.cut
 
 
-def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
+def test_file_holds_the_frames_in_sending_order(tmp_path):
     """Each packet is one record with its frame and its due time cut to microseconds."""
     packets = make_packets(20)
     with PcapSink(tmp_path / "out.pcap") as sink:
@@ -48,7 +49,7 @@ def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
     assert at == len(content)
 
 
-def test_result_has_size_and_hash_of_the_file(tmp_path, make_packets):
+def test_result_has_size_and_hash_of_the_file(tmp_path):
     """They are those of the file, also when read after closing; two pieces hold the records of one file, whose identifications count on over 65535."""
     path = tmp_path / "out.pcap"
     with PcapSink(path) as sink:
@@ -65,7 +66,7 @@ def test_result_has_size_and_hash_of_the_file(tmp_path, make_packets):
     assert whole == a + b[24:]
 
 
-def test_pipe_is_written_like_a_file(tmp_path, make_packets):
+def test_pipe_is_written_like_a_file(tmp_path):
     """A named pipe receives the bytes whose hash is in the result."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
@@ -107,7 +108,7 @@ def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
     assert all(d.payload == (i % 65_536).to_bytes(2) * 603 for i, d in enumerate(datagrams))
 
 
-def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets):
+def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path):
     """The earlier file stays after an error; packets before it are in a file that ends with a whole one."""
     path = tmp_path / "out.pcap"
     path.write_bytes(b"earlier")
@@ -126,7 +127,7 @@ def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets
         assert [len(read(part)[0]) for part in tmp_path.glob("out.pcap.*.part")] == [5] * bool(packets)
 
 
-def test_an_interrupt_ends_a_valid_capture(tmp_path, make_packets):
+def test_an_interrupt_ends_a_valid_capture(tmp_path):
     """Ctrl-C that arrives as an exception keeps the packets before it, NMEA is a programming error, and nothing is left of a longer earlier file."""
     with pytest.raises(KeyboardInterrupt), PcapSink(tmp_path / "out.pcap") as sink:  # noqa: PT012
         sink.send(make_packets(1)[0])
