@@ -157,23 +157,6 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     return range_m[:n].copy(), L.surface[:n].copy(), L.cosine[:n].copy()
 
 
-def dense_bricks(empty, size, is_full, code=60):
-    """Medium of bricks with the same code in each voxel of those that are full, one owner for all."""
-    full = np.array([is_full(*place) for place in np.ndindex(size)]).reshape(size)
-    brick = np.zeros((*size, 2), "u8")
-    brick[full, 0] = 2**64 - 1
-    brick[full, 1] = 64 * np.arange(full.sum())
-    voxels = 64 * int(full.sum())
-    return empty._replace(
-        brick=brick,
-        record=np.full(voxels, code | code << 7 | code << 14, "u4"),
-        first_owner=np.zeros(voxels, "u4"),
-        owner=np.array([255 << 56 | 5], "u8"),
-        cosine=np.full((1, len(KNOTS), QUANTILES), 0.5, "f4"),
-        seed=7,
-    )
-
-
 def within_m(medium, origin_m, direction):
     """How far a ray goes before it is within 1 m of the edge of the grid, to the sides and below, 60 m at most."""
     low_m = np.array(medium.corner_m) + 1.0
@@ -236,7 +219,13 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
 
 def test_light_that_leaves_the_grid_meets_nothing_beyond():
     """A ray that leaves the top of a brick in the very middle of a slab does not go on in the brick of the next column."""
-    medium = dense_bricks(lab.no_medium(), (2, 1, 1), lambda x, y, z: x == 1)
+    medium = lab.no_medium()._replace(
+        brick=np.array([[[[0, 0]]], [[[2**64 - 1, 0]]]], "u8"),
+        record=np.full(64, 60 | 60 << 7 | 60 << 14, "u4"),
+        first_owner=np.zeros(64, "u4"),
+        owner=np.array([255 << 56 | 5], "u8"),
+        cosine=np.full((1, len(KNOTS), QUANTILES), 0.5, "f4"),
+    )
     origin_m, direction = np.array([-1.25, 1.0, 0.5], "f4"), np.array([1.0, 0.0, 0.5], "f4")
     for level_m in np.linspace(-0.3, 0.3, 601):
         origin_m[1] = 1.0 + level_m

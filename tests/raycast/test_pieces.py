@@ -34,30 +34,7 @@ def ground():
 
 
 CONE = drum([3.0, 2.5, 2.0, 1.5, 1.0, 0.5, 0.1])
-WALL = drum([3.0] * 7)
 STEMS = [drum([0.2] * 7, at_m=(x, 3.0)) for x in (-6.0, 0.0, 6.0)]
-EMPTY = Mesh(np.zeros((0, 3), "f4"), np.zeros((0, 4), "u4"))
-
-
-def counts(*meshes):
-    """How many faces of each mesh are in each piece."""
-    return np.diff(in_pieces([faces_of(mesh) for mesh in meshes])[1], axis=0).tolist()
-
-
-def test_ground_and_stems_are_pieces_of_their_own():
-    """What stands apart is in boxes of its own, and what has no faces is in none."""
-    assert counts(ground(), EMPTY, *STEMS) == [[2, 0, 0, 0, 0], *np.diag([144] * 5)[2:].tolist()]
-
-
-def test_what_tapers_is_cut_into_slabs():
-    """A cone of 6 m has pieces of 1.5 m height, and a wall of one width, whose slabs are as wide as it is, has one."""
-    assert counts(CONE) == [[48], [24], [48], [24]]
-    assert counts(WALL) == [[144]]
-
-
-def test_meshes_inside_each_other_share_pieces():
-    """Leaves and branches of a crown are one piece to each slab, not one each."""
-    assert counts(CONE, drum([2.5, 2.0, 1.5, 1.0, 0.5, 0.25, 0.05])) == [[48] * 2, [24] * 2, [48] * 2, [24] * 2]
 
 
 def test_pieces_hold_each_face_once():
