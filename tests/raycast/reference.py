@@ -148,17 +148,6 @@ class ReferenceScene:
         return range_m, surface, cos_incidence
 
 
-class ReferenceCaster:
-    """Opens windows for the slow twin."""
-
-    def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
-        self._shape = shape
-
-    def open(self, window: Window) -> ReferenceScene:
-        """Make a window ready for casting."""
-        return ReferenceScene(window, self._shape)
-
-
 def ranges_m(triangles_m: F8, origin_m: F8, direction: F8) -> F8:
     """Distance along one ray to every triangle, inf where missed (Moeller and Trumbore, 1997)."""
     a, b, c = triangles_m[:, 0], triangles_m[:, 1], triangles_m[:, 2]

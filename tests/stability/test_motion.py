@@ -12,8 +12,8 @@ from vlp16emu.errors import InputError
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.motion import Harness
-from vlp16emu.motion.harness import KNOTS_PER_S, Pack
+from vlp16emu.extras.walk import Harness
+from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, DATA_BYTES, DISTANCE_LSB_M, LASERS, decode_data
 from vlp16emu.scenario import load
