@@ -49,7 +49,6 @@ def blocks_of(payloads):
 
 
 def setting(at_s, **keys):
-    """A change of settings."""
     return {"kind": "setting", "at_s": at_s, **keys}
 
 

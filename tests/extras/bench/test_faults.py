@@ -36,13 +36,11 @@ TABLES = {
 
 
 def emulator(*events, threads=2, **tables):
-    """A sensor on a tripod in a hall."""
     return Emulator(load({**TABLES, "events": list(events), **tables}), threads=threads)
 
 
 @pytest.fixture(scope="module")
 def clean():
-    """Packets of a run to which nothing happens."""
     return made()
 
 
@@ -57,7 +55,6 @@ def sent(*events, start_s=0.0, stop_s=STOP_S, **tables):
     begin_ns = run.scenario.start_ns
 
     def streams(start_ns, stop_ns):
-        """Packets that are known already."""
         return (packet for packet in made() if start_ns <= packet.due_ns - begin_ns < stop_ns)
 
     if tables:
@@ -71,12 +68,10 @@ def sent(*events, start_s=0.0, stop_s=STOP_S, **tables):
 
 
 def of(packets, kind):
-    """Those of a kind."""
     return [packet for packet in packets if packet.kind is kind]
 
 
 def since(packets, at_s):
-    """Those due from a time on."""
     begin_ns = START_NS + round(at_s * S_NS)
     return [packet for packet in packets if packet.due_ns >= begin_ns]
 

@@ -21,7 +21,6 @@ ABSENT, SYNC, LOCKED, ERROR = PpsState
 
 
 def gps_input(*events, **gps):
-    """Give the input of a sensor, to which events happen."""
     made = Scenario.model_validate({**TABLES, "events": list(events)}).events
     return DisturbedGps.of(Gps(canopy_loss=False, **gps), made, START_NS)
 
@@ -37,7 +36,6 @@ def states(made, stop_s=25.0):
 
 
 def fix(second):
-    """Give a fix of a second since the start."""
     return GnssFix(START_NS + second * S_NS, True, 62.24, 25.75, 1.1, 90.0)
 
 
@@ -144,7 +142,9 @@ def test_spans_are_those_of_the_state(events, window_s):
     made = gps_input(*events, pps_window_s=window_s)
     spans = {state: made.spans_ns(state) for state in PpsState}
     borders_ns = {t_ns for some in spans.values() for span in some for t_ns in span if abs(t_ns - START_NS) < 60 * S_NS}
-    for t_ns in [START_NS + ms * MS_NS for ms in range(-5_000, 40_000, 100)] + [b - n for b in borders_ns for n in (0, 1)]:
+    for t_ns in [START_NS + ms * MS_NS for ms in range(-5_000, 40_000, 100)] + [
+        b - n for b in borders_ns for n in (0, 1)
+    ]:
         there = [state for state in PpsState if any(begin <= t_ns < end for begin, end in spans[state])]
         assert there == [made.pps_at(t_ns)], t_ns
 

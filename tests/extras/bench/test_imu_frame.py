@@ -19,7 +19,6 @@ FRAME = bytes.fromhex((GOLDEN / "imu.hex").read_text())
 
 
 def made(count, seed=1):
-    """Frames of random samples."""
     draw = np.random.default_rng(seed)
     t_ns = draw.integers(2**62, size=count)
     return imu_frames(2**40, t_ns, draw.normal(size=(count, 3)), draw.normal(size=(count, 3)))

@@ -36,7 +36,6 @@ def beside(emulator, *kinds):
 
 
 def all_of(emulator, start_s, stop_s):
-    """Packets of a span, with all that leaves beside."""
     span_ns = round(start_s * S_NS), round(stop_s * S_NS)
     return beside(emulator, *ALSO).among(emulator.packets(start_s, stop_s), *span_ns)
 

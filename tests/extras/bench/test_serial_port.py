@@ -36,7 +36,6 @@ class Device:
         self.plug_in()
 
     def plug_in(self):
-        """Come, or come back."""
         self.master, slave = os.openpty()
         tty.setraw(slave)
         self.path.unlink(missing_ok=True)
@@ -44,13 +43,11 @@ class Device:
         self.slave = slave
 
     def pull_out(self):
-        """Vanish."""
         os.close(self.slave)
         os.close(self.master)
         self.path.unlink()
 
     def read(self, count):
-        """Read so many bytes."""
         data = b""
         while len(data) < count:
             data += os.read(self.master, count - len(data))

@@ -123,7 +123,6 @@ def test_the_beat_of_real_units_is_found(real):
 
 
 def settings_of(sequences):
-    """What fits a capture, as settings of a scene."""
     tables = fitted(sequences)
     return {f"{section}.{key}": value for section, table in tables.items() for key, value in table.items()}
 

@@ -259,7 +259,6 @@ class Slope(HallWorld):
     """A hall whose floor rises to the east, for those who ask for its height."""
 
     def height_m(self, x_m, y_m):
-        """One in ten."""
         return 0.1 * x_m + 0.0 * y_m
 
 

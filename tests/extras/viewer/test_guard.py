@@ -32,7 +32,6 @@ def port(server):
 
 
 def client_of(port):
-    """Connect as the page does."""
     kind = f"viser-v{viser.__version__}"
     return connect(f"ws://127.0.0.1:{port}/", subprotocols=[kind], max_size=None)
 
