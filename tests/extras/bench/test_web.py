@@ -160,11 +160,13 @@ def test_what_the_stream_cannot_follow_is_an_error(web):
 def test_what_cannot_be_saved_is_an_error(web):
     """A disk that takes no file gives 500 and the reason, and the interface lives on."""
     web.file.mkdir()
+    web.device.adopt(lambda settings: replace(settings, rpm=300))
     status, answer = web.client.post("/cgi/save", "submit")
     check(json.loads(answer), "refusal.schema.json")
     assert status == 500
     assert "saved.json" in json.loads(answer)["error"]
-    assert web.client.get("/cgi/settings.json")["rpm"] == 600
+    assert web.client.get("/cgi/settings.json")["rpm"] == 300
+    assert web.device.power_up == DeviceSettings()
 
 
 @pytest.mark.parametrize(
