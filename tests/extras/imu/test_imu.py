@@ -119,16 +119,8 @@ def test_bias_is_constant_and_differs_by_axis_and_seed(unit):
 def test_one_who_stands_reads_gravity_alone(unit):
     """While the person stands before the first step, gait and straps are at rest: no turn, and 1 g along one axis."""
     walk = Walk(kind="walk", way_points_m=[[0, 0], [30, 0]], stand_s=4.0, harness=Harness())
-    motion, _ = make_carrier(
-        walk,
-        lambda x_m, _: 0.0 * x_m,
-        "flat",
-        origin_m=(0.0, 0.0, 0.0),
-        gps=Gps(),
-        reach_m=50.0,
-        start_ns=START_NS,
-        seed=3,
-    )
+    place = {"origin_m": (0.0, 0.0, 0.0), "gps": Gps(), "reach_m": 50.0, "start_ns": START_NS}
+    motion, _ = make_carrier(walk, lambda x_m, _: 0.0 * x_m, "flat", seed=3, **place)
     read = unit(motion=motion)
     standing, walking = read.read(0, 800), read.read(900, 800)
     np.testing.assert_allclose(standing.angular_rate_rad_s, 0.0, atol=1e-12)  # straps are solved to rounding

@@ -241,17 +241,8 @@ def tree_of(*places, one_thing=True, parts=(LEAVES,)):
     """Stem and leaves about a centre 2 m over the file's origin and 1 m east of it."""
     meshes = (PartMesh("leaves", TRIANGLE), PartMesh("stem", TRIANGLE))
     mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0)
-    section = MeshFile(
-        file="tree.obj",
-        unit="m",
-        up="z",
-        semantic="tree",
-        part="stem",
-        reflectance=0.4,
-        one_thing=one_thing,
-        parts=[*parts],
-        places=[*places],
-    )
+    kind = {"semantic": "tree", "part": "stem", "reflectance": 0.4, "one_thing": one_thing}
+    section = MeshFile(file="tree.obj", unit="m", up="z", parts=[*parts], places=[*places], **kind)
     return Furniture(section, mesh)
 
 
