@@ -23,7 +23,6 @@ class Circle:
     run_time_s, moves = np.inf, True
 
     def kinematics_at(self, t_ns):
-        """Pose and derivatives at instants (n,)."""
         n, angle = len(t_ns), 0.15 * (t_ns - START_NS) / 1e9
         turns = rotations(angle, 0.0, 0.0)
         rate = np.broadcast_to([0.0, 0.0, 0.15], (n, 3))
