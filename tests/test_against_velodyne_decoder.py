@@ -8,7 +8,8 @@ import velodyne_decoder
 from woods import LINES
 
 from vlp16emu import Emulator
-from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, decode_data
+from vlp16emu.captures import Capture
+from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, decode_data
 from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")

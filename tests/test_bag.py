@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
+from vlp16emu.captures import CaptureReader
 from vlp16emu.cli.app import run
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bag import write_bag
-from vlp16emu.packets import CaptureReader
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from rosbags.highlevel import AnyReader

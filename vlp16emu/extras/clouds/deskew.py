@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.errors import InputError, TrajectoryError, readable
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import twins
@@ -20,7 +21,6 @@ from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
-from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures.capture import Capture, CapturedUnit
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets import layout
-from vlp16emu.packets.capture import Capture, CapturedUnit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import I8, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS

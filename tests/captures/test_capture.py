@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vlp16emu.captures import units_in
+from vlp16emu.captures.capture import Capture, is_capture_name
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets import units_in
-from vlp16emu.packets.capture import Capture, is_capture_name
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 
 CAPTURE = Path(__file__).parents[2] / ".." / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
