@@ -9,11 +9,7 @@ from vlp16emu.extras.score.files import Stem
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.types import F8, I8
 
-_DISKS, _SHARE, _SEED = (
-    9000,
-    0.01,
-    1,
-)  # disks of PU-Net (Yu et al., CVPR 2018, section 4.2), each one's share of the area, and what places them
+_DISKS, _SHARE, _SEED = 9000, 0.01, 1  # disks of PU-Net, the share of the area of each, and what places them
 _COCO = tuple(np.arange(50, 100, 5) / 100)
 """Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
 
@@ -53,8 +49,8 @@ def uniformity(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
     NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the area,
-    `_SHARE`, there 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on the surfaces of objects,
-    these lie in the plan, wholly within the circle. NaN without points in the circle.
+    `_SHARE`, there 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on
+    the surfaces of objects, these lie in the plan, wholly within the circle. NaN without points in the circle.
     """
     from scipy.spatial import KDTree
 
