@@ -398,9 +398,8 @@ def _rpm(azimuth_cdeg: U2, modes: U1) -> float:
     """Return the mean speed of the rotor over packets, from azimuths (n, 12) of their blocks and return modes (n,)."""
     turned_cdeg = turning_ns = 0
     for mode in np.unique(modes):
-        stride = 1 + (
-            mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL]
-        )  # blocks 0 and 1 of dual return share their azimuth
+        # Blocks 0 and 1 of dual return share their azimuth.
+        stride = 1 + (mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
         own_cdeg: I8 = azimuth_cdeg[modes == mode, ::stride].astype(np.int64)
         step_cdeg: I8 = np.diff(own_cdeg) % layout.AZIMUTH_CODES
         # A far wider step than its neighbours is the edge of a field of view.

@@ -80,9 +80,8 @@ class OutputFolder:
             self._check()
             if self._final.exists():
                 _exchange(self.path, self._final)
-                with suppress(
-                    OSError
-                ):  # what cannot be removed of the earlier run, a flat folder, stays beside the new one
+                # What cannot be removed of the earlier run, a flat folder, stays beside the new one.
+                with suppress(OSError):
                     for file in self.path.iterdir():
                         file.unlink()
                     self.path.rmdir()

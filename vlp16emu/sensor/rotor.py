@@ -124,9 +124,7 @@ class Encoder:
     noise_deg: float = 0.0  # white error of each reading, one sigma; with lines at 600 rpm. 0 switches it off
     noise_limit_deg: float = math.inf  # value at which the white error of an even encoder is cut
     pitch_deg: float = 0.0  # spacing of the lines; 0 for an even encoder
-    rate_error: float = (
-        0.0  # share of the speed that the lower of the two lacks at 600 rpm; at other speeds in proportion
-    )
+    rate_error: float = 0.0  # share of the speed that the lower of the two lacks at 600 rpm; in proportion at others
     first_deg: float = 0.0  # reading of the line behind which readings have the first of `slow_shares`
     slow_shares: Sequence[float] = _SLOW_SHARES  # of readings at the lower speed, behind each of so many lines in turn
 
