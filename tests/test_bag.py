@@ -1,20 +1,17 @@
 """Bags, read back by software of others."""
 
-import errno
 import hashlib
 import json
 import re
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.errors import RunError
 from vlp16emu.extras.bag import write_bag
 from vlp16emu.packets import CaptureReader
 
@@ -319,29 +316,6 @@ def test_a_bag_of_a_run_has_its_size_and_digest(tmp_path):
     data = (tmp_path / "a.mcap").read_bytes()
     assert (result.bytes, result.sha256) == (len(data), hashlib.sha256(data).hexdigest())
     assert result.messages["/velodyne_packets"] == len(messages(tmp_path / "a.mcap")["/velodyne_packets"])
-
-
-def test_a_stop_leaves_a_bag_of_what_was_recorded(tmp_path):
-    """A run that is stopped at 0.4 of 5 s gives a bag of 0.4 s."""
-    stop = Event()
-    emulator = Emulator("static_bench", SETTINGS)
-    result = emulator.record(
-        tmp_path / "a.mcap", duration_s=5.0, stop=stop, progress=lambda s: stop.set() if s > 0.4 else None
-    )
-    assert result.interrupted
-    assert 2 <= len(messages(tmp_path / "a.mcap")["/velodyne_points"]) <= 6
-
-
-def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch):
-    """Where the bag cannot be written to its end the line says so, and no part of it is left."""
-
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
-    with pytest.raises(RunError, match="No space left on device; no bag is written"):
-        Emulator("static_bench", SETTINGS).record(tmp_path / "a.mcap", duration_s=0.1)
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
