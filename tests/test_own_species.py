@@ -27,11 +27,11 @@ kind = "static"
 [world]
 kind = "forest"
 species_file = "plants.toml"
-stems_per_ha = 500
+stems_per_ha = 150
 species = [{ species = "grey_alder", share = 1.0, dbh_cm = 16.0, height_m = 15.0 }]
-regeneration = { stems_per_ha = 400 }
+regeneration = { stems_per_ha = 200 }
 logs = { per_ha = 60 }
-shrubs = { per_ha = 300, species = ["willow"] }
+shrubs = { per_ha = 200, species = ["willow"] }
 """
 
 

@@ -46,7 +46,7 @@ def test_stiff_straps():
     s = 2j * np.pi * _STEP_HZ
     for damping in (0.1, 1.0, 10.0):
         errors = []
-        for hz in np.geomspace(0.5, 1e9, 19):
+        for hz in np.geomspace(0.5, 1e9, 10):
             w = 2 * np.pi * hz
             answer = (2 * damping * w * s + w * w) / (s * s + 2 * damping * w * s + w * w)
             nodes = _straps(hz, damping).nodes(_AT_S)[:, 0]
