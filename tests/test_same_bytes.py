@@ -18,7 +18,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 
 ROOMS = (
     "elementary.py", "engine", "extras/clouds/place.py", "extras/imu", "extras/live", "extras/meshes",
-    "extras/recorded/way_points.py", "foliage", "forest", "motion", "packets", "random.py", "raycast", "returns",
+    "extras/splines.py", "extras/walk", "foliage", "forest", "motion", "packets", "random.py", "raycast", "returns",
     "run/stream.py", "sensor", "trig.py", "types.py", "units.py", "world",
 )  # fmt: skip
 """Folders and files on the way from a scene to its packets."""
@@ -29,7 +29,7 @@ ALLOWED = {
     "forest/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
     "forest/stand/inventory.py": "scipy",  # which corners span a crown
     "forest/stand/twin.py": "**",  # colours for other programs
-    "motion/harness.py": "**",  # powers of a whole number
+    "extras/walk/pack.py": "**",  # powers of a whole number
 }
 """What decides no byte, by file."""
 

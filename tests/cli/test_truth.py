@@ -48,10 +48,11 @@ def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
 
 
 def test_ctrl_c_ends_the_truth_alone(cli, signal_at, tmp_path):
-    """Ctrl-C exits with 130, and the files end where the report says."""
+    """Ctrl-C exits with 130 within a tenth of a simulated second, and the files end where the report says."""
     signal_at((20.0, signal.SIGINT))
     outcome = cli("truth", "static_bench", tmp_path / "t", "--duration", "600000", "--json")
     assert (outcome.code, outcome.tree["interrupted"]) == (130, True)
+    assert 20 <= outcome.tree["simulated_s"] < 20.1
     assert abs(len(rows(tmp_path / "t" / "trajectory.tum")) - 200 * outcome.tree["simulated_s"]) <= 3
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu import Emulator
-from vlp16emu.motion.path import Path as WalkedPath
+from vlp16emu.extras.walk.path import Path as WalkedPath
 from vlp16emu.packets import data_fields
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
