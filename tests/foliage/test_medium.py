@@ -31,11 +31,17 @@ def normals(mesh):
     return first if corners.shape[1] == 3 else np.concatenate([first, np.cross(c - a, corners[:, 3] - a) / 2])
 
 
-@pytest.mark.parametrize("knot", range(3))
-def test_the_projected_area_of_a_cloud_is_that_of_its_faces(knot):
-    """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and leaves each."""
+@pytest.fixture(scope="module")
+def crown():
+    """Meshes of branches and leaves, and their cloud."""
     meshes = lab.Tiles().shape("crown")
-    cloud = cloud_of(meshes, PARTS)
+    return meshes, cloud_of(meshes, PARTS)
+
+
+@pytest.mark.parametrize("knot", range(3))
+def test_the_projected_area_of_a_cloud_is_that_of_its_faces(crown, knot):
+    """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and leaves each."""
+    meshes, cloud = crown
     for number, (mesh, share) in enumerate(zip(meshes, (0.5, 1.0), strict=True)):
         true_m2 = share * np.abs(normals(mesh) @ towards(KNOTS[knot]).T).sum(axis=0).mean()
         # The area itself is more or less where faces hide each other otherwise than at random.
@@ -44,10 +50,9 @@ def test_the_projected_area_of_a_cloud_is_that_of_its_faces(knot):
 
 
 @pytest.mark.parametrize("knot", range(3))
-def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(knot):
+def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(crown, knot):
     """Quantiles of the cosine of incidence equal those of all faces, weighted by projected area, to 0.02."""
-    meshes = lab.Tiles().shape("crown")
-    cloud = cloud_of(meshes, PARTS)
+    meshes, cloud = crown
     for number, mesh in enumerate(meshes):
         own = normals(mesh)
         area_m2 = np.linalg.norm(own, axis=1)

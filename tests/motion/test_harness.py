@@ -61,14 +61,6 @@ def test_stiff_straps_are_no_straps():
     np.testing.assert_allclose(stiff, rigid, atol=1e-9)
 
 
-def test_random_access_gives_the_same_bits():
-    """A late second asked for first equals the one reached second by second."""
-    steady, jumper = (Pack(sines, straps(1.5, 0.2)) for _ in range(2))
-    walked = [steady.nodes(second) for second in range(40)]
-    assert (jumper.nodes(39) == walked[39]).all()
-    assert (jumper.nodes(7) == walked[7]).all()
-
-
 @pytest.mark.parametrize(("hz", "damping", "found"), [(2.0, 0.0, "for ever"), (1.0, 1e-3, "6230 s")])
 def test_undamped_straps_are_refused(hz, damping, found):
     """Straps that would swing for more than ten minutes are refused in one line that says for how long."""

@@ -153,16 +153,15 @@ def stem_mesh(stem, corner_m):
 CROWN_PARTS = PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF
 
 
-def crown(leaves=1500, twigs=40):
+def crown():
     """Branches and leaves in a ball of 2 m about 3 m over the origin, more faces than are taken one by one."""
-    rng = np.random.default_rng(5)
+    rng, twigs = np.random.default_rng(5), 40
 
     def ball(count):
-        """Points evenly in it."""
         at_m = rng.normal(size=(count, 3))
         return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [0, 0, 3]
 
-    leaf = square_leaves(rng, ball(leaves), 0.06)
+    leaf = square_leaves(rng, ball(1500), 0.06)
     rings_m = ball(twigs)[:, None] + [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2]]
     rings_m = rings_m[:, :, None] + 0.02 * np.column_stack([0 * ANGLES, np.cos(ANGLES), np.sin(ANGLES)])
     faces = np.concatenate([2 * SIDES * n + fan(2) for n in range(twigs)]).astype("u4")
@@ -185,9 +184,11 @@ class Tiles:
 
     name = ""
 
-    def __init__(self, near_m=2.0, across=1, *, per_tile=4, things=True, height_m=bumpy, seed=99, bow_m=0.0):
-        self.near_m, self.seed, self.height_m, self.across, self._bow_m = (near_m, seed, height_m, across, bow_m)
-        self._kept, self._per_tile, self._things = {}, per_tile, things
+    def __init__(
+        self, near_m=2.0, across=1, *, per_tile=4, things=True, crowns_far=True, height_m=bumpy, seed=99, bow_m=0.0
+    ):
+        self.near_m, self.seed, self.height_m, self.across, self._bow_m = near_m, seed, height_m, across, bow_m
+        self._kept, self._per_tile, self._things, self._crowns_far = {}, per_tile, things, crowns_far
         self._shapes = {"crown": crown(), "stone": stone()}
 
     def tile(self, ix, iy):
@@ -242,6 +243,8 @@ class Tiles:
     def far_tile(self, ix, iy):
         """Describe a tile from afar."""
         stems, placed, first, _ = self.tile(ix, iy)
+        own = [i for i, (key, _) in enumerate(placed) if self._crowns_far or key != "crown"]
+        placed, first = [placed[i] for i in own], first[own]
         corner_m, keys = self.corner_m(ix, iy), ("crown", "stone")
         edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(corner_m[0] + edge_m, corner_m[1] + edge_m, indexing="ij")

@@ -84,13 +84,6 @@ def test_where_nothing_stands_all_is_sky(workers, count, model):
     assert (hits.surface == NO_SURFACE).all()
 
 
-def test_a_broken_packet_is_refused(workers):
-    """Firings that do not fill packets of eight rays are a programming error and named."""
-    scene = lab.opened(workers, lab.placed(1))
-    with pytest.raises(ValueError, match="found 12 sequences, expected a multiple of 8"):
-        scene.cast(lab.pulses(12), lab.NEAR_M, lab.FAR_M)
-
-
 def test_rays_at_edges_and_corners_are_decided_in_float64(workers):
     """Of 240 rays at edges and corners, where Embree's instruction sets differ, each meets the first of the nearest in float64, to 2 um."""
     window, rng, n = lab.placed(30), np.random.default_rng(8), 240

@@ -127,17 +127,6 @@ def test_trees_have_numbers_of_their_own_and_a_window_holds_all_in_reach(forest,
     assert set(everything["id"][gap < reach_m]) <= set(forest.trees(track_m)["id"])
 
 
-def test_geometry_is_near_the_windows_origin(make_forest, terrain, track_m):
-    """A forest at UTM-like coordinates has its shapes within reach of the window's whole-metre origin."""
-    offset = np.array([500_000.0, 600_000.0])
-    far = make_forest(path_xy_m=np.array([[0.0, 0.0], [20.0, 5.0]]) + offset)
-    ground = terrain.height_m(offset[:1], offset[1:])[0]
-    window = far.window(track_m + np.array([*offset, ground]))
-    assert (window.origin_m == np.round(window.origin_m)).all()
-    assert np.linalg.norm((window.world_T_shape[:, :, 3] - window.origin_m)[:, :2], axis=1).max() < 80
-    assert np.abs(window.world_T_shape[:, 2, 3] - window.origin_m[2]).max() < 50
-
-
 def is_low(key):
     """Whether a shape is moss or litter."""
     return isinstance(key, FloorKey) and key.kind in GROUND_KINDS
@@ -188,16 +177,6 @@ def test_bare_ground(make_forest, track_m):
     assert all(isinstance(key, TileKey) for key in window.shapes)
     assert (window.surfaces["semantic"] == Semantic.GROUND).all()
     assert len(window.surfaces) == len(window.shape)
-
-
-def test_tiles_out_of_reach_are_forgotten(make_forest):
-    """However long the walk, no more tiles are kept than about two windows need."""
-    path = np.column_stack([np.linspace(0, 1000, 101), np.zeros(101)])
-    forest = make_forest(path_xy_m=path)
-    one = len(forest.window(np.column_stack([path[:2], [2.0, 2.0]])).shapes)
-    for start in range(0, 100, 10):
-        forest.trees(path[start : start + 4])
-    assert forest._tile.cache_info().currsize <= forest._tile.cache_info().maxsize < 6 * one
 
 
 @pytest.mark.parametrize(
