@@ -31,7 +31,6 @@ class Closed:
 
 
 def sentences(emulator, receiver, start_s, stop_s):
-    """All sentences of a span, in order."""
     parts, span_ns = emulator.parts, (round(start_s * S_NS), round(stop_s * S_NS))
     packets = position_packets(emulator.scenario, receiver, parts.units[0], *span_ns)
     return [decode_position(packet.payload).sentence for packet in packets]

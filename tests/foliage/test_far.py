@@ -27,7 +27,6 @@ def around(count, at_m, *, low_deg=-15.0, high_deg=15.0, seed=2):
 
 
 def cast(scene, origin_m, direction, far_m=60.0, **beam):
-    """Hits of rays (n, 3)."""
     light = [lab.beam(**beam)] if beam else []
     return scene.cast(lab.rays(origin_m, direction), np.zeros(1), far_m, *light)
 

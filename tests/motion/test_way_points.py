@@ -36,7 +36,6 @@ PLOT = {
 
 
 def in_plot(point_m):
-    """Along and across the plot."""
     c, s = np.cos(np.radians(30.0)), np.sin(np.radians(30.0))
     x, y = (point_m[:, :2] - PLOT["corner_m"]).T
     return c * x + s * y, c * y - s * x
@@ -44,7 +43,6 @@ def in_plot(point_m):
 
 @pytest.fixture(scope="module")
 def mown():
-    """A path over level ground."""
     return Path(lawn_mower(LawnMower(**PLOT)), lambda x, _y: 0.0 * x)
 
 

@@ -1,5 +1,6 @@
 """Packing of data packets, byte by byte against a slow twin and by its rules."""
 
+import doctest
 import struct
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from packets.kit import make_returns, random_returns
 
 from vlp16emu.errors import InputError
-from vlp16emu.packets import data_payloads, pack_data, timestamp_us
+from vlp16emu.packets import data_payloads, layout, pack_data, timestamp_us
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.types import PacketKind, ReturnMode, SensorModel
 
@@ -155,3 +156,8 @@ def test_refuses_what_cannot_be_packed(changes, message):
     with pytest.raises(InputError) as error:
         pack_data(make_returns(**changes), ReturnMode.STRONGEST, VLP_16)
     assert str(error.value) == message
+
+
+def test_doctest():
+    """The sizes of both packets that the docstring of the layout shows are true."""
+    assert doctest.testmod(layout) == (0, 3)

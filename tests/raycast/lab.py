@@ -74,7 +74,6 @@ def assert_same_bits(ours, other):
 
 
 def joined(pieces):
-    """Hits of pulses that were cast in pieces."""
     return Hits(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in Hits.__slots__))
 
 
@@ -169,7 +168,6 @@ def crown():
 
 
 def stone():
-    """A block of 12 triangles."""
     block = trimesh.creation.box(bounds=[[-0.4, -0.3, 0.0], [0.4, 0.3, 0.5]])
     return (Mesh(block.vertices.astype("f4"), block.faces.astype("u4")),)
 

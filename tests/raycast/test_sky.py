@@ -23,7 +23,6 @@ def roof(_key):
 
 
 def under(radius_m, height_m, workers):
-    """Scene with a disc right over a point."""
     transform = np.column_stack([np.diag([radius_m, radius_m, 1.0]), AT_M + [0.0, 0.0, height_m]])[None]
     window = Window(AT_M, ("roof",), np.zeros(1, "i4"), transform, np.zeros(1, "u4"), np.zeros(1, SURFACE))
     return caster(lab.world(roof), workers).open(window)

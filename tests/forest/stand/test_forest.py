@@ -128,7 +128,6 @@ def test_trees_have_numbers_of_their_own_and_a_window_holds_all_in_reach(forest,
 
 
 def is_low(key):
-    """Whether a shape is moss or litter."""
     return isinstance(key, FloorKey) and key.kind in GROUND_KINDS
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from forest.kit import trees_of
+from forest.kit import section_diameter_m, trees_of
 
 from vlp16emu import Emulator
 from vlp16emu.errors import GeometryError
@@ -94,13 +94,7 @@ def test_a_trees_dbh_is_that_of_its_mesh(models):
     for tree, transform, meshes in solids(models, some_trees()):
         axis = transform[:, 2] / np.linalg.norm(transform[:, 2])
         at_m = transform[:, 3] + axis * 1.3 / axis[2]
-        lines = trimesh.intersections.mesh_plane(meshes[PlantPart.STEM], axis, at_m)
-        lines -= lines.mean(axis=(0, 1))
-        across = np.linalg.svd(axis[None])[2][1:]
-        a, b = lines[:, 0] @ across.T, lines[:, 1] @ across.T
-        order = np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])  # seen from inside the section each runs one way
-        area_m2 = abs((order * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum()) / 2
-        assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-4)
+        assert section_diameter_m(meshes[PlantPart.STEM], axis, at_m) == pytest.approx(tree["dbh_m"], abs=1e-4)
 
 
 def test_rows_of_the_inventory_are_those_of_the_meshes(models):
