@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import trimesh
@@ -181,6 +181,7 @@ class Tiles:
     """Squares of ground with stems, crowns over some of them, and stones; a `World` that is a medium beyond `near_m`."""
 
     name = ""
+    parts = MappingProxyType({"crown": CROWN_PARTS, "stone": (PlantPart.NONE,)})
 
     def __init__(
         self, near_m=2.0, across=1, *, per_tile=4, things=True, crowns_far=True, height_m=bumpy, seed=99, bow_m=0.0
@@ -243,17 +244,17 @@ class Tiles:
         stems, placed, first, _ = self.tile(ix, iy)
         own = [i for i, (key, _) in enumerate(placed) if self._crowns_far or key != "crown"]
         placed, first = [placed[i] for i in own], first[own]
-        corner_m, keys = self.corner_m(ix, iy), ("crown", "stone")
+        corner_m, keys = self.corner_m(ix, iy), [*self.parts] if placed else []
         edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(corner_m[0] + edge_m, corner_m[1] + edge_m, indexing="ij")
         return FarTile(
             corner_m,
-            keys if placed else (),
+            tuple(keys),
             np.array([keys.index(key) for key, _ in placed], np.int64),
             np.array([place for _, place in placed]).reshape(-1, 3, 4),
             first,
-            np.array([0, 2, 3] if placed else [0]),
-            np.array([*CROWN_PARTS, PlantPart.NONE] if placed else [], "u1"),
+            np.cumsum([0, *(len(self.parts[key]) for key in keys)]),
+            np.array([part for key in keys for part in self.parts[key]], "u1"),
             stems,
             self.height_m(x, y),
         )

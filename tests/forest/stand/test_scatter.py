@@ -390,7 +390,10 @@ def test_labels_say_what_it_is(layer, semantic, parts, species):
 
 
 def test_shares_are_those_that_were_asked_for():
-    """Of some 500 logs the shares with plates, in two pieces and flattened are those of the section, within 3 sigma."""
+    """Of some 500 logs the shares with plates, in two pieces and flattened are those of the section, as those of broken stumps, within 3 sigma.
+
+    Stumps, broken or not, lie where they would if all were sound.
+    """
     found = found_of(log_layer(uprooted=0.3, broken=0.25, decayed=0.4))
     kinds = FloorKind.LOG, FloorKind.BROKEN_LOG, FloorKind.ROOT_PLATE
     whole, pieces, plates = (len(found[kind][0]) for kind in kinds)
@@ -398,6 +401,13 @@ def test_shares_are_those_that_were_asked_for():
     _, wide, high = size_m(found[FloorKind.LOG][0]).T
     for share, expected in ((plates / logs, 0.3), (pieces / 2 / logs, 0.25), ((high < 0.9 * wide).mean(), 0.7 * 0.4)):
         assert share == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / whole))
+    section = {"per_ha": 200.0, "species": ["silver_birch"]}
+    found, felled = (found_of(layer_of(settings.Stumps(**section, broken=share), seed=6)) for share in (0.3, 0.0))
+    sound, broken = (found[kind][0] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
+    n = len(sound) + len(broken)
+    assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
+    rows = {row.tobytes() for row in np.concatenate([sound, broken])}
+    assert rows == {row.tobytes() for row in felled[FloorKind.STUMP][0]}
 
 
 def test_a_root_plate_stands_at_the_butt_of_a_log_whose_top_lies_on_the_ground():
@@ -461,15 +471,3 @@ def test_plates_and_pieces_keep_off_the_path_and_trunks():
     assert len(found[FloorKind.BROKEN_LOG][0]) % 2 == 0
     free = found_of(one)
     assert len(free[FloorKind.ROOT_PLATE][0]) > len(plates)
-
-
-def test_stumps_are_broken_by_share():
-    """Three in ten stumps are jagged, within 3 sigma, and all of them lie where they would without."""
-    section = {"per_ha": 200.0, "species": ["silver_birch"]}
-    found = found_of(layer_of(settings.Stumps(**section, broken=0.3), seed=6))
-    (sound,), (broken,) = ([found[kind][0]] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
-    n = len(sound) + len(broken)
-    assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
-    felled = found_of(layer_of(settings.Stumps(**section, broken=0.0), seed=6))[FloorKind.STUMP][0]
-    rows = {row.tobytes() for row in felled}
-    assert {row.tobytes() for row in np.concatenate([sound, broken])} == rows
