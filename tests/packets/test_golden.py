@@ -85,17 +85,3 @@ def test_by_hand():
     assert dual[116:119] == b"\x34\x08\x3c"  # odd block: strongest at 4.200 m = 2100 = 0x0834, 60
     assert dual[1204] == 0x39
     assert golden("position_gps")[198:213] == b"\x71\x3a\x83\x40\x02\0\0\0$GPRMC,"  # 1 082 342 001 = 0x40833A71
-
-
-def test_coverage():
-    """Between them the golden packets use every laser, every firing sequence, every mode and every dual case."""
-    strongest, dual = MEANINGS["strongest"]["pulse"], MEANINGS["dual"]["pulse"]
-    assert {pulse["laser"] for pulse in strongest} == set(range(16))
-    assert {pulse["sequence"] for pulse in strongest} == set(range(24))
-    assert {MEANINGS[name]["return_mode"] for name in DATA} == set(ReturnMode)
-    assert {(p["strongest"] == p["last"], "second" in p) for p in dual} == {
-        (True, False),
-        (True, True),
-        (False, False),
-        (False, True),
-    }

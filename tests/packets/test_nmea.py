@@ -65,17 +65,6 @@ def test_speed_takes_six_characters_at_most(knots, field):
     assert len(rmc(longest)) <= 82
 
 
-@pytest.mark.parametrize(
-    ("latitude_deg", "longitude_deg", "letters"),
-    [(1, 1, "NE"), (-1, 1, "SE"), (1, -1, "NW"), (-1, -1, "SW"), (0, 0, "NE"), (-90, 180, "SE")],
-)
-def test_hemispheres(latitude_deg, longitude_deg, letters):
-    """The sign of an angle stands in its letter alone."""
-    sentence = fields(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-    assert sentence[4] + sentence[6] == letters
-    assert "-" not in "".join(sentence)
-
-
 @given(
     st.integers(0, 2**32 // 2 - 1),
     st.booleans(),

@@ -10,7 +10,7 @@ from forest.kit import feet_m
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.make import ForestSite
-from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey
+from vlp16emu.forest.plants.prototypes import CROWN_PARTS
 from vlp16emu.forest.settings import SpeciesShare
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.stand import REGENERATION
@@ -64,34 +64,28 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
 
 
 def test_stems_and_crowns_are_where_the_records_say(forest, shape, track_m):
-    """The tip of a stem's mesh, the top of its crown's axis and the tree record agree to a millimetre."""
+    """The tip of a stem's mesh, the top of its crown's axis and the tree record agree to a millimetre.
+
+    A crown's placement stretches its prototype's width to the tree's, and turns it by a proper rotation.
+    """
     window, trees = forest.window(track_m), forest.trees(track_m)
-    tips, tops = {}, {}
+    tips, tops, widths = {}, {}, {}
     for which, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
         key = window.shapes[which]
         if isinstance(key, TileKey):
             for j, stem in enumerate(shape(key)[1:], start=1):
                 tips[int(window.surfaces[first + j]["instance"])] = T[:, :3] @ stem.vertices_m[-1] + T[:, 3]
         else:
-            tops[int(window.surfaces[first]["instance"])] = T @ [0, 0, key.crown_length_m, 1]
-    for tree in trees:
-        i = int(tree["id"])
-        assert tips[i][2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-4)
-        assert np.abs(tips[i] - tops[i]).max() < 1e-3
-
-
-def test_crowns_are_as_wide_as_their_trees(forest, track_m):
-    """A crown's placement stretches its prototype's width to the tree's, and turns it by a proper rotation."""
-    window, trees = forest.window(track_m), forest.trees(track_m)
-    width = {int(t["id"]): t["crown_width_m"] for t in trees}
-    for shape, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
-        key = window.shapes[shape]
-        if isinstance(key, CrownKey):
-            gram = T[:, :3].T @ T[:, :3]
+            instance, gram = int(window.surfaces[first]["instance"]), T[:, :3].T @ T[:, :3]
             assert np.abs(gram - np.diag(np.diag(gram))).max() < 1e-12
             assert np.linalg.det(T[:, :3]) > 0
-            tree = int(window.surfaces[first]["instance"])
-            assert np.sqrt(gram[0, 0]) * key.crown_width_m == pytest.approx(width[tree])
+            tops[instance] = T @ [0, 0, key.crown_length_m, 1]
+            widths[instance] = np.sqrt(gram[0, 0]) * key.crown_width_m
+    for tree in trees:
+        i = int(tree["id"])
+        assert widths[i] == pytest.approx(tree["crown_width_m"])
+        assert tips[i][2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-4)
+        assert np.abs(tips[i] - tops[i]).max() < 1e-3
 
 
 @pytest.mark.parametrize("with_layers", [False, True])
