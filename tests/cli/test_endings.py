@@ -69,6 +69,30 @@ def test_what_waits_ends_with_the_first_signal(cli, gap, line, number):
     assert "\ninterrupted: " in f"\n{outcome.out}"
 
 
+@pytest.mark.parametrize("most_bytes", [0, None])
+def test_the_wait_for_a_pipe_ends_with_the_first_signal(cli, bench, tmp_path, most_bytes):
+    """Decoding ends with 130 while a pipe stays open without bytes (PEP 475 retries reads); points that came through are kept."""
+    pipe, out, here, done = tmp_path / "x.pcap", tmp_path / "x.csv", threading.get_ident(), threading.Event()
+    os.mkfifo(pipe)
+
+    def feed():
+        with pipe.open("wb") as file:
+            file.write(bench.read_bytes()[:most_bytes])
+            file.flush()
+            signal.pthread_kill(here, signal.SIGTERM)
+            done.wait()
+
+    feeding = threading.Thread(target=feed)
+    feeding.start()
+    outcome = cli("decode", pipe, "--clock", "host", "--out", out, "--json")
+    done.set()
+    feeding.join()
+    assert outcome.code == 130
+    assert out.exists() == (most_bytes is None)
+    if out.exists():
+        assert 0 < outcome.tree["points"] == len(out.read_text().splitlines()) - 1
+
+
 def test_a_terminal_that_goes_ends_a_run_as_ctrl_c(program, heeds_signals):
     """A run that reports to a terminal which is closed ends with 130, and without a word on it that nobody can read."""
     ours, theirs = pty.openpty()

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack, response
-from vlp16emu.motion.splines import interpolant
+from vlp16emu.extras.splines import interpolant
+from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack, response
 
 
 def uneven(n, least=0.2):

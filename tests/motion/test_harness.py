@@ -10,10 +10,12 @@ from scipy import stats
 from scipy.linalg import expm
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Gait, Gps, Walk
-from vlp16emu.motion.carrier import make_carrier
-from vlp16emu.motion.gait import Trunk, step_rate_hz
-from vlp16emu.motion.harness import KNOTS_PER_S, Pack, response
+from vlp16emu.extras.walk import Gait, Walk
+from vlp16emu.extras.walk.gait import Trunk, step_rate_hz
+from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack, response
+from vlp16emu.motion import Gps
+from vlp16emu.world import Hall
+from vlp16emu.world.hall import HallWorld
 
 NODES_S = np.arange(1001) / 1000
 
@@ -115,7 +117,7 @@ def test_a_gait_that_leads_into_the_ground_is_named(tmp_path, caplog, vertical_m
     """A person who carries the sensor lower than the steps are deep is warned of it; the walk has it under the ground."""
     gait = Gait(preset="none", step_hz=1.8, vertical_m=vertical_m)
     walk = Walk(kind="walk", way_points_m=[(0.0, 0.0), (20.0, 0.0)], sensor_height_m=0.4, gait=gait)
-    world = {"origin_m": (0.0, 0.0, 0.0), "gps": Gps(), "reach_m": 50.0, "start_ns": 0, "seed": 1}
-    motion, _ = make_carrier(walk, lambda x, _y: 0.0 * x, "", **world)
+    site = HallWorld(Hall(kind="hall", length_m=50.0, width_m=50.0, height_m=5.0))
+    motion, _ = walk.carrier(site, gps=Gps(), reach_m=50.0, start_ns=0, seed=1)
     lowest_m = motion.poses_at(np.arange(3_000_000_000, 6_000_000_000, 5_000_000)).world_p_body_m[:, 2].min()
     assert (lowest_m < 0) == warned == ("motion.gait: lowers the sensor by" in caplog.text)

@@ -6,9 +6,9 @@ from motion.kit import START_NS, straps, walking
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.motion import Mount
-from vlp16emu.motion.carrier import StaticMotion
 from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import rotations
+from vlp16emu.motion.static import StaticMotion
 
 
 def tripod():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.path import Path
+from vlp16emu.extras.walk.path import Path
 from vlp16emu.store import user_store
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0], [66.0, 14.0]])

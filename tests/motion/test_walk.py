@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from motion.kit import START_NS, STILL, Circle, at, gait, straps, walking
 
-from vlp16emu.motion import Harness
-from vlp16emu.motion.carrier import StaticMotion
+from vlp16emu.extras.walk import Harness
+from vlp16emu.extras.walk.motion import _sit
 from vlp16emu.motion.pose import rotations
-from vlp16emu.motion.walk import _sit
+from vlp16emu.motion.static import StaticMotion
 
 STRAPS = Harness(vertical_hz=2.0, damping_ratio=0.2)
 SLACK, STIFF = (straps(hz, 0.1) for hz in (0.5, 30.0))
@@ -54,7 +54,7 @@ def test_interpolation_is_exact_to_a_nanometre(monkeypatch, harness):
     """Between the nodes, poses are those of nodes five times as dense within 1e-9 m and rad."""
     since_ns = 5 * 10**9 + np.arange(5000) * 200_000
     poses = walking(harness=harness).poses_at(START_NS + since_ns)
-    monkeypatch.setattr("vlp16emu.motion.harness.NODES_PER_KNOT", 25)
+    monkeypatch.setattr("vlp16emu.extras.walk.pack.NODES_PER_KNOT", 25)
     fine = walking(harness=harness)
     nodes, _ = fine._route.at(np.append(since_ns, 6 * 10**9) / 1e9)
     nodes[:, 2, 0] += 2.0

@@ -5,10 +5,11 @@ import pytest
 from scipy.spatial import KDTree
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Gps, LawnMower, Stop, Walk
-from vlp16emu.motion.path import Path
-from vlp16emu.motion.route import Route
-from vlp16emu.motion.way_points import lawn_mower, way_points
+from vlp16emu.extras.walk import LawnMower, Stop, Walk
+from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.route import Route
+from vlp16emu.extras.walk.way_points import lawn_mower, way_points
+from vlp16emu.motion import Gps
 
 
 def test_pauses_are_added_by_number(tmp_path):

@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from vlp16emu.elementary import matvec
+from vlp16emu.extras.displace import displace
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import LINE, ROUND, beam_axis_of, lay, pulse_axes, turn
 from vlp16emu.raycast.build import relative_to_window, sheared
-from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import NO_SURFACE, Hits
 

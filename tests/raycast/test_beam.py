@@ -6,7 +6,7 @@ from raycast import lab
 from raycast.reference import sub_rays
 from scipy.stats import kstest, norm, spearmanr
 
-from vlp16emu.raycast.displace import displace, offset_tangents
+from vlp16emu.extras.displace import displace, offset_tangents
 
 
 def unit_points(pulses, rays, first=0, seed=7, model="fixed"):

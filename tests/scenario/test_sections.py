@@ -9,8 +9,9 @@ from pydantic import ValidationError
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.extras.meshes.settings import MeshPart
+from vlp16emu.extras.walk import Gait
 from vlp16emu.forest.settings import Forest, Terrain
-from vlp16emu.motion import Gait, Mount
+from vlp16emu.motion import Mount
 from vlp16emu.scenario import load
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.world.settings import HallBox

@@ -12,7 +12,7 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, members
 from vlp16emu.cli.terminal import make_emulator, running, stop_on_ctrl_c
-from vlp16emu.errors import OutputError
+from vlp16emu.errors import CaptureError, OutputError
 from vlp16emu.run.options import Option, RecordOptions
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def decode(
     axes, chosen = PointFrame(frame), chosen_unit(file, unit, where="--unit")
     product = SensorModel(model) if model else None
     stamps = packet_clock(file, chosen, clock, where="--clock")
-    with CaptureReader(file, chosen, axes, product, stamps) as reader, stop_on_ctrl_c() as stop:
+    with stop_on_ctrl_c() as stop, CaptureReader(file, chosen, axes, product, stamps, stop=stop) as reader:
         _read(reader, file, out, axes, stop)
     interrupted = stop.is_set()
     title = f"{file}, interrupted" if interrupted else str(file)
@@ -108,8 +108,13 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
             about = CloudAbout(capture_comments(axes, f"{reader.clock.clock}'s"))
             opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
             writer = stack.enter_context(opened)
-        for chunk in reader.points():
-            if writer:
-                writer.write(chunk.columns)
-            if stop.is_set():
-                break
+        try:
+            for chunk in reader.points():
+                if writer:
+                    writer.write(chunk.columns)
+                if stop.is_set():
+                    break
+        except CaptureError:
+            if stop.is_set() and not reader.first_stamp_ns:  # nothing had come through a pipe
+                raise KeyboardInterrupt from None
+            raise

@@ -4,13 +4,17 @@ Classic pcap of Ethernet, as this package writes it, is read here; other files a
 """
 
 import glob
+import io
+import os
 import re
+import select
 import struct
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
+from threading import Event
 from typing import Any, BinaryIO, NamedTuple, Self
 
 from vlp16emu.doors import door, has_door
@@ -41,6 +45,7 @@ _FLAG = BLOCK_FLAG.to_bytes(2, "little")
 _RECENT = 512
 """Packets in which a repeat is found: those of 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within milliseconds."""
 _STRAY = 0.02  # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
+_POLL_S = 0.1  # between two looks at the event that ends the wait for a pipe
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
@@ -107,12 +112,13 @@ class Capture:
     ----------
     path : the file; a pattern with `*` or `?` in its name stands for the files of one walk, read in order of their first stamps
     repeats : also yield packets that come again
+    stop : an event that ends the wait for the bytes of a pipe, as if it ended there
 
     Raises CaptureError if a file cannot be read, or is no capture; while iterating, if a record is damaged.
     """
 
-    def __init__(self, path: Path, *, repeats: bool = False) -> None:
-        self.path, self._keeps_repeats = path, repeats
+    def __init__(self, path: Path, *, repeats: bool = False, stop: Event | None = None) -> None:
+        self.path, self._keeps_repeats, self._stop = path, repeats, stop or Event()
         self.frames = 0  # Frames read so far, whatever they hold
         self.cut = False  # True if a file ended in the middle of a record; what came before it is whole
         self.repeated = 0  # Packets left out as they came before
@@ -129,7 +135,7 @@ class Capture:
 
     def __iter__(self) -> Iterator[Datagram]:
         for path in self._files:
-            for frame in _frames_in(path):
+            for frame in _frames_in(path, self._stop):
                 if frame is None:
                     self.cut = True
                     break
@@ -219,13 +225,34 @@ def _files(path: Path) -> list[Path]:
     return sorted(firsts, key=lambda file: first.stamp_ns if (first := firsts[file]) else 0)
 
 
-def _frames_in(path: Path) -> Iterator[Frame | None]:
+class _Pipe(io.RawIOBase):
+    """A pipe that ends when an event is set: for a writer and its bytes Python goes on waiting after a signal (PEP 475)."""
+
+    def __init__(self, path: Path, stop: Event) -> None:
+        self._opened, self._stop = os.open(path, os.O_RDONLY | os.O_NONBLOCK), stop
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        while not self._stop.is_set():
+            if select.select([self._opened], [], [], _POLL_S)[0]:
+                return os.readv(self._opened, [buffer])
+        return 0
+
+    def close(self) -> None:
+        if not self.closed:
+            os.close(self._opened)
+        super().close()
+
+
+def _frames_in(path: Path, stop: Event | None = None) -> Iterator[Frame | None]:
     """Yield the frames of a file; None at its end if that is in the middle of a record.
 
     Raises CaptureError if it cannot be read, is no capture, or a record is damaged.
     """
     try:
-        with path.open("rb") as file:
+        with io.BufferedReader(_Pipe(path, stop)) if stop and path.is_fifo() else path.open("rb") as file:
             yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else door("frames")(path, file)
     except OSError as error:  # gzip and bz2 report damage so, too
         raise CaptureError(str(path), error.strerror or f"{error}", EXPECTED) from error

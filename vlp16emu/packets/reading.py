@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from pathlib import Path
+from threading import Event
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -237,6 +238,7 @@ class CaptureReader:
     model : of units from before release, whose product byte is that of another sensor
     clock : of the unit's packets, for their UTC
     passes_over : whether packets at fault are passed over; else the first one ends the reading
+    stop : as for `Capture`
 
     Raises CaptureError if it is none.
     """
@@ -250,11 +252,12 @@ class CaptureReader:
         clock: PacketClock | None = None,
         *,
         passes_over: bool = False,
+        stop: Event | None = None,
     ) -> None:
         self.clock = clock or PacketClock()
         self._model, self._passes_over = model, passes_over
         self._path, self._unit, self._frame = path, unit, frame
-        self._capture = Capture(path)
+        self._capture = Capture(path, stop=stop)
         self._codes = np.zeros(2**16, np.int64)
         self._azimuth_cdeg, self._packet_ns, self._modes = list[U2](), list[I8](), list[U1]()
         self._factory: int | None = None

@@ -13,6 +13,11 @@ from vlp16emu.forest.settings import Terrain
 from vlp16emu.random import philox4x32
 
 
+def drawn(*counter_and_key):
+    """The random words for a counter and a key."""
+    return [int(word) for word in philox4x32(*map(np.uint32, counter_and_key))]
+
+
 def flat_but(*, seed=3, **changes):
     return TerrainHeights(Terrain(**{"hill_rms_m": 0.0, "rough_rms_m": 0.0, **changes}), seed=seed)
 
@@ -43,7 +48,7 @@ def test_a_mound_is_what_its_random_numbers_say():
     mounds = []
     for ix in range(-11, 11):
         for iy in range(-11, 11):
-            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Growth.MOUND, 3, 0)]
+            words = drawn(ix % 2**32, iy % 2**32, 0, Growth.MOUND, 3, 0)
             if words[0] / 2**32 < 600 * 4 / 10_000:
                 radius = (1 + (words[3] >> 16) / 2**16) / 2
                 height = (2 * (words[3] % 2**16) / 2**16 - 1) * 0.15
@@ -62,7 +67,7 @@ def test_a_pit_is_what_its_random_numbers_say():
     twin = np.zeros(400)
     for ix in range(-7, 7):
         for iy in range(-7, 7):
-            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Growth.PIT, 3, 0)]
+            words = drawn(ix % 2**32, iy % 2**32, 0, Growth.PIT, 3, 0)
             if words[0] / 2**32 < 400 * 16 / 10_000:
                 size, turn = (words[3] >> 16) / 2**16, 2 * math.pi * (words[3] % 2**16) / 2**16
                 middle = 4 * (ix + words[1] / 2**32), 4 * (iy + words[2] / 2**32)
@@ -128,7 +133,7 @@ def flat_with_trails(*, seed=3):
 
 
 def words_of(trail, kind=0, seed=3):
-    return [int(w) for w in philox4x32(trail % 2**32, 0, kind, Growth.RUT, seed, 0)]
+    return drawn(trail % 2**32, 0, kind, Growth.RUT, seed, 0)
 
 
 def test_a_rut_is_what_its_random_numbers_say():

@@ -59,7 +59,7 @@ class LasFile(PointWriter):
         except ImportError:
             raise MissingExtraError("laspy[lazrs]", "cloud", "writing LAS and LAZ") from None
         self._laspy, self._file, self._compressed = laspy, file, compressed
-        self._failures: type[Exception] = lazrs.LazrsError if compressed else OSError
+        self._failures: tuple[type[Exception], ...] = (lazrs.LazrsError,) if compressed else ()
         self._about = about
         self._writer: Any = None
         self._columns = [column for column in columns if column.ply]
@@ -107,11 +107,12 @@ class LasFile(PointWriter):
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Report a full disk as such: lazrs has an error of its own for it."""
+        """Report a full disk as such: lazrs has an error of its own for it, without the cause."""
         try:
             yield
         except self._failures as error:
-            raise OSError(getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)) from error
+            self._file.flush()  # what could not be written cannot be flushed either
+            raise OSError(str(error)) from error
 
     def _begin(self, offset_m: F8) -> None:
         laspy = self._laspy

@@ -153,6 +153,8 @@ STAMP = "stamp_utc_s"  # column behind all others of a unit whose time stamps ar
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets by which the truth goes; what leaves beside them changes no line."""
 
+_AT_ONCE_S = 0.05  # simulated, between two looks at the event that ends a run
+
 _T = TypeVar("_T")
 
 
@@ -444,7 +446,7 @@ def write_truth(
     ----------
     to : folder
     start_s, duration_s : as of `Emulator.record`
-    progress : called with the simulated seconds so far, second by second
+    progress : called with the simulated seconds so far
     stop : ends it from another thread
 
     Returns
@@ -459,9 +461,9 @@ def write_truth(
     begin_s, stop_s = span_s = emulator.scenario.span_s(start_s, duration_s)
     emulator.engine.span_ns(*span_s)  # checks the span before the folder is touched
     done_s, stop = 0.0, stop or threading.Event()
-    with emulator.truth(to, span_s) as truth:
+    with emulator.engine.windows.stopped_by(stop), emulator.truth(to, span_s) as truth, suppress(CancelledError):
         while truth and done_s < stop_s - begin_s and not stop.is_set():
-            done_s = min(done_s + 1.0, stop_s - begin_s)
-            truth.up_to(begin_s + done_s)
+            truth.up_to(begin_s + min(done_s + _AT_ONCE_S, stop_s - begin_s))
+            done_s = min(done_s + _AT_ONCE_S, stop_s - begin_s)
             progress(done_s)
     return done_s
