@@ -107,6 +107,9 @@ def test_a_wire_sensor_is_cut_as_ever():
     assert (parts.block, parts.block % 24) == (96, 0)
     assert parts.segment == 20 * whole.segment
     assert (parts.edges_ns(3) == whole.edges_ns(3)).all()
+    # Blocks of a span begin no later and end no earlier; a segment's edges are its blocks' beginnings.
+    assert list(whole.blocks(3 * whole.block_ns + 1, 5 * whole.block_ns)) == [3, 4]
+    assert (whole.edges_ns(2) == (2 * SEGMENT + np.arange(SEGMENT + 1)) * whole.block_ns).all()
 
 
 @pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
@@ -117,16 +120,6 @@ def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
     assert batching.block % 8 == 0
     assert batching.block == 8 or (batching.block * lasers <= 16 * BLOCK and batching.block_ns <= 110_000_000)
     assert 6.5e9 < batching.segment * batching.block_ns <= 6.8e9
-
-
-def test_blocks_hold_the_span_and_edges_the_blocks():
-    """The blocks of a span begin no later and end no earlier, and a segment's edges are its blocks' beginnings."""
-    batching = Batching(64, 55_556)
-    blocks = batching.blocks(3 * batching.block_ns + 1, 5 * batching.block_ns)
-    assert list(blocks) == [3, 4]
-    edges_ns = batching.edges_ns(2)
-    assert len(edges_ns) == batching.segment + 1
-    assert (edges_ns == (2 * batching.segment + np.arange(batching.segment + 1)) * batching.block_ns).all()
 
 
 def test_each_window_is_opened_once_while_it_is_in_use():
