@@ -65,14 +65,6 @@ def test_due_after_the_last_sequence(mode, sequences):
     assert {len(packet.payload) for packet in packets} == {1206}
 
 
-@pytest.mark.parametrize(
-    ("model", "byte"), [(SensorModel.VLP_16, 0x22), (SensorModel.PUCK_LITE, 0x22), (SensorModel.PUCK_HI_RES, 0x24)]
-)
-def test_factory_byte(model, byte):
-    """The last byte names the product."""
-    assert data_payloads(make_returns(24), ReturnMode.STRONGEST, model)[0, -1] == byte
-
-
 def test_time_is_floored_to_microseconds():
     """Time stamps are whole microseconds, rounded down, and begin anew each hour."""
     clock_ns = np.array([0, 999, 1_000, 999_999_999, HOUR_NS - 1, HOUR_NS, -350_000])

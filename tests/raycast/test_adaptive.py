@@ -77,13 +77,6 @@ def test_a_deep_group_needs_more_than_a_shallow_one():
     assert 32 * again / (8 * worth[2]) == pytest.approx(1 / 2, rel=1e-3)
 
 
-def test_the_narrower_the_lead_the_more_rays():
-    """The more sub-rays speak for another echo, nearer or farther, the coarser the target that they are enough for."""
-    for other_m in (18.5, 21.8):
-        finest = [finest_m([20.0] * lead + [other_m] * (32 - lead)) for lead in (24, 22, 20, 18)]
-        assert (np.diff(finest) > 0).all(), other_m
-
-
 def test_echoes_are_summed_within_the_resolution():
     """Three groups of eight: two of them within 1 m are one echo that leads the third, and 2 m apart none leads."""
     one, none = ([20.0] * 8 + [at_m] * 8 + [26.0] * 8 for at_m in (20.9, 22.0))
