@@ -143,13 +143,10 @@ def test_the_sky_is_that_of_its_instant():
     """What sways is looked at where it is at the time that is asked for."""
     asked = []
 
-    class Still:
-        """A scene of nothing that keeps the times of its rays."""
+    def cast(rays, _near_m, _far_m, *, as_far):
+        assert as_far
+        asked.append(rays.t_ns)
+        return SimpleNamespace(range_m=np.full(rays.t_ns.size, np.inf))
 
-        def cast(self, rays, _near_m, _far_m, *, as_far):
-            assert as_far
-            asked.append(rays.t_ns)
-            return SimpleNamespace(range_m=np.full(rays.t_ns.size, np.inf))
-
-    assert sky_cover(Still(), 1_234, AT_M, 15.0, 100.0) == 0.0
+    assert sky_cover(SimpleNamespace(cast=cast), 1_234, AT_M, 15.0, 100.0) == 0.0
     assert (asked[0] == 1_234).all()
