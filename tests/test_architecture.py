@@ -54,11 +54,12 @@ EXTRAS_TAKE = {
     "accuracy": {"plots"},
     "bag": {"imu", "slam", "truth"},
     "bench": {"imu"},
-    "clouds": {"options", "recorded", "truth"},
+    "clouds": {"displace", "options", "recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},
-    "plan": {"keep_up", "meshes"},
+    "plan": {"keep_up", "meshes", "walk"},
+    "recorded": {"splines"},
     "replay": {"bench", "free_ports"},
     "images": {"camera", "meshes", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
@@ -66,7 +67,8 @@ EXTRAS_TAKE = {
     "sheets": {"camera", "meshes", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench", "imu", "outputs"},
-    "viewer": {"camera", "clouds", "images", "live", "options", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "images", "live", "options", "plots", "sheets", "verify", "walk"},
+    "walk": {"splines"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
@@ -149,14 +151,6 @@ def test_the_core_knows_no_forest_and_no_extra():
     assert {name: full for name, full in found.items() if full} == {}
 
 
-def test_foliage_and_forest_know_no_run():
-    """What is far takes from casting, a forest from worlds and from what is far; neither knows engine, runs or extras."""
-    above = {"forest", "scenario", "engine", "run", "extras", "cli"}
-    for name in NAMES:
-        if (room := room_of(name)) in ("foliage", "forest"):
-            assert not {full.split(".")[0] for full in targets(name)} & (above - {room}), name
-
-
 def test_arrows_in_the_forest_run_down():
     """Ground, tiles, plants, stand: a room of the forest imports from its own floor and from lower ones."""
     for name in NAMES:
@@ -209,11 +203,11 @@ def test_a_trespass_would_be_seen():
         "from vlp16emu import scenario",
         "from vlp16emu.raycast.beam import ROUND",
     ):
-        assert trespasses("motion/walk.py", ast.parse(f"def f():\n    {line}")), line
+        assert trespasses("motion/mount.py", ast.parse(f"def f():\n    {line}")), line
         assert trespasses("units.py", ast.parse(line)), line
     assert not trespasses("foliage/far.py", ast.parse("from vlp16emu.foliage.polyline import distance_m"))
     assert not trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.frames import HEADER"))
-    assert not trespasses("motion/walk.py", ast.parse("from vlp16emu.world import Terrain"))
+    assert not trespasses("motion/mount.py", ast.parse("from vlp16emu.world import Terrain"))
 
 
 def test_no_module_needs_itself():

@@ -8,7 +8,7 @@ import pytest
 from vlp16emu.errors import LARGEST_BYTES, LARGEST_TEXT_BYTES, InputError
 from vlp16emu.extras.meshes.files import load_mesh
 from vlp16emu.extras.recorded.files import read_kitti, read_trajectory_csv, read_tum
-from vlp16emu.extras.recorded.way_points import read_way_points
+from vlp16emu.extras.walk.way_points import read_way_points
 from vlp16emu.forest.ground.dem import read_grid
 from vlp16emu.forest.plants.species import flora, species_table
 from vlp16emu.forest.stand.given_stand import read_stem_list

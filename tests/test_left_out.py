@@ -11,9 +11,9 @@ from woods import LINES
 import vlp16emu.engine.engine as page
 from vlp16emu import Emulator
 from vlp16emu.engine.windows import window_of
+from vlp16emu.extras.walk import gait, motion, pack
 from vlp16emu.foliage.far import Far
 from vlp16emu.forest.plants.stem import StemKey
-from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import near as fast
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
@@ -130,7 +130,7 @@ def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
 
 def test_without_gait_nothing_swings(monkeypatch):
     """A bare walk asks neither the trunk nor the pack for anything; one with a gait does."""
-    forbid(monkeypatch, (gait.Trunk, "at"), (harness.Pack, "nodes"), (walk, "_sit"))
+    forbid(monkeypatch, (gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_sit"))
     t_ns = birch().start_ns + np.arange(10, dtype=np.int64)
     Emulator(birch("motion.gait={ preset = 'none' }"), threads=1).parts.motion.poses_at(t_ns)
     with pytest.raises(TouchedError):
@@ -139,7 +139,7 @@ def test_without_gait_nothing_swings(monkeypatch):
 
 def test_without_a_harness_nothing_is_solved(monkeypatch):
     """Straps are solved only where there are some."""
-    forbid(monkeypatch, (harness, "_swing"))
+    forbid(monkeypatch, (pack, "_swing"))
     t_ns = birch().start_ns + 2 * 10**9 + np.arange(10, dtype=np.int64)
     Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
     with pytest.raises(TouchedError):

@@ -26,12 +26,6 @@ def test_nothing_heavy_is_loaded_with_the_package():
     assert run(textwrap.dedent(code)) == "[] True\n"
 
 
-def test_a_scene_is_read_without_the_engine():
-    """`load` brings no numba."""
-    code = "import sys; from vlp16emu import load; load('static_bench'); print('numba' in sys.modules)"
-    assert run(code) == "False\n"
-
-
 @pytest.mark.parametrize("name", vlp16emu.__all__)
 def test_each_public_name_is_what_its_module_has(name):
     """A name is loaded when it is used, once, and has a docstring."""

@@ -8,8 +8,6 @@ import pytest
 import velodyne_decoder
 
 from vlp16emu import Emulator
-from vlp16emu.errors import InputError
-from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.replay import packets_of
 from vlp16emu.packets import Capture, decode_data
 from vlp16emu.scenario import load
@@ -85,13 +83,6 @@ def test_each_unit_has_a_capture_of_its_own(rig, tmp_path):
     assert (split.packets, split.position_packets) == (whole.packets, whole.position_packets)
     assert split.bytes == whole.bytes + 24  # a second head
     assert split.file == f"{tmp_path / 'own_1.pcap'}, {tmp_path / 'own_2.pcap'}"
-
-
-def test_what_is_prepared_cannot_be_set(rig, tmp_path):
-    """A prepared stream with web interfaces is refused before anything is computed."""
-    with pytest.raises(InputError, match="--http: found beside --prepare"):
-        rig[0].stream(prepare=tmp_path / "rig.pcap", http=Http("127.0.0.1:0"))
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_units_without_a_seed_have_errors_of_their_own():

@@ -87,13 +87,6 @@ def test_a_worker_that_fails_is_shown(check):
     assert "**failed**: Illegal instruction" in out
 
 
-def test_neither_threads_nor_pieces_change_what_is_kept(same_bytes, hall):
-    """Arrays are put together in the order of time, however a run is cut and whichever thread computes a block."""
-    other = dict(same_bytes.made(["hall"], 2, 3))["hall"]
-    assert hall.keys() == other.keys()
-    assert [name for name in hall if same_bytes.difference(name, hall[name], other[name])] == []
-
-
 def test_disturbed_triangles_are_a_little_off(same_bytes, monkeypatch):
     """`--disturbed` moves every coordinate of what Embree is given by up to 1 um, and in every process alike."""
     arguments = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32)
@@ -108,14 +101,6 @@ def test_disturbed_triangles_are_a_little_off(same_bytes, monkeypatch):
     assert (off_m > 0.0).any()
     assert 0.5e-6 < off_m.max() < 1.2e-6
     assert given[0].tobytes() == given[1].tobytes()
-
-
-def test_steps_count_the_numbers_between(same_bytes):
-    """Numbers are ordered through zero and up to infinity; steps are those of their type."""
-    one = np.float32(1.0)
-    for a, b, count in ((one, np.nextafter(one, np.float32(2)), 1), (-1e-45, 1e-45, 2), (np.inf, 3.4028235e38, 1)):
-        assert f", {count} ulp, " in same_bytes.steps(np.array([a], np.float32), np.array([b], np.float32))
-    assert same_bytes.steps(np.array([3], np.uint8), np.array([250], np.uint8)) == ", 2.5e+02"
 
 
 def test_embree_takes_the_configuration_of_the_environment(monkeypatch, capfd):

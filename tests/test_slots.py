@@ -12,8 +12,6 @@ from woods import THIN
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run as command
-from vlp16emu.engine import Engine
-from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, Capture
@@ -137,24 +135,6 @@ def test_memory_holds_no_more_than_a_row_group(tmp_path, monkeypatch):
     assert [groups.row_group(i).num_rows for i in range(groups.num_row_groups)] == [19_200, 19_200, 19_200]
 
 
-def test_no_truth_no_cost(monkeypatch, tmp_path):
-    """A run that does not ask for it neither looks for surfaces nor keeps exact ranges, also beside other truth."""
-    kept = []
-    original = Engine._scan
-    monkeypatch.setattr(Engine, "_scan", lambda *a, **k: kept.append(original(*a, **k)) or kept[-1])
-    Emulator("static_bench", ["beam.model=none"]).record(tmp_path / "x.pcap", duration_s=0.1, truth=tmp_path / "t")
-    assert kept
-    assert all(one.surface is None and one.range_m is None and one.share is None for one in kept)
-
-
-def test_it_is_not_for_streams_that_are_set_live(tmp_path):
-    """What is set live makes packets anew, whose rows would be there twice: refused."""
-    from vlp16emu.extras.bench.options import Http
-
-    with pytest.raises(InputError, match="--truth-packets or --truth-returns: found beside --http"):
-        Emulator("static_bench").stream(http=Http("127.0.0.1:0"), truth=TruthTo(tmp_path / "t", per_return=True))
-
-
 def distances_m(points, triangles):
     """Distances (p, t) of points to triangles (t, 3, 3), in float64: to the plane inside, to the nearest side elsewhere."""
     a, b, c = (triangles[:, i] for i in range(3))
@@ -189,7 +169,13 @@ def nodes_of(path):
 
 def test_labels_are_those_of_the_nearest_surface(tmp_path):
     """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on no other one."""
-    settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=inf", "sensor.max_range_m=8"]
+    settings = [
+        "beam.model=none",
+        "noise.preset=ideal",
+        "world.near_m=inf",
+        "sensor.max_range_m=8",
+        "world.stems_per_ha=250",
+    ]
     settings.append("duration_s=0.5")
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]

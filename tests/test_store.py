@@ -39,12 +39,6 @@ def is_kept(folder):
     return kept.read("b.thing") == b"x"
 
 
-def test_what_was_written_comes_back(kept):
-    """Content comes back under its name, and nothing under another name."""
-    assert kept.read("a.thing") == b"one two"
-    assert kept.read("b.thing") is None
-
-
 def test_damage_is_as_good_as_nothing(kept, folder):
     """A file that is cut, or of which any byte changed, is not read, and is written anew."""
     path = folder / "a.thing"
@@ -244,16 +238,6 @@ def test_a_run_is_the_same_cold_and_warm(use, folder, settings):
     assert recorded("reference_forest", *settings) == cold
     store.flush()
     assert {path: path.stat().st_ino for path in folder.iterdir()} == files
-
-
-def test_another_path_is_grown_anew(use, folder):
-    """Tiles keep clear of the path: a warm run on another one is as a cold one."""
-    other = "motion.way_points_m=[[0, 0], [10, 20]]"
-    plain = (use("off"), recorded("reference_forest", other))[1]
-    use(folder)
-    recorded("reference_forest")
-    use(folder)
-    assert recorded("reference_forest", other) == plain
 
 
 def test_all_that_decides_a_world_is_in_its_name():

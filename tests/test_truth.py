@@ -236,22 +236,6 @@ def test_the_resolved_scenario_names_its_program_and_takes_settings(walk, tmp_pa
     assert (scenario.sensor.rpm, scenario.start_ns) == (1200, 1_779_267_600_000_000_000)
 
 
-@pytest.mark.parametrize("start_s", [0.0, 0.7])
-def test_without_packets_the_truth_is_the_same(start_s, tmp_path):
-    """What is written without casting light is what is written beside packets, file by file and byte by byte."""
-    settings = ["gps.connected=true", "imu.preset=consumer", "rig=[{return_mode='dual'}]"]
-    walk = 'motion={kind="walk", way_points_m=[[-5, 0], [0, 3], [5, 0]]}'
-    emulator = Emulator(load("static_bench", [*settings, walk]))
-    written(emulator, tmp_path / "beside", start_s, 1.3, per_packet=True)
-    to = TruthTo(tmp_path / "alone", per_packet=True)
-    assert write_truth(emulator, to, start_s=start_s, duration_s=1.3 - start_s) == 1.3 - start_s
-    names = ["gnss.csv", "imu.csv", "packets.tum", "packets_2.tum", "rig.json", "scenario.json"]
-    names += ["trajectory.tum", "trajectory_2.tum"]
-    assert sorted(path.name for path in (tmp_path / "beside").iterdir()) == names
-    for name in names:
-        assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "beside" / name).read_bytes(), name
-
-
 def test_a_sensor_without_packets_has_truth(tmp_path):
     """A free sensor has trajectory, rig and scenario; poses of packets, which it has not, are refused before any file."""
     emulator = Emulator(load("static_bench", ["sensor.model=free", "sensor.beams=32"]))

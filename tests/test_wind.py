@@ -12,27 +12,24 @@ from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart
 
-NEAR = (*LINES, "sensor.max_range_m=8.0")
-BLOWS = (*NEAR, "wind.speed_m_s=9.0", "wind.towards_deg=70.0")
-
 
 @pytest.mark.usefixtures("kept_woods")
 def test_still_air_changes_nothing():
-    """At a speed of 0 the packets are those of the scene without wind; at 9 m/s they are not."""
-    none, calm, windy = (load("birch_walk", s) for s in (NEAR, [*NEAR, "wind.speed_m_s=0.0"], BLOWS))
-    still, same, moved = (list(Emulator(scenario).packets(0.0, 0.1)) for scenario in (none, calm, windy))
-    assert still == same
-    assert still != moved
+    """At a speed of 0 the packets are those of the scene without wind."""
+    still, calm = (Emulator("birch_walk", [*LINES, *wind]) for wind in ([], ["wind.speed_m_s=0.0"]))
+    assert list(still.packets(0.0, 0.1)) == list(calm.packets(0.0, 0.1))
 
 
 def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
     """Points on stems, taken back by the lean at their own time, lie 4 mm from the circle of DBH; left as they are, not."""
-    settings = ["motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}", "seed=5", "sensor.max_range_m=16.0"]
+    settings = ["motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}", "seed=5", "sensor.max_range_m=10.0"]
     settings += ["wind={speed_m_s=9.0, towards_deg=70.0}", "world.stems_per_ha=400", "world.crooked_stems=false"]
     scenario = load("birch_walk", settings, ideal=True)
     emulator = Emulator(scenario)
     wind, checked, left_m = emulator.parts.wind, 0, []
-    for returns in itertools.islice(emulator.returns(0.0, 9.0, truth=True), 0, 85, 12):
+    for returns in itertools.chain.from_iterable(
+        emulator.returns(s, s + 0.1, truth=True) for s in np.arange(0.0, 8.0, 1.2)
+    ):
         f, distance_m = returns.firings, returns.distance_m[..., 0]
         trees = emulator.parts.world.trees(f.origin_m[0, :1])
         row = returns.surfaces[np.where(distance_m > 0, returns.surface[..., 0], 0)]

@@ -73,15 +73,9 @@ _NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
 """Numbers beyond come from logarithms (numpy/random/src/distributions/ziggurat_constants.h)."""
 
 
-@numba.njit(
-    "UniTuple(uint32, 4)(uint32, uint32, uint32, uint32, uint32, uint32)",
-    cache=True,
-    nogil=True,
-    forceinline=True,
-    _nrt=False,
-)
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def philox4x32(c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word) -> tuple[_Word, _Word, _Word, _Word]:
-    """Return four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1).
+    """Return four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1), all uint32.
 
     Source: SC 2011 paper, multipliers and Weyl constants of Philox 4x32.
     """

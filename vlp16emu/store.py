@@ -27,6 +27,8 @@ MAKERS = (  # files and folders of the package that decide what worlds consist o
     "elementary.py",
     "engine",
     "extras/meshes",
+    "extras/splines.py",
+    "extras/walk",
     "foliage",
     "forest",
     "motion",

@@ -99,6 +99,34 @@ BAD = [
             ("start_utc=2200-01-01T00:00:00Z", "found 2200-01-01T00:00:00+00:00; expected a time from 1970 to 2105"),
         )
     ),
+    *(
+        (f"stream static_bench --json {options}", 2, said)
+        for options, said in (
+            ("--prepare-to -", "-: no file that can be read again; expected the name of a file"),
+            ("--prepare-to x.mcap", "x.mcap: found the ending .mcap; expected .pcap"),
+            ("--prepare --http 127.0.0.1:0", "--http: found beside --prepare"),
+            (
+                "--http 127.0.0.1:0 --truth {tmp}/t --truth-returns",
+                "--truth-packets or --truth-returns: found beside --http",
+            ),
+            ("--gps-in {tmp}/ttyUSB9", "--gps-in {tmp}/ttyUSB9: No such file"),
+            ("--gps-out loop://", "gps.connected: found false; expected true"),
+            ("--imu-out udp://127.0.0.1:9", "imu: no such table in the scene; expected [imu]"),
+            (
+                "--set imu.rate_hz=100 --imu-out tcp://127.0.0.1:9",
+                "--imu-out: found tcp://127.0.0.1:9; expected udp://HOST:PORT",
+            ),
+        )
+    ),
+    *(
+        (f"{line} {options}", 2, said)
+        for line in (RECORD, STREAM)
+        for options, said in (
+            ("--truth-packets", "--truth-packets: found no --truth; expected --truth DIR beside it\n"),
+            ("--set sensor.model=free", 'sensor.model: found "free", which has no packets; expected "vlp-16", '),
+        )
+    ),
+    ("record birch_walk {tmp}/x.pcap --duration 1000", 2, "duration: found 1000 s; expected at most "),
     (
         "replay x.pcap --to 10.0.0.1:2369 --data-port 2368",
         2,
@@ -122,7 +150,7 @@ BAD = [
     ("decode /dev/null", 2, "/dev/null: no capture, it begins with nothing; expected a pcap or pcapng file"),
     *(
         (f"{verb} {{tmp}}/x", 2, "{tmp}/x: No such file or directory; expected a pcap or pcapng file")
-        for verb in ("decode", "verify")
+        for verb in ("decode", "verify", "fit", "compare {tmp}/x")
     ),
 ]
 
@@ -161,17 +189,6 @@ def test_warnings_are_lines_on_stderr(main_here, tmp_path):
         code, said = main_here("plan", "static_bench", *settings, stdout=stdout)
     assert (code, said.count("\n")) == (0, 1)
     assert said.startswith("warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between")
-
-
-def test_a_request_to_end_is_as_ctrl_c(program):
-    """SIGTERM ends a command that writes nothing on the way with 130, too."""
-    run = program("accuracy", "reference_forest")
-    while not Path(f"/proc/{run.pid}/maps").read_text().count("libembree4"):
-        with pytest.raises(subprocess.TimeoutExpired):  # the processor is for the program
-            run.wait(0.05)
-    run.terminate()
-    run.communicate(timeout=100)
-    assert run.returncode == 130
 
 
 def test_memory_that_runs_out_is_reported(cli, monkeypatch):

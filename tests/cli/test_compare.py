@@ -45,13 +45,3 @@ def test_a_fitted_unit_goes_into_a_scene(cli, captures, tmp_path):
     tables = tomllib.loads(printed)
     settings = {f"{table}.{key}": value for table, keys in tables.items() for key, value in keys.items()}
     assert load("birch_walk", settings).noise.range_beat_m == tables["noise"]["range_beat_m"]
-
-
-@pytest.mark.parametrize("verb", [("compare", "{}", "{}"), ("fit", "{}")])
-def test_what_is_no_capture_is_one_line(cli, tmp_path, verb):
-    """A text file ends with exit code 2 and one line that names it."""
-    (tmp_path / "a.pcap").write_text("no capture")
-    outcome = cli(*(word.format(tmp_path / "a.pcap") for word in verb))
-    assert outcome.code == 2
-    assert "a.pcap" in outcome.err
-    assert len(outcome.err.strip().splitlines()) == 1

@@ -75,23 +75,6 @@ def test_dual_return_counts_both_records(cli, dual):
     assert tree["gps"]["sentence"].startswith("$GPRMC,0")
 
 
-def test_each_packet_is_decoded_once(bench, monkeypatch):
-    """Chunks of 7 packets do not overlap, and their points are those of all packets decoded at once."""
-    decoded, whole = [], decode_data(payloads(bench), keep_no_returns=False)
-
-    def noted(chunk, **options):
-        decoded.append(chunk)
-        return decode_data(chunk, **options)
-
-    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 7)
-    monkeypatch.setattr("vlp16emu.packets.reading.decode_data", noted)
-    with CaptureReader(bench) as reader:
-        chunks = [points for points, *_ in reader.points()]
-    np.testing.assert_array_equal(np.concatenate(decoded), payloads(bench))
-    for name in ("azimuth_deg", "distance_m", "xyz_m", "reflectivity", "ring", "time_ns"):
-        np.testing.assert_array_equal(np.concatenate([getattr(chunk, name) for chunk in chunks]), getattr(whole, name))
-
-
 @pytest.mark.parametrize("size", [1, 2, 5, 2_000])
 def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
     """The time of points rises over the hour, where the sensor's own clock falls back to 0."""

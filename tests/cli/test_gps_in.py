@@ -86,11 +86,3 @@ def test_time_comes_from_one_of_both(wire, listening):
     """A receiver and the present of the host exclude each other."""
     with pytest.raises(InputError, match="--gps-in: found beside --now"):
         Emulator("static_bench", listening[1]).stream(duration_s=0.1, now=True, gps_in=GpsIn(wire[1]))
-
-
-def test_a_port_that_is_missing_is_refused(cli, tmp_path):
-    """No such device: one line with the option, exit 2."""
-    outcome = cli("stream", "static_bench", "--duration", "0.1", "--gps-in", str(tmp_path / "ttyUSB9"))
-    assert outcome.code == 2
-    assert "--gps-in" in outcome.err
-    assert "No such file" in outcome.err

@@ -120,24 +120,6 @@ def test_sentences_are_those_of_the_position_packets(cli, receiver, cable):
     assert abs(time.time_ns() - last_ns) < 10 * S_NS
 
 
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (["--gps-out", "loop://"], "gps.connected: found false; expected true"),
-        (["--imu-out", "udp://127.0.0.1:9"], "imu: no such table in the scene; expected [imu]"),
-        (
-            ["--imu-out", "tcp://127.0.0.1:9", "--set", "imu.rate_hz=100"],
-            "--imu-out: found tcp://127.0.0.1:9; expected udp://HOST:PORT",
-        ),
-    ],
-)
-def test_refusals_are_one_line(cli, options, line):
-    """What the scene or the machine has not is refused by one line that names the key or the option."""
-    outcome = cli("stream", "static_bench", *SILENT, *options)
-    assert outcome.code == 2
-    assert outcome.err.splitlines()[-1].startswith(f"error: {line}")
-
-
 def watched(port, seconds):
     """Reports of place and time that gpsd gives to its clients."""
     end_s, buffer = time.monotonic() + seconds, b""
@@ -169,14 +151,14 @@ def test_gpsd_follows_the_walk(program, cable, tmp_path):
             reports = {}
             for report in watched(tcp, 300.0):
                 reports[report["time"]] = report, time.time()
-                if len(reports) == 3:
+                if len(reports) == 2:
                     break
             running.send_signal(signal.SIGINT)
             out, _ = running.communicate()
         finally:
             gpsd.terminate()
     moved_s = json.loads(out)["sent"]["moved_s"]
-    assert len(reports) == 3
+    assert len(reports) == 2
     emulator = Emulator("static_bench", [f"{key}={value}" for key, value in WALK.items()])
     gps = emulator.scenario.gps
     for at, (report, heard_s) in reports.items():

@@ -130,16 +130,6 @@ def test_a_lone_echo_is_reported_once(points):
     assert report["returns"] == {"strongest": len(single["t_ns"]), "last": 0, "second_strongest": 0}
 
 
-def test_threads_do_not_change_a_byte(cli, tmp_path):
-    """One worker or three: the same file."""
-    files = [tmp_path / f"{threads}.ply" for threads in (1, 3)]
-    for threads, file in zip((1, 3), files, strict=True):
-        cli("points", "static_bench", file, "--duration", "0.3", "--threads", threads, "--truth", *FREE)
-    first, second = (file.read_bytes() for file in files)
-    assert len(first) > 1_000_000
-    assert first == second
-
-
 def test_pieces_make_the_whole(points):
     """Spans that meet hold each pulse once."""
     whole, _ = points(duration=0.23)
@@ -210,15 +200,3 @@ def test_people_get_a_summary(cli, tmp_path):
     assert "\n  beams      16\n  elevation  -15, 15 deg\n" in out
     assert " of 1 800 firing sequences, 0.2 deg apart\n" in out
     assert "\n  pulses     287997." in out
-
-
-@pytest.mark.parametrize("verb", ["record static_bench {tmp}/x.pcap", "stream static_bench --duration 1"])
-def test_a_sensor_without_packets_is_sent_to_this_verb(cli, tmp_path, verb):
-    """Recording and streaming a free sensor is refused in one line, before any file is made."""
-    outcome = cli(*verb.format(tmp=tmp_path).split(), *FREE)
-    assert (outcome.code, outcome.out) == (2, "")
-    assert outcome.err == (
-        'error: sensor.model: found "free", which has no packets; expected "vlp-16", "puck-lite" or '
-        '"puck-hi-res", or `vlp16emu points`, which writes what any sensor sees\n'
-    )
-    assert list(tmp_path.iterdir()) == []

@@ -1,14 +1,10 @@
 """Scenes into files."""
 
-import fcntl
 import hashlib
 import json
 import os
-import pty
 import signal
-import termios
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -20,22 +16,9 @@ from vlp16emu.output import OutputFile
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 KEYS = [
-    "file",
-    "about",
-    "units",
-    "bytes",
-    "sha256",
-    "simulated_s",
-    "walk_share",
-    "wall_s",
-    "audit",
-    "interrupted",
-    "messages",
-    "returns",
-    "real_time_factor",
-    "packets",
-    "position_packets",
-]
+    "file", "about", "units", "bytes", "sha256", "simulated_s", "walk_share", "wall_s", "audit", "interrupted",
+    "messages", "returns", "real_time_factor", "packets", "position_packets",
+]  # fmt: skip
 
 
 def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
@@ -105,25 +88,6 @@ def test_a_capture_may_have_its_usual_endings(cli, tmp_path, name):
     assert (tmp_path / name).read_bytes()[:4] == bytes.fromhex("d4c3b2a1")
 
 
-def test_a_walk_that_is_too_short_leaves_the_old_file_alone(cli, tmp_path):
-    """Where the walk ends before the recording would, nothing is overwritten."""
-    path = tmp_path / "x.pcap"
-    path.write_text("precious")
-    outcome = cli("record", "birch_walk", path, "--duration", "1000")
-    assert (outcome.code, path.read_text()) == (2, "precious")
-    assert outcome.err.startswith("error: duration: found 1000 s; expected at most ")
-
-
-def wait_for(folder, size):
-    """Wait until the unfinished capture in a folder has grown, and return its path."""
-    for _ in range(6000):
-        for part in folder.glob("x.pcap.*.part"):
-            if part.stat().st_size > size:
-                return part
-        time.sleep(0.05)
-    raise AssertionError(f"no capture in {folder} ever had {size} bytes")
-
-
 def test_two_recordings_into_one_file_are_refused(cli, tmp_path):
     """The second names the process of the first, before it touches its own folder of truth."""
     path, truth = tmp_path / "x.pcap", tmp_path / "t"
@@ -149,40 +113,6 @@ def test_a_signal_leaves_a_recording_as_far_as_it_got(cli, signal_at, tmp_path):
     poses = (truth / "trajectory.tum").read_text()
     assert poses.endswith("\n")
     assert {len(line.split()) for line in poses.splitlines() if not line.startswith("#")} == {8}
-
-
-def test_a_killed_recording_is_kept_beside_its_name(cli, program, tmp_path):
-    """After SIGKILL the earlier file stands, and what it left beside it is decoded to its last whole packet."""
-    path = tmp_path / "x.pcap"
-    path.write_text("earlier")
-    process = program("record", "static_bench", path, "--duration", "3600")
-    part = wait_for(tmp_path, 100_000)
-    process.kill()
-    process.communicate()
-    assert path.read_text() == "earlier"
-    assert cli("decode", part, "--json").tree["packets"] > 50
-
-
-def test_a_terminal_that_goes_leaves_a_report(program, heeds_signals, tmp_path):
-    """A run whose terminal is closed ends with 130, a whole file, and its report where that does not go to the terminal."""
-    ours, theirs = pty.openpty()
-    path = tmp_path / "x.pcap"
-    with (tmp_path / "report").open("w") as report:
-        process = program(
-            *("record", "static_bench", path, "--duration", "3600", "--json"),
-            stdout=report,
-            stderr=theirs,
-            stdin=theirs,
-            start_new_session=True,
-            preexec_fn=lambda: (heeds_signals(), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
-        )
-        os.close(theirs)
-        wait_for(tmp_path, 500_000)
-        os.close(ours)
-        assert process.wait(timeout=100) == 130
-    tree = json.loads((tmp_path / "report").read_text())
-    assert tree["interrupted"] is True
-    assert tree["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_what_ignores_hangups_goes_on(cli, signal_at, tmp_path):

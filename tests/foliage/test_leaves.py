@@ -13,7 +13,7 @@ from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
 from vlp16emu.foliage.lanes import lanes
 from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
-from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
+from vlp16emu.types import NO_SURFACE, PlantPart
 
 
 def test_leaves_are_latin_squares():
@@ -90,12 +90,7 @@ def slab(lad, leaf_m=0.06, size_m=(16.0, 16.0, 8.0)):
     """Square leaves of all directions evenly in a box that begins at the origin, `lad` m2 per m3."""
     rng = np.random.default_rng(3)
     n = round(lad * np.prod(size_m) / leaf_m**2)
-    u, v = (rng.normal(size=(n, 3)) for _ in range(2))
-    v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
-    u, v = (leaf_m / 2 * w / np.linalg.norm(w, axis=1)[:, None] for w in (u, v))
-    at_m = rng.random((n, 3)) * size_m
-    corners_m = np.stack([at_m - u - v, at_m + u - v, at_m + u + v, at_m - u + v], axis=1)
-    return Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * n, dtype="u4").reshape(-1, 4))
+    return lab.square_leaves(rng, rng.random((n, 3)) * size_m, leaf_m / 2)
 
 
 class Slab(lab.Tiles):

@@ -157,23 +157,6 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     return range_m[:n].copy(), L.surface[:n].copy(), L.cosine[:n].copy()
 
 
-def dense_bricks(empty, size, is_full, code=60):
-    """Medium of bricks with the same code in each voxel of those that are full, one owner for all."""
-    full = np.array([is_full(*place) for place in np.ndindex(size)]).reshape(size)
-    brick = np.zeros((*size, 2), "u8")
-    brick[full, 0] = 2**64 - 1
-    brick[full, 1] = 64 * np.arange(full.sum())
-    voxels = 64 * int(full.sum())
-    return empty._replace(
-        brick=brick,
-        record=np.full(voxels, code | code << 7 | code << 14, "u4"),
-        first_owner=np.zeros(voxels, "u4"),
-        owner=np.array([255 << 56 | 5], "u8"),
-        cosine=np.full((1, len(KNOTS), QUANTILES), 0.5, "f4"),
-        seed=7,
-    )
-
-
 def within_m(medium, origin_m, direction):
     """How far a ray goes before it is within 1 m of the edge of the grid, to the sides and below, 60 m at most."""
     low_m = np.array(medium.corner_m) + 1.0
@@ -213,32 +196,36 @@ def some_rays(world, towards, count, seed=1):
 
 @pytest.mark.parametrize("towards", DIRECTIONS)
 def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
-    """All of 900 rays but one (steep ones but three) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
+    """All of 450 rays but one (of 750 steep ones but two) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
     world, window, medium = stand
     twin, good, hits, seen = Twin(medium), 0, 0, set()
-    origin_m, direction = some_rays(world, towards, 1500 if towards == "-z" else 900)
+    origin_m, direction = some_rays(world, towards, 750 if towards == "-z" else 450)
     for o, d in zip(origin_m, direction, strict=True):
         far_m = within_m(medium, o, d)
         (range_m,), (surface,), _ = marched(medium, [o], [d], far_m=far_m)
         true_m, true_surface = twin.cast(o.astype(float), d.astype(float), far_m)
         ground = true_surface != NO_SURFACE and window.surfaces["semantic"][true_surface] == 1
-        same = surface == true_surface and (
-            surface == NO_SURFACE or abs(range_m - true_m) < (0.004 if ground else 0.001)
-        )
-        good += same
+        close = surface == NO_SURFACE or abs(range_m - true_m) < (0.004 if ground else 0.001)
+        good += surface == true_surface and close
         hits += surface != NO_SURFACE
         if surface != NO_SURFACE:
             seen.add((int(window.surfaces["semantic"][surface]), int(window.surfaces["part"][surface])))
-    assert hits > (20 if towards == "z" else 100)
+    assert hits > (10 if towards == "z" else 50)
     assert {(2, 1), (2, 4)} <= seen
     assert towards == "z" or {(1, 0), (4, 0)} <= seen
     # A cone that is met steeply is found in too few steps: see the radius of a stem in `march`.
-    assert good >= len(origin_m) - (3 if "z" in towards else 1)
+    assert good >= len(origin_m) - (2 if "z" in towards else 1)
 
 
 def test_light_that_leaves_the_grid_meets_nothing_beyond():
     """A ray that leaves the top of a brick in the very middle of a slab does not go on in the brick of the next column."""
-    medium = dense_bricks(lab.no_medium(), (2, 1, 1), lambda x, y, z: x == 1)
+    medium = lab.no_medium()._replace(
+        brick=np.array([[[[0, 0]]], [[[2**64 - 1, 0]]]], "u8"),
+        record=np.full(64, 60 | 60 << 7 | 60 << 14, "u4"),
+        first_owner=np.zeros(64, "u4"),
+        owner=np.array([255 << 56 | 5], "u8"),
+        cosine=np.full((1, len(KNOTS), QUANTILES), 0.5, "f4"),
+    )
     origin_m, direction = np.array([-1.25, 1.0, 0.5], "f4"), np.array([1.0, 0.0, 0.5], "f4")
     for level_m in np.linspace(-0.3, 0.3, 601):
         origin_m[1] = 1.0 + level_m
@@ -261,7 +248,7 @@ def test_a_ray_is_the_same_alone_and_in_any_order(stand):
     """A sub-ray meets the same, bit by bit, alone, among the eight of its pulse, and with these in another order."""
     world, _, medium = stand
     met, order = 0, np.array([3, 7, 0, 5, 1, 6, 2, 4])
-    for axis, origin_m, direction in pulses_of_eight(world, 600):
+    for axis, origin_m, direction in pulses_of_eight(world, 240):
         eight = marched(medium, origin_m, direction, axis)
         other = marched(medium, origin_m[order], direction[order], axis)
         for array, shuffled in zip(eight, other, strict=True):
@@ -270,7 +257,7 @@ def test_a_ray_is_the_same_alone_and_in_any_order(stand):
             alone = marched(medium, origin_m[[lane]], direction[[lane]], axis)
             assert all(a[0] == b[lane] for a, b in zip(alone, eight, strict=True))
         met += int((eight[1] != NO_SURFACE).sum())
-    assert met > 1500
+    assert met > 600
 
 
 @pytest.mark.parametrize("half_width", [0.05, 0.6, 3.0])

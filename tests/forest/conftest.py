@@ -10,6 +10,7 @@ from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import Stand
 
+REACH_M = 15.0
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 BIRCH = settings.SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)
 SPRUCE = settings.SpeciesShare(species="norway_spruce", share=0.6, dbh_cm=24.0, height_m=21.0)
@@ -51,20 +52,18 @@ def terrain():
 
 @pytest.fixture(scope="session")
 def make_forest(terrain):
-    def make(*, path_xy_m=PATH_XY_M, with_layers=False, reach_m=40.0, loose_stems=False, **changes):
+    def make(*, path_xy_m=PATH_XY_M, with_layers=False, loose_stems=False, **changes):
         section = (FULL if with_layers else BARE).model_copy(update=changes)
-        path, height_m = Corridor(path_xy_m, section.path_clearance_m), terrain.height_m
-        return ForestWorld(
-            section,
-            Stand(section, seed=5, height_m=height_m, path=path),
-            seed=5,
-            height_m=height_m,
-            path=path,
-            reach_m=reach_m,
-            loose_stems=loose_stems,
-        )
+        ground = {"seed": 5, "height_m": terrain.height_m, "path": Corridor(path_xy_m, section.path_clearance_m)}
+        return ForestWorld(section, Stand(section, **ground), **ground, reach_m=REACH_M, loose_stems=loose_stems)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def reach_m():
+    """How far about a track windows of these forests reach."""
+    return REACH_M
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ from scipy import special
 from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.floor_shapes import _icosphere, _outline_m2
+from vlp16emu.forest.stand.floor_shapes import _outline_m2
 from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA, normal_quantile
 from vlp16emu.forest.stand.stand import class_scale
 from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
@@ -60,16 +60,6 @@ def test_outlines_are_those_of_hulls() -> None:
     rng = np.random.default_rng(1)
     for points in (rng.normal(size=(300, 2)), np.argwhere(np.ones((5, 7))) * 1.0):
         assert _outline_m2(points) == pytest.approx(ConvexHull(points).volume, rel=1e-12)
-
-
-def test_an_icosphere_is_closed_and_looks_outwards() -> None:
-    """All edges of an icosphere are shared by two faces that run through them both ways; its volume is positive."""
-    vertices, faces = _icosphere(1)
-    edges = {(a, b) for face in faces.tolist() for a, b in zip(face, np.roll(face, -1).tolist(), strict=True)}
-    assert len(edges) == 240
-    assert {(b, a) for a, b in edges} == edges
-    assert (determinant(vertices[faces]) > 0).all()
-    assert np.linalg.norm(vertices, axis=1) == pytest.approx(1.0, rel=1e-15)
 
 
 def test_vectors_are_those_of_linear_algebra() -> None:

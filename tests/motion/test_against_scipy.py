@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from motion.kit import straps
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
@@ -12,8 +13,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
-from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack, response
-from vlp16emu.motion.splines import interpolant
+from vlp16emu.extras.splines import interpolant
+from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack, response
 
 
 def uneven(n, least=0.2):
@@ -61,7 +62,7 @@ def trunk():
 
 @pytest.mark.parametrize("hz", [0.5, 3.0, 40.0])
 @pytest.mark.parametrize("damping", [0.0, 0.2, 1.0, 10.0])
-def test_a_pack_swings_as_a_general_solver_says(hz, damping, straps):
+def test_a_pack_swings_as_a_general_solver_says(hz, damping):
     """From 0.5 to 40 Hz, undamped to overdamped, x'' + 2zw(x' - u') + w2(x - u) = 0 is solved within 1e-11 m."""
     w, u = 2 * math.pi * hz, trunk()
     rate, matrix = u.derivative(), np.array([[0.0, 1.0], [-w * w, -2 * damping * w]])

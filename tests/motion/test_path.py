@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.path import Path
+from vlp16emu.extras.walk.path import Path
 from vlp16emu.store import user_store
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0], [66.0, 14.0]])
@@ -120,7 +120,7 @@ def test_heading_does_not_jump():
 
 
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=8))
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 def test_any_way_points_give_a_smooth_path_or_a_refusal(points):
     """Whatever the waypoints, the curve is finite and turns no tighter than about 0.1 m, or it is refused."""
     try:

@@ -1,14 +1,12 @@
 """A path with its timing: how fast a person goes along it."""
 
-import itertools
-
 import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Stop, Walk
-from vlp16emu.motion.path import Path, limit_slope
-from vlp16emu.motion.route import Profile, Route
+from vlp16emu.extras.walk import Stop, Walk
+from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.route import Profile, Route
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [36.0, 2.0], [20.0, 14.0]])
 LOOP_M = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 9.0], [0.0, 9.0], [0.0, 0.0]])
@@ -205,14 +203,3 @@ def test_short_and_long_paths_are_finite(length_m):
     values = np.array(made.at(np.linspace(0.0, made.run_time_s, 1000)))
     assert np.isfinite(values).all()
     assert values[0, -1] == pytest.approx(length_m)
-
-
-def test_limited_slope_is_the_largest_curve_below():
-    """The lowered curve is the least, over all points, of their value and what may be climbed from there."""
-    rng = np.random.default_rng(3)
-    values, step = rng.random(50) * 5, rng.random(49)
-    place = np.concatenate([[0.0], np.cumsum(step)])
-    expected = [min(values[j] + abs(place[i] - place[j]) for j in range(50)) for i in range(50)]
-    limit_slope(values, step)
-    np.testing.assert_allclose(values, expected, atol=1e-12)
-    assert all(abs(b - a) <= s + 1e-12 for (a, b), s in zip(itertools.pairwise(values), step, strict=True))

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from packets.kit import make_returns
 from scipy import stats
 
 from vlp16emu.extras.bench.gps_in import parse_rmc
@@ -20,7 +21,7 @@ from vlp16emu.packets import (
 from vlp16emu.types import ReturnMode, SensorModel
 
 
-def repacked(payloads, mode, make_returns):
+def repacked(payloads, mode):
     """Decode, rebuild what the sensor measured, and pack."""
     points = decode_data(payloads, keep_no_returns=True)
     shape = (-1, 16, 2) if mode is ReturnMode.DUAL else (-1, 16, 1)
@@ -40,10 +41,10 @@ def repacked(payloads, mode, make_returns):
 
 
 @pytest.mark.parametrize(("capture", "mode"), [("real_single", ReturnMode.STRONGEST), ("real_dual", ReturnMode.DUAL)])
-def test_packed_again(request, make_returns, capture, mode):
+def test_packed_again(request, capture, mode):
     """Decoded and packed again the payloads of real units are the same, to the last byte."""
     payloads = request.getfixturevalue(capture)
-    np.testing.assert_array_equal(repacked(payloads, mode, make_returns), payloads)
+    np.testing.assert_array_equal(repacked(payloads, mode), payloads)
 
 
 def test_time_steps(real_single, real_dual):

@@ -7,6 +7,7 @@ rounds azimuths to 0.01 deg, which is 9 mm at 100 m.
 import numpy as np
 import pytest
 import velodyne_decoder as vd
+from packets.kit import make_returns, random_returns
 
 from vlp16emu.packets import data_payloads, decode_data, pack_position, rmc, scan_starts
 from vlp16emu.types import GnssFix, PpsState, ReturnMode, SensorModel
@@ -53,7 +54,7 @@ def compare(payloads, tolerance_m):
 
 @pytest.mark.parametrize("mode", ReturnMode)
 @pytest.mark.parametrize("model", [SensorModel.VLP_16, SensorModel.PUCK_HI_RES])
-def test_points(random_returns, make_returns, mode, model):
+def test_points(mode, model):
     """Rings, reflectivities and times are equal, and no point is more than 15 mm apart."""
     returns = random_returns(24 * 30, seed=31)
     near = make_returns(
@@ -73,7 +74,7 @@ def test_points_of_real_units(request, capture):
     compare(request.getfixturevalue(capture)[:200], tolerance_m=0.015)
 
 
-def test_scans(make_returns):
+def test_scans():
     """Told to cut at 0 deg, its stream decoder cuts scans where ours are cut, to whole packets."""
     packets = 450
     returns = make_returns(

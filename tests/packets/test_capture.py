@@ -6,6 +6,7 @@ import lzma
 import shutil
 import struct
 import subprocess
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -86,12 +87,12 @@ def read(tmp_path, content, name="some.pcap", **options):
         return list(capture), capture
 
 
-def fragments(ip, size=776):
+def fragments(ip, size=776, number=9):
     """Cut an IPv4 packet without options up, with a sum of the header that nobody looks at."""
     for begin in range(0, len(ip) - 20, size):
         part, more = ip[20 + begin : 20 + begin + size], begin + size < len(ip) - 20
         words = begin // 8 | 0x2000 * more
-        yield ip[:2] + struct.pack(">HHH", 20 + len(part), 9, words) + ip[8:20] + part
+        yield ip[:2] + struct.pack(">HHH", 20 + len(part), number, words) + ip[8:20] + part
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -124,51 +125,77 @@ def test_pcapng_gives_exact_stamps(tmp_path, order, options, stamp):
     assert [d.payload for d in datagrams] == [PAYLOAD, bytes(512)]
 
 
+FRAMES = {
+    "cooked": (113, bytes(2) + b"\0\1\0\6`v\x888\0\1\0\0\x08\0" + IP),
+    "cooked 2": (276, b"\x08\0\0\0\0\0\0\1\0\1\0\6`v\x888\0\1\0\0" + IP),
+    "raw": (101, IP, IP6 + UDP[:20] + bytes(1194)),
+    "raw IPv4": (228, IP),
+    "null": (0, b"\2\0\0\0" + IP),
+    "loop": (108, b"\0\0\0\2" + IP),
+    "PPP": (9, b"\x00\x21" + IP, b"\xff\x03\x00\x21" + IP6 + UDP),
+    "PPPoE link": (51, b"\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP),
+    "HDLC": (104, b"\x0f\0\x08\0" + IP),
+    "VLAN": (1, DATA[:12] + b"\x81\0\0\5" + DATA[12:]),
+    "QinQ": (1, DATA[:12] + b"\x88\xa8\0\5\x81\0\0\6" + DATA[12:]),
+    "MPLS": (1, DATA[:12] + b"\x88\x47\0\0\x50\x40\0\0\x61\x40" + IP),
+    "PPPoE": (1, DATA[:12] + b"\x88\x64\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP),
+    "LLC": (1, DATA[:12] + struct.pack(">H", len(IP) + 8) + b"\xaa\xaa\3\0\0\0\x08\0" + IP),
+    "IPv6": (1, DATA[:12] + b"\x86\xdd" + IP6 + UDP),
+    "fragments": (101, *fragments(IP)),
+    "fragments the last first": (101, *[*fragments(IP, 400, 10)][::-1]),
+    "802.11: captcp#16": (105, WIFI, WIFI_QOS),
+    "radiotap": (127, b"\0\0\x08\0\0\0\0\0" + WIFI),
+    "AVS": (163, struct.pack(">II56x", 0x80211001, 64) + WIFI),
+    "PPI": (192, struct.pack("<HHI", 0, 8, 105) + WIFI),
+    "PKTAP of macOS: tcpdump#1330": (258, struct.pack("<III96x", 108, 1, 1) + DATA),
+    "netfilter log of Linux": (239, struct.pack("<I2HI2H", 2, 8, 1, 0, 4 + len(IP), 9) + IP),
+    "ERSPAN I: beats#34977": (1, gre(0x88BE, 0, DATA)),
+    "ERSPAN II: captagent#59": (1, gre(0x88BE, 0x10, bytes(4) + b"\x10" + bytes(7) + DATA)),
+    "ERSPAN III: heplify#121": (1, gre(0x22EB, 0x10, bytes(4) + b"\x20" + bytes(11) + DATA)),
+}
+"""Link type and frames of datagrams that are whole with the last of them, by what is around them."""
+
+
+def shown_by_tshark(path):
+    """Frame number and payload of each datagram."""
+    fields = ("-T", "fields", "-e", "frame.number", "-e", "udp.payload")
+    command = ["tshark", "-n", "-r", path, "-d", "udp.port==2368,data", "-Y", "udp", *fields]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+@TSHARK
+def test_frames_that_tshark_reads_are_read(tmp_path):
+    """In a capture with an interface for each link, number and payload of each datagram are those that tshark shows."""
+    rows = [(name, link, frame) for name, (link, *frames) in FRAMES.items() for frame in frames]
+    content = pcapng(*((i, frame) for i, (_, _, frame) in enumerate(rows)), link_types=[link for _, link, _ in rows])
+    datagrams, _ = read(tmp_path, content, repeats=True)
+    shown = dict(line.split("\t") for line in shown_by_tshark(tmp_path / "some.pcap"))
+    found = {str(d.number): d.payload.hex() for d in datagrams}
+    for number, (name, _, _) in enumerate(rows, 1):
+        assert found.get(str(number)) == shown.get(str(number)), name
+    assert {rows[d.number - 1][0] for d in datagrams} == FRAMES.keys()
+
+
 @TSHARK
 @pytest.mark.parametrize(
     "content",
     [
-        pytest.param(pcap(bytes(2) + b"\0\1\0\6`v\x888\0\1\0\0\x08\0" + IP, link_type=113), id="cooked"),
-        pytest.param(pcap(b"\x08\0\0\0\0\0\0\1\0\1\0\6`v\x888\0\1\0\0" + IP, link_type=276), id="cooked 2"),
-        pytest.param(pcap(IP, IP6 + UDP[:20] + bytes(1194), link_type=101), id="raw"),
-        pytest.param(pcap(IP, link_type=228), id="raw IPv4"),
-        pytest.param(pcap(b"\2\0\0\0" + IP, link_type=0), id="null"),
-        pytest.param(pcap(b"\0\0\0\2" + IP, link_type=108), id="loop"),
-        pytest.param(pcap(b"\x00\x21" + IP, b"\xff\x03\x00\x21" + IP6 + UDP, link_type=9), id="PPP"),
-        pytest.param(pcap(b"\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP, link_type=51), id="PPPoE link"),
-        pytest.param(pcap(b"\x0f\0\x08\0" + IP, link_type=104), id="HDLC"),
-        pytest.param(pcap(DATA[:12] + b"\x81\0\0\5" + DATA[12:]), id="VLAN"),
-        pytest.param(pcap(DATA[:12] + b"\x88\xa8\0\5\x81\0\0\6" + DATA[12:]), id="QinQ"),
-        pytest.param(pcap(DATA[:12] + b"\x88\x47\0\0\x50\x40\0\0\x61\x40" + IP), id="MPLS"),
-        pytest.param(pcap(DATA[: 12] + b"\x88\x64\x11\0\0\1" + struct.pack(">H", len(IP) + 2) + b"\0\x21" + IP), id="PPPoE"),
-        pytest.param(pcap(DATA[:12] + struct.pack(">H", len(IP) + 8) + b"\xaa\xaa\3\0\0\0\x08\0" + IP), id="LLC"),
-        pytest.param(pcap(DATA[:12] + b"\x86\xdd" + IP6 + UDP), id="IPv6"),
-        pytest.param(pcap(*fragments(IP), link_type=101), id="fragments"),
-        pytest.param(pcap(*[*fragments(IP, 400)][::-1], link_type=101), id="fragments the last first"),
-        pytest.param(pcapng((0, DATA), (1, IP), (0, POSITION), link_types=(1, 101)), id="two interfaces"),
-        pytest.param(pcapng((0, DATA), kind=3), id="simple packet block"),
-        pytest.param(pcapng((0, DATA), kind=2), id="packet block"),
-        pytest.param(pcapng((0, DATA)) + pcapng((0, POSITION), order=">"), id="two sections"),
+        pytest.param(pcap(IP, link_type=101), id="raw pcap"),
+        pytest.param(
+            pcapng((0, DATA), (1, IP), (0, POSITION), link_types=(1, 101))
+            + pcapng((0, DATA), kind=3)
+            + pcapng((0, DATA), kind=2)
+            + pcapng((0, POSITION), order=">"),
+            id="sections with all kinds of blocks",
+        ),
         pytest.param(modified(DATA, POSITION), id="modified pcap: dpkt#632, ntopng#2443"),
-        pytest.param(pcap(WIFI, WIFI_QOS, link_type=105), id="802.11: captcp#16"),
-        pytest.param(pcap(b"\0\0\x08\0\0\0\0\0" + WIFI, link_type=127), id="radiotap"),
-        pytest.param(pcap(struct.pack(">II56x", 0x80211001, 64) + WIFI, link_type=163), id="AVS"),
-        pytest.param(pcap(struct.pack("<HHI", 0, 8, 105) + WIFI, link_type=192), id="PPI"),
-        pytest.param(pcap(struct.pack("<III96x", 108, 1, 1) + DATA, link_type=258), id="PKTAP of macOS: tcpdump#1330"),
-        pytest.param(pcap(struct.pack("<I2HI2H", 2, 8, 1, 0, 4 + len(IP), 9) + IP, link_type=239), id="netfilter log of Linux"),
-        pytest.param(pcap(gre(0x88BE, 0, DATA)), id="ERSPAN I: beats#34977"),
-        pytest.param(pcap(gre(0x88BE, 0x10, bytes(4) + b"\x10" + bytes(7) + DATA)), id="ERSPAN II: captagent#59"),
-        pytest.param(pcap(gre(0x22EB, 0x10, bytes(4) + b"\x20" + bytes(11) + DATA)), id="ERSPAN III: heplify#121"),
         pytest.param(pcap(DATA, POSITION) + bytes(4096), id="zeros behind the end, by a loss of power: tcpreplay#405"),
     ],
-)  # fmt: skip
-def test_what_tshark_reads_is_read(tmp_path, content):
-    """Frame number and payload of each datagram are those that tshark shows, whatever the container and the link."""
+)
+def test_containers_that_tshark_reads_are_read(tmp_path, content):
+    """Frame number and payload of each datagram are those that tshark shows, whatever the container."""
     datagrams, _ = read(tmp_path, content, repeats=True)
-    fields = ("-T", "fields", "-e", "frame.number", "-e", "udp.payload")
-    command = ["tshark", "-n", "-r", tmp_path / "some.pcap", "-d", "udp.port==2368,data", "-Y", "udp", *fields]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert [f"{d.number}\t{d.payload.hex()}" for d in datagrams] == shown
+    assert [f"{d.number}\t{d.payload.hex()}" for d in datagrams] == shown_by_tshark(tmp_path / "some.pcap")
     assert datagrams
 
 
@@ -193,18 +220,18 @@ def test_tunnels_options_and_padding(tmp_path, frame):
     assert datagram.source == bytes([192, 168, 1, 201])
 
 
-@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress, "zstd"])
+@pytest.mark.parametrize("pack", [gzip.compress, partial(bz2.compress, compresslevel=1), lzma.compress, "zstd"])
 def test_archives_are_read_also_when_cut(tmp_path, pack):
     """A compressed capture gives the same datagrams; one that ends early those before, and says so."""
     if pack == "zstd":
         pack = pytest.importorskip("zstandard").ZstdCompressor().compress
     random = np.random.default_rng(1)
-    frames = [DATA[:60] + random.bytes(1188) for _ in range(1500)]
+    frames = [DATA[:60] + random.bytes(1188) for _ in range(300)]
     whole, packed = pcap(*frames), pack(pcap(*frames))
     datagrams, capture = read(tmp_path, packed, "x.pcap.packed")
     assert (datagrams, capture.cut) == (read(tmp_path, whole)[0], False)
     datagrams, capture = read(tmp_path, packed[: len(packed) * 3 // 4], "cut")
-    assert 0 < len(datagrams) < 1500
+    assert 0 < len(datagrams) < 300
     assert capture.cut
 
 
@@ -375,9 +402,7 @@ def test_captures_as_people_have_them(name, units, packets):
 
 def test_names_of_captures():
     """Rotated and compressed captures are known by their names; scenes are no captures."""
-    assert all(
-        map(is_capture_name, ("a.pcap", "a.PCAPNG", "a.pcap12", "a.cap.gz", "a.pcap.zst", "walk*.pcap*".rstrip("*")))
-    )
+    assert all(map(is_capture_name, ("a.pcap", "a.PCAPNG", "a.pcap12", "a.cap.gz", "a.pcap.zst", "walk*.pcap")))
     assert not any(map(is_capture_name, ("a.toml", "birch_walk", "a.pcap.toml", "pcap")))
 
 

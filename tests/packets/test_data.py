@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from packets.kit import make_returns, random_returns
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets import data_payloads, pack_data, timestamp_us
@@ -46,14 +47,14 @@ def slow_payloads(returns, mode):
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
-def test_against_slow_twin(random_returns, mode):
+def test_against_slow_twin(mode):
     """The vectorised packer writes what a loop over single records writes, each packet by itself."""
     returns = random_returns(24 * 5, seed=11)
     np.testing.assert_array_equal(data_payloads(returns, mode, VLP_16), slow_payloads(returns, mode))
 
 
 @pytest.mark.parametrize(("mode", "sequences"), [("strongest", 24), ("last", 24), ("dual", 12)])
-def test_due_after_the_last_sequence(make_returns, mode, sequences):
+def test_due_after_the_last_sequence(mode, sequences):
     """A packet leaves 24 firing sequences (12 in dual return) after its first pulse."""
     start_ns = 1_779_267_600_000_000_123
     packets = pack_data(make_returns(48, t_ns=start_ns), ReturnMode(mode), VLP_16)
@@ -66,7 +67,7 @@ def test_due_after_the_last_sequence(make_returns, mode, sequences):
 @pytest.mark.parametrize(
     ("model", "byte"), [(SensorModel.VLP_16, 0x22), (SensorModel.PUCK_LITE, 0x22), (SensorModel.PUCK_HI_RES, 0x24)]
 )
-def test_factory_byte(make_returns, model, byte):
+def test_factory_byte(model, byte):
     """The last byte names the product."""
     assert data_payloads(make_returns(24), ReturnMode.STRONGEST, model)[0, -1] == byte
 
@@ -88,25 +89,17 @@ def test_time_is_floored_to_microseconds(clock_ns, us):
     assert timestamp_us(np.array([clock_ns]))[0] == us
 
 
-def test_time_steps(make_returns):
-    """Steps between packets are 1327 or 1328 us and lose nothing over 1000 packets."""
-    payloads = data_payloads(make_returns(24 * 1001, clock_ns=777), ReturnMode.STRONGEST, VLP_16)
-    stamps_us = payloads.view(DATA_PAYLOAD)["timestamp_us"].ravel().astype(np.int64)
-    assert set(np.diff(stamps_us)) == {1327, 1328}
-    assert abs(stamps_us[-1] - stamps_us[0] - 1_327_104) <= 1
-
-
-def azimuth_codes(make_returns, reading_deg):
+def azimuth_codes(reading_deg):
     """Codes of one angle per block."""
     readings = np.repeat(np.resize(reading_deg, -(-len(reading_deg) // 12) * 12), 2)
     payloads = data_payloads(make_returns(len(readings), reading_deg=readings), ReturnMode.STRONGEST, VLP_16)
     return payloads.view(DATA_PAYLOAD)["blocks"]["azimuth_cdeg"].ravel()[: len(reading_deg)]
 
 
-def test_every_azimuth_code(make_returns):
+def test_every_azimuth_code():
     """Each of the 36000 whole hundredths of a degree becomes its code, between two the lower is sent, never 36000; nothing gives no packets."""
-    np.testing.assert_array_equal(azimuth_codes(make_returns, np.arange(36000) / 100), np.arange(36000))
-    codes = azimuth_codes(make_returns, np.array([0.0099, 123.4567, 359.9999, 359.9999999999, np.nextafter(360, 0)]))
+    np.testing.assert_array_equal(azimuth_codes(np.arange(36000) / 100), np.arange(36000))
+    codes = azimuth_codes(np.array([0.0099, 123.4567, 359.9999, 359.9999999999, np.nextafter(360, 0)]))
     assert codes.tolist() == [0, 12345, 35999, 0, 0]
     assert pack_data(make_returns(0), ReturnMode.STRONGEST, VLP_16) == []
 
@@ -127,7 +120,7 @@ def test_every_azimuth_code(make_returns):
         (500.0, 0),
     ],
 )
-def test_distance_codes(make_returns, distance_m, code):
+def test_distance_codes(distance_m, code):
     """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return; reflectivity stays."""
     shape = (24, 16, 3)
     returns = make_returns(
@@ -157,7 +150,7 @@ def test_distance_codes(make_returns, distance_m, code):
         ),
     ],
 )
-def test_refuses_what_cannot_be_packed(make_returns, changes, message):
+def test_refuses_what_cannot_be_packed(changes, message):
     """Incomplete packets, other sensors and impossible numbers are distinguished from returns."""
     with pytest.raises(InputError) as error:
         pack_data(make_returns(**changes), ReturnMode.STRONGEST, VLP_16)

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from packets.kit import make_returns, random_returns
 
 from vlp16emu.errors import PacketError
 from vlp16emu.packets import data_fields, data_payloads, decode_data, decode_position, pack_position, scan_starts
@@ -15,7 +16,7 @@ from vlp16emu.types import PpsState, ReturnMode, SensorModel
 VLP_16 = SensorModel.VLP_16
 
 
-def steady(make_returns, mode, packets, start_deg=358.0, step_deg=0.1990656, clock_ns=0):
+def steady(mode, packets, start_deg=358.0, step_deg=0.1990656, clock_ns=0):
     """Payloads of a rotor without errors, every distance 10 m."""
     sequences = packets * (12 if mode is ReturnMode.DUAL else 24)
     returns = make_returns(
@@ -48,7 +49,7 @@ def slow_points(payloads, model):
 
 @pytest.mark.parametrize("mode", ReturnMode)
 @pytest.mark.parametrize("model", [SensorModel.VLP_16, SensorModel.PUCK_HI_RES])
-def test_against_slow_twin(random_returns, mode, model):
+def test_against_slow_twin(mode, model):
     """Azimuths and coordinates are those of a loop over the manual's formulas, with its y as x and its -x as y."""
     payloads = data_payloads(random_returns(24 * 4, seed=21), mode, model)
     points = decode_data(payloads, keep_no_returns=True)
@@ -62,7 +63,7 @@ def test_against_slow_twin(random_returns, mode, model):
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
-def test_dropping_no_returns(random_returns, mode):
+def test_dropping_no_returns(mode):
     """Without the pulses that found nothing the other records are the same, in the same order."""
     payloads = data_payloads(random_returns(24 * 3, seed=22), mode, VLP_16)
     every, some = (decode_data(payloads, keep_no_returns=keep) for keep in (True, False))
@@ -72,33 +73,19 @@ def test_dropping_no_returns(random_returns, mode):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[seen])
 
 
-def test_what_was_packed_is_read(random_returns):
-    """Distances come back to 1 mm, reflectivities and angles of the first lasers as they were."""
-    returns = random_returns(24 * 10, seed=23)
-    points = decode_data(data_payloads(returns, ReturnMode.STRONGEST, VLP_16), keep_no_returns=True)
-    sent = returns.distance_m[..., 0].ravel()
-    seen = (sent >= 0.5) & (sent <= 131)
-    assert np.abs(points.distance_m - sent)[seen].max() <= 0.00101
-    np.testing.assert_array_equal(points.reflectivity[seen], returns.reflectivity[..., 0].ravel()[seen])
-    behind_deg = (returns.firings.reading_deg[::2] - points.azimuth_deg[::32]) % 360
-    assert behind_deg.max() < 0.01
-
-
 @pytest.mark.parametrize("mode", ReturnMode)
-def test_precision_azimuth(make_returns, mode):
+def test_precision_azimuth(mode):
     """With a steady rotor every pulse's angle is that of its own instant to the 0.01 deg of a floored reading."""
-    payloads = steady(make_returns, mode, packets=8)
+    payloads = steady(mode, packets=8)
     points = decode_data(payloads, keep_no_returns=True)
     truth_deg = 358 + (points.time_ns - points.time_ns[0]) / 55_296 * 0.1990656
     wrong_deg = (points.azimuth_deg - truth_deg + 180) % 360 - 180
     assert np.abs(wrong_deg).max() <= 0.011  # and a tenth of that for the mean step
 
 
-def test_times(make_returns):
+def test_times():
     """Records stand in order of time, 2.304 us and 55.296 us apart, and roll over within a packet."""
-    points = decode_data(
-        steady(make_returns, ReturnMode.STRONGEST, 2, clock_ns=3_600 * 10**9 - 100_000), keep_no_returns=True
-    )
+    points = decode_data(steady(ReturnMode.STRONGEST, 2, clock_ns=3_600 * 10**9 - 100_000), keep_no_returns=True)
     since_ns = (points.time_ns - points.time_ns[0]).reshape(2, 24, 16) % (3_600 * 10**9)
     assert points.time_ns.max() < 3_600 * 10**9
     assert points.time_ns[-1] < points.time_ns[0]
@@ -106,18 +93,7 @@ def test_times(make_returns):
     assert set(np.diff(since_ns[..., 0], axis=1).ravel()) == {55_296}
 
 
-def test_rings():
-    """Ring 0 looks down most, ring 15 up most, on both models."""
-    payload = np.zeros((1, 1206), np.uint8)
-    payload.view(DATA_PAYLOAD)["blocks"]["flag"] = 0xEEFF
-    for factory, model in ((0x22, SensorModel.VLP_16), (0x24, SensorModel.PUCK_HI_RES)):
-        payload[0, 1204:] = 0x37, factory
-        points = decode_data(payload, keep_no_returns=True)
-        elevation_deg = BEAM_TABLES[model].elevation_deg[points.laser]
-        np.testing.assert_array_equal(np.sort(BEAM_TABLES[model].elevation_deg)[points.ring], elevation_deg)
-
-
-def test_packets_do_not_depend_on_their_company(random_returns):
+def test_packets_do_not_depend_on_their_company():
     """A packet decoded alone gives the points that it gives among others, and no packets give no points."""
     payloads = data_payloads(random_returns(24 * 4, seed=24), ReturnMode.DUAL, VLP_16)
     together = decode_data(payloads, keep_no_returns=True)
@@ -129,9 +105,9 @@ def test_packets_do_not_depend_on_their_company(random_returns):
     assert len(decode_data(np.zeros((0, 1206), np.uint8), keep_no_returns=True).laser) == 0
 
 
-def test_blind_sector_does_not_smear(make_returns):
+def test_blind_sector_does_not_smear():
     """A jump from one edge of the field of view to the other turns no pulse by more than a block's step."""
-    payloads = steady(make_returns, ReturnMode.STRONGEST, 1, start_deg=85)
+    payloads = steady(ReturnMode.STRONGEST, 1, start_deg=85)
     blocks = payloads.view(DATA_PAYLOAD)["blocks"][:, 0]
     blocks["azimuth_cdeg"][0, 6:] += 18_000
     points = decode_data(payloads, keep_no_returns=True)
@@ -140,10 +116,10 @@ def test_blind_sector_does_not_smear(make_returns):
     assert turned_deg.min() >= 0
 
 
-def test_mode_may_change(make_returns):
+def test_mode_may_change():
     """Packets before and after a change of return mode are decoded as alone."""
-    single = steady(make_returns, ReturnMode.STRONGEST, 2)
-    dual = steady(make_returns, ReturnMode.DUAL, 2, start_deg=20)
+    single = steady(ReturnMode.STRONGEST, 2)
+    dual = steady(ReturnMode.DUAL, 2, start_deg=20)
     both = decode_data(np.concatenate([single, dual]), keep_no_returns=True)
     for rows, alone in ((slice(0, 768), single), (slice(768, None), dual)):
         np.testing.assert_array_equal(both.xyz_m[rows], decode_data(alone, keep_no_returns=True).xyz_m)
@@ -159,9 +135,9 @@ def test_mode_may_change(make_returns):
         (103, 0xFF, "data packet 1: azimuth: 0xfff1; expected 0 to 36000 hundredths of a degree"),
     ],
 )
-def test_refuses_other_packets(make_returns, offset, value, message):
+def test_refuses_other_packets(offset, value, message):
     """Bytes that a VLP-16 does not send are an error that names the packet and what stands there."""
-    payloads = steady(make_returns, ReturnMode.STRONGEST, 3)
+    payloads = steady(ReturnMode.STRONGEST, 3)
     payloads.view(DATA_PAYLOAD)["blocks"]["azimuth_cdeg"] = 0xF1
     payloads[1:, offset] = value
     with pytest.raises(PacketError) as error:
@@ -169,9 +145,9 @@ def test_refuses_other_packets(make_returns, offset, value, message):
     assert str(error.value) == message
 
 
-def test_the_first_packet_at_fault_is_named(make_returns):
+def test_the_first_packet_at_fault_is_named():
     """Of a late packet with a broken flag and an earlier one of an unknown mode, the earlier is reported."""
-    payloads = steady(make_returns, ReturnMode.STRONGEST, 4)
+    payloads = steady(ReturnMode.STRONGEST, 4)
     payloads[3, 300] = 0xFE
     payloads[2, 1204] = 0x36
     with pytest.raises(PacketError, match="data packet 2: return mode: 0x36"):
@@ -183,17 +159,6 @@ def test_refuses_other_lengths(shape):
     """Payloads of another length are an error before anything is read from them."""
     with pytest.raises(PacketError, match=r"expected \(n, 1206\) uint8"):
         data_fields(np.zeros(shape, np.uint8))
-
-
-def test_scan_starts(make_returns):
-    """A scan begins at the first azimuth and wherever the azimuth wraps, also in dual return."""
-    for mode in (ReturnMode.STRONGEST, ReturnMode.DUAL):
-        points = decode_data(steady(make_returns, mode, 320, start_deg=350), keep_no_returns=True)
-        starts = scan_starts(points.azimuth_deg)
-        assert starts[0] == 0
-        assert (points.azimuth_deg[starts[1:]] < 0.08).all()  # the rotor turns 0.066 deg while lasers recharge
-        turns = 1 + int((350 + 0.1990656 * 320 * (12 if mode is ReturnMode.DUAL else 24)) // 360)
-        assert len(starts) == turns
 
 
 @pytest.mark.parametrize(

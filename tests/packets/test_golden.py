@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from packets.kit import make_returns
 
 from vlp16emu.packets import data_payloads, pack_position, rmc
 from vlp16emu.types import GnssFix, PpsState, ReturnMode, SensorModel
@@ -29,7 +30,7 @@ def fix_of(meaning):
 
 
 @pytest.mark.parametrize("name", DATA)
-def test_pack_data(make_returns, name):
+def test_pack_data(name):
     """What the sensor measured becomes exactly the golden bytes."""
     meaning = MEANINGS[name]
     sequences = 2 * len(meaning["input"]["reading_deg"])

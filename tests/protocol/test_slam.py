@@ -41,16 +41,6 @@ def test_the_folder_is_made_of_the_table(protocol, tool_named):
     assert there == tool_named("slam_files").made()
 
 
-def test_each_program_has_its_line(protocol):
-    """All 13 programs are in the page, with their start and what is compiled in."""
-    page = (protocol / "slam" / "README.md").read_text(encoding="utf-8")
-    assert len(programs()) == 13
-    for program in programs().values():
-        assert f"| [{program.name}](https://github.com/{program.repository}) |" in page
-        assert program.start in page
-        assert program.compiled in page
-
-
 @pytest.mark.parametrize("program", programs().values(), ids=str)
 def test_names_are_those_of_the_source(program):
     """No parameter has a name that its program does not read: such a value would be ignored without a word."""

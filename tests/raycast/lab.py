@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import trimesh
 
 from vlp16emu.foliage.lanes import Ground, Medium, Pulse
 from vlp16emu.foliage.march import march
@@ -12,8 +13,9 @@ from vlp16emu.foliage.stems import see_stems, seen, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES
 from vlp16emu.forest.tiles import TileKey, ground_mesh
-from vlp16emu.motion.carrier import StaticMotion
+from vlp16emu.motion.static import StaticMotion
 from vlp16emu.raycast.beam import Footprint
+from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.settings import Beam
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.head import Head
@@ -55,12 +57,14 @@ def placed(count, *, at=UTM_M, scaled=True, seed=1):
     )
 
 
-def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0):
-    """Firings of a static sensor in the middle of it."""
+def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0, every=1):
+    """Firings of a static sensor in the middle of it, by every n-th of its lasers."""
     rotor = Rotor((Spin(0, 0.0, 600),), Encoder(1))
     head = Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), 10**18)
     standing = StaticMotion(np.asarray(at, float) + [0, 0, 0.1], 30.0, tilt_deg, 1.0)
-    return head.aim(first, count, standing.poses_at, beam_axis=True)
+    firings = head.aim(first, count, standing.poses_at, beam_axis=True)
+    names = ("t_ns", "azimuth_deg", "origin_m", "direction", "beam_axis")
+    return replace(firings, **{name: getattr(firings, name)[:, ::every].copy() for name in names})
 
 
 def assert_same_bits(ours, other):
@@ -99,12 +103,27 @@ def upright(*rectangles, reflectance=0.5):
     return window, lambda _key: meshes
 
 
-def world(shape, near_m=math.inf, far_tile=None, seed=0):
-    """What a caster needs of a world: shapes, and, where it has a medium, tiles."""
-    return SimpleNamespace(shape=shape, near_m=near_m, far_tile=far_tile, seed=seed, name="", shape_name=lambda _: "")
+def world(shape):
+    """What a caster needs of a world of faces alone."""
+    return SimpleNamespace(shape=shape, near_m=math.inf, far_tile=None, seed=0, name="", shape_name=lambda _: "")
+
+
+def opened(workers, window=None, shape=soup):
+    """Scene of a window, that of thirty soups if none is given."""
+    return EmbreeCaster(world(shape), workers).open(placed(30) if window is None else window)
+
+
+def square_leaves(rng, middle_m, half_m):
+    """Square leaves of all directions about places (n, 3)."""
+    u, v = (rng.normal(size=middle_m.shape) for _ in range(2))
+    v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
+    u, v = (half_m * w / np.linalg.norm(w, axis=1)[:, None] for w in (u, v))
+    corners_m = np.stack([middle_m - u - v, middle_m + u - v, middle_m + u + v, middle_m - u + v], axis=1)
+    return Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * len(middle_m), dtype="u4").reshape(-1, 4))
 
 
 SIDES = 96  # of the polygons that stand for circles
+ANGLES = 2 * np.pi / SIDES * np.arange(SIDES)
 
 
 def fan(rings):
@@ -121,8 +140,7 @@ def stem_mesh(stem, corner_m):
     axis = stem["axis"]
     one = np.cross(axis, [0.0, 1.0, 0.0])
     one /= np.linalg.norm(one)
-    angle = 2 * np.pi / SIDES * np.arange(SIDES)
-    circle = np.cos(angle)[:, None] * one + np.sin(angle)[:, None] * np.cross(axis, one)
+    circle = np.cos(ANGLES)[:, None] * one + np.sin(ANGLES)[:, None] * np.cross(axis, one)
     circle *= np.sqrt(2 * np.pi / SIDES / np.sin(2 * np.pi / SIDES))
     at_m = stem["foot_m"] - corner_m + stem["along_m"][:, None] * axis
     at_m[:, :2] += stem["aside_m"].T
@@ -144,31 +162,17 @@ def crown(leaves=1500, twigs=40):
         at_m = rng.normal(size=(count, 3))
         return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [0, 0, 3]
 
-    u, v = (rng.normal(size=(leaves, 3)) for _ in range(2))
-    v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
-    u, v = (0.06 * w / np.linalg.norm(w, axis=1)[:, None] for w in (u, v))
-    middle_m = ball(leaves)
-    corners_m = np.stack([middle_m - u - v, middle_m + u - v, middle_m + u + v, middle_m - u + v], axis=1)
-    leaf = Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * leaves, dtype="u4").reshape(-1, 4))
+    leaf = square_leaves(rng, ball(leaves), 0.06)
     rings_m = ball(twigs)[:, None] + [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2]]
-    rings_m = rings_m[:, :, None] + 0.02 * _circle()
-    vertices_m = rings_m.reshape(-1, 3).astype("f4")
+    rings_m = rings_m[:, :, None] + 0.02 * np.column_stack([0 * ANGLES, np.cos(ANGLES), np.sin(ANGLES)])
     faces = np.concatenate([2 * SIDES * n + fan(2) for n in range(twigs)]).astype("u4")
-    return Mesh(vertices_m, faces), leaf
-
-
-def _circle():
-    """Points of a unit circle across x."""
-    angle = 2 * np.pi / SIDES * np.arange(SIDES)
-    return np.column_stack([0 * angle, np.cos(angle), np.sin(angle)])
+    return Mesh(rings_m.reshape(-1, 3).astype("f4"), faces), leaf
 
 
 def stone():
     """A block of 12 triangles."""
-    corners_m = np.array([[x, y, z] for x in (-0.4, 0.4) for y in (-0.3, 0.3) for z in (0.0, 0.5)], "f4")
-    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6]]
-    faces += [[0, 6, 4], [1, 5, 7], [1, 7, 3]]
-    return (Mesh(corners_m, np.array(faces, "u4")),)
+    block = trimesh.creation.box(bounds=[[-0.4, -0.3, 0.0], [0.4, 0.3, 0.5]])
+    return (Mesh(block.vertices.astype("f4"), block.faces.astype("u4")),)
 
 
 def bumpy(x, y):

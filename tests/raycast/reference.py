@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 
 from vlp16emu.elementary import matvec
+from vlp16emu.extras.displace import displace
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import LINE, ROUND, Footprint, beam_axis_of, lay, pulse_axes, turn
 from vlp16emu.raycast.build import relative_to_window, sheared
-from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.pieces import faces_of
 from vlp16emu.types import F4, F8, I8, NO_SURFACE, U4, Firings, Hits, Mesh, ShapeKey, Window
 
@@ -146,17 +146,6 @@ class ReferenceScene:
                 cos_incidence[i] = abs(normal @ direction[i]) / np.linalg.norm(normal)
                 range_m[i], surface[i] = t_m[nearest], surfaces[nearest]
         return range_m, surface, cos_incidence
-
-
-class ReferenceCaster:
-    """Opens windows for the slow twin."""
-
-    def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
-        self._shape = shape
-
-    def open(self, window: Window) -> ReferenceScene:
-        """Make a window ready for casting."""
-        return ReferenceScene(window, self._shape)
 
 
 def ranges_m(triangles_m: F8, origin_m: F8, direction: F8) -> F8:

@@ -12,25 +12,11 @@ import pytest
 from raycast import lab
 
 from vlp16emu.errors import RunError
-from vlp16emu.foliage.far import FarCaster
 from vlp16emu.raycast import embree
 from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
-from vlp16emu.raycast.caster import caster
-from vlp16emu.raycast.embree import library_path
 from vlp16emu.raycast.near import EmbreeCaster
 
 TASKS = Path("/proc/self/task")
-
-
-def test_the_wheel_has_the_library():
-    """Where embreex is installed its library is there to be driven."""
-    assert library_path().is_file()
-
-
-def test_only_a_world_with_a_limit_gets_a_medium(workers):
-    """What is near to any range is cast as faces alone; a world that is seen from afar beyond some range has a medium."""
-    assert type(caster(lab.world(lab.soup), workers)) is EmbreeCaster
-    assert type(caster(lab.Tiles(), workers)) is FarCaster
 
 
 @pytest.mark.skipif(not TASKS.is_dir(), reason="the threads of a process are counted in /proc")

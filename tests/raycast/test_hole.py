@@ -5,8 +5,6 @@ import pytest
 from raycast import lab
 from scipy.stats import norm
 
-from vlp16emu.raycast.near import EmbreeCaster
-
 HALF_M, PLATE_M, WALL_M = 0.005, 10.0, 15.0
 SIGMA_M = np.array([0.0127 + 0.003 * PLATE_M, 0.0095 + 0.0015 * PLATE_M]) / 4
 OFFSETS_M = np.array([-30, -20, -14, -9, -6, -3, 0, 2, 4, 7, 12, 18, 25]) / 1000
@@ -20,8 +18,7 @@ def scene(workers):
         (PLATE_M, -HALF_M, HALF_M, HALF_M, 5.0),
         (PLATE_M, -HALF_M, HALF_M, -5.0, -HALF_M),
     )
-    window, shape = lab.upright(*plate, (WALL_M, -9.0, 9.0, -9.0, 9.0))
-    return EmbreeCaster(lab.world(shape), workers).open(window)
+    return lab.opened(workers, *lab.upright(*plate, (WALL_M, -9.0, 9.0, -9.0, 9.0)))
 
 
 def expected():

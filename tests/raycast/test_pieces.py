@@ -7,11 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from raycast import lab
-from raycast.reference import ReferenceCaster, frozen
+from raycast.reference import ReferenceScene, frozen
 
 from vlp16emu.foliage import far
 from vlp16emu.foliage.far import STRAY_M, FarCaster, within_reach
-from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.packet import LEVEL
 from vlp16emu.raycast.pieces import faces_of, in_pieces
 from vlp16emu.types import SURFACE, Mesh, Sway, Window
@@ -35,30 +34,7 @@ def ground():
 
 
 CONE = drum([3.0, 2.5, 2.0, 1.5, 1.0, 0.5, 0.1])
-WALL = drum([3.0] * 7)
 STEMS = [drum([0.2] * 7, at_m=(x, 3.0)) for x in (-6.0, 0.0, 6.0)]
-EMPTY = Mesh(np.zeros((0, 3), "f4"), np.zeros((0, 4), "u4"))
-
-
-def counts(*meshes):
-    """How many faces of each mesh are in each piece."""
-    return np.diff(in_pieces([faces_of(mesh) for mesh in meshes])[1], axis=0).tolist()
-
-
-def test_ground_and_stems_are_pieces_of_their_own():
-    """What stands apart is in boxes of its own, and what has no faces is in none."""
-    assert counts(ground(), EMPTY, *STEMS) == [[2, 0, 0, 0, 0], *np.diag([144] * 5)[2:].tolist()]
-
-
-def test_what_tapers_is_cut_into_slabs():
-    """A cone of 6 m has pieces of 1.5 m height, and a wall of one width, whose slabs are as wide as it is, has one."""
-    assert counts(CONE) == [[48], [24], [48], [24]]
-    assert counts(WALL) == [[144]]
-
-
-def test_meshes_inside_each_other_share_pieces():
-    """Leaves and branches of a crown are one piece to each slab, not one each."""
-    assert counts(CONE, drum([2.5, 2.0, 1.5, 1.0, 0.5, 0.25, 0.05])) == [[48] * 2, [24] * 2, [48] * 2, [24] * 2]
 
 
 def test_pieces_hold_each_face_once():
@@ -78,14 +54,12 @@ def test_light_meets_pieces_as_it_meets_the_whole(workers):
     place[:, :, 3] = lab.UTM_M + [[8.0, 0.0, -1.0], [4.0, -12.0, -1.0]]
     surfaces = np.zeros(2 * len(meshes), SURFACE)
     window = Window(lab.UTM_M, ("all",), np.zeros(2, "i4"), place, np.array([0, 5], "u4"), surfaces)
-    firings = lab.pulses(2048)
-    some = {name: getattr(firings, name)[::8] for name in ("t_ns", "clock_ns", "azimuth_deg", "reading_deg")}
-    some |= {name: getattr(firings, name)[::8].copy() for name in ("origin_m", "direction", "beam_axis")}
-    firings = replace(firings, **some)
-    fast, slow = (
-        caster.open(window).cast(firings, lab.NEAR_M, lab.FAR_M)
-        for caster in (EmbreeCaster(lab.world(lambda _: meshes), workers), ReferenceCaster(lambda _: meshes))
+    direction = np.random.default_rng(7).normal(0, [1, 1, 0.2], (2048, 3))
+    firings = lab.rays(
+        np.tile(lab.UTM_M + [0, 0, 0.1], (2048, 1)), direction / np.linalg.norm(direction, axis=1)[:, None]
     )
+    scenes = lab.opened(workers, window, lambda _: meshes), ReferenceScene(window, lambda _: meshes)
+    fast, slow = (scene.cast(firings, np.zeros(1), lab.FAR_M) for scene in scenes)
     same = fast.surface == slow.surface
     assert same.mean() > 0.999
     hit = np.isfinite(fast.range_m) & same
@@ -100,11 +74,9 @@ def test_boxes_hold_the_faces_of_their_pieces():
     ordered, begin, boxes_m = in_pieces(faces)
     assert len(boxes_m) == len(begin) - 1
     for (first, stop), box_m in zip(pairwise(begin), boxes_m, strict=True):
+        parts = zip(ordered, first, stop, strict=True)
         corners_m = np.concatenate(
-            [
-                vertices_m[triangles[a:b]].reshape(-1, 3)
-                for (vertices_m, triangles), a, b in zip(ordered, first, stop, strict=True)
-            ]
+            [vertices_m[triangles[a:b]].reshape(-1, 3) for (vertices_m, triangles), a, b in parts]
         )
         assert np.array_equal(box_m, [corners_m.min(axis=0), corners_m.max(axis=0)])
 

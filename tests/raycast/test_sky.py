@@ -57,7 +57,7 @@ def test_what_is_low_or_far_does_not_count(workers):
 
 def test_crowns_overhead_hide_as_much_as_their_leaves_do(workers):
     """In the wood the share of the sky that is hidden is that of leaf by leaf within 0.02 in the mean, and no crown is built for it."""
-    x_m, y_m = (place.ravel() for place in np.meshgrid(np.arange(2.0, 20.0, 3.0), np.arange(2.0, 20.0, 3.0)))
+    x_m, y_m = (place.ravel() for place in np.meshgrid(*2 * [np.arange(2.0, 20.0, 4.0)]))
     places_m = np.column_stack([x_m, y_m, lab.Tiles().height_m(x_m, y_m) + 1.7])
     scenes = [caster(lab.Tiles(near_m, per_tile=16), workers) for near_m in (20.0, math.inf)]
     window = lab.Tiles(20.0, per_tile=16).window(places_m)

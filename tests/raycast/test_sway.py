@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from raycast import lab
-from raycast.reference import ReferenceCaster, frozen
+from raycast.reference import ReferenceScene, frozen
 
 from vlp16emu.errors import RunError
-from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.types import Sway
 
 STEP_NS = 100_000  # so short that a test's few pulses see several knots
@@ -24,38 +23,36 @@ def swaying(*, knots=40, lean=0.3, seed=3):
     return replace(window, sway=Sway(start_ns, STEP_NS, moving, foot_z_m, shear)), firings
 
 
+def assert_meet_alike(ours, other):
+    """Both casts meet the same surfaces, at the same ranges and incidence within rounding of a moving edge."""
+    same = ours.surface == other.surface
+    assert same.mean() > 0.995
+    hit = np.isfinite(ours.range_m) & same
+    assert hit.mean() > 0.5
+    assert np.quantile(np.abs(ours.range_m[hit] - other.range_m[hit]), 0.99) < 2e-5
+    assert np.quantile(np.abs(ours.cos_incidence[hit] - other.cos_incidence[hit]), 0.99) < 1e-4
+
+
 @pytest.mark.parametrize("model", ["none", "fixed", "adaptive"])
 def test_each_pulse_meets_what_moves_where_it_is_at_its_time(workers, model):
     """Ranges, surfaces and incidence equal brute force in float64, which writes the window out for every instant."""
     window, _ = swaying()
-    firings = lab.pulses(8)
     narrow = {"divergence_mrad": (1.0, 0.5)}  # its neighbours are too far apart to be judged by each other
-    beam = [] if model == "none" else [lab.beam(model, rays=4 if model == "fixed" else 8, **narrow)]
-    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.NEAR_M, lab.FAR_M, *beam)
-    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.NEAR_M, lab.FAR_M, *beam)
+    beam = lab.beam(model, rays=4 if model == "fixed" else 8, **narrow)
+    scenes = lab.opened(workers, window), ReferenceScene(window, lab.soup)
+    fast, slow = (one.cast(lab.pulses(8, every=4), lab.NEAR_M[::4], lab.FAR_M, beam) for one in scenes)
     assert (fast.count == slow.count).all()
-    same = fast.surface == slow.surface
-    assert same.mean() > 0.995
-    hit = np.isfinite(fast.range_m) & same
-    assert hit.mean() > 0.5
-    assert np.quantile(np.abs(fast.range_m[hit] - slow.range_m[hit]), 0.99) < 2e-5
-    assert np.quantile(np.abs(fast.cos_incidence[hit] - slow.cos_incidence[hit]), 0.99) < 1e-4
+    assert_meet_alike(fast, slow)
 
 
 def test_a_moving_window_stands_still_at_an_instant(workers):
     """Pulses of one instant, within the span, before it and after it, meet the window that is frozen there."""
     window, firings = swaying()
-    caster = EmbreeCaster(lab.world(lab.soup), workers)
-    scene = caster.open(window)
+    scene = lab.opened(workers, window)
     for t_ns in (window.sway.start_ns + STEP_NS * 9 // 4, 0, 2**62):
         at_once = replace(firings, t_ns=np.full_like(firings.t_ns, t_ns))
         moving = scene.cast(at_once, lab.NEAR_M, lab.FAR_M)
-        still = caster.open(frozen(window, t_ns)).cast(at_once, lab.NEAR_M, lab.FAR_M)
-        same = moving.surface == still.surface
-        assert same.mean() > 0.995
-        hit = np.isfinite(moving.range_m) & same
-        assert np.quantile(np.abs(moving.range_m[hit] - still.range_m[hit]), 0.99) < 2e-5
-        assert np.quantile(np.abs(moving.cos_incidence[hit] - still.cos_incidence[hit]), 0.99) < 1e-4
+        assert_meet_alike(moving, lab.opened(workers, frozen(window, t_ns)).cast(at_once, lab.NEAR_M, lab.FAR_M))
 
 
 def test_a_shear_moves_points_level_by_their_height_over_the_foot():
@@ -77,4 +74,4 @@ def test_more_knots_than_embree_takes_are_refused(workers):
     """A window that lasts too long is refused by the number of its knots."""
     long, _ = swaying(knots=130)
     with pytest.raises(RunError, match="wind: found 130 knots in a window, Embree takes 129"):
-        EmbreeCaster(lab.world(lab.soup), workers).open(long)
+        lab.opened(workers, long)

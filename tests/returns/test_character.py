@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from returns.kit import detector, firings, pulses, table
 from scipy import stats
 
 from vlp16emu.returns import Noise
@@ -11,21 +12,14 @@ from vlp16emu.returns.detect import detect
 from vlp16emu.returns.noise import no_return_reflectivity, sent_codes
 
 
-@pytest.fixture
-def wall(detector, firings, pulses, table):
-    """Detect a wall of some reflectance 10 m away, in front of a unit with some noise."""
-
-    def see(noise, k=400, *, index=0, range_m=10.0, reflectance=0.7, seed=1):
-        unit = detector(noise, seed=seed)
-        turning = replace(
-            firings(k, index), azimuth_deg=np.repeat(0.2 * np.arange(index, index + k)[:, None], 16, axis=1)
-        )
-        return detect(turning, pulses(k, [range_m]), table(reflectance), unit, truth=False)
-
-    return see
+def wall(noise, k=400, *, index=0, range_m=10.0, reflectance=0.7, seed=1):
+    """Detect a wall 10 m away in front of a unit with some noise."""
+    azimuth_deg = np.repeat(0.2 * np.arange(index, index + k)[:, None], 16, axis=1)
+    turning = replace(firings(k, index), azimuth_deg=azimuth_deg)
+    return detect(turning, pulses(k, [range_m]), table(reflectance), detector(noise, seed=seed), truth=False)
 
 
-def test_the_beat_repeats_every_five_pulses(wall):
+def test_the_beat_repeats_every_five_pulses():
     """The range of a wall has five values, by (24 sequence + laser) mod 5, also where a run begins elsewhere."""
     noise = {"range_beat_m": 0.006, "range_beat_phase_deg": 0.0}
     seen_m = wall(noise, 20, index=7).distance_m[..., 0]
@@ -36,7 +30,7 @@ def test_the_beat_repeats_every_five_pulses(wall):
     assert first_mm == pytest.approx(6.0 * (1.0 + 0.25 * np.cos(np.radians(85.0))), abs=0.01)
 
 
-def test_odd_codes_have_their_share(wall):
+def test_odd_codes_have_their_share():
     """Over a smooth spread of ranges each laser's share of odd codes is that of the unit, by the binomial law."""
     noise = {"odd_codes_spread": 0.15, "range_noise_m": 0.02}
     odd = np.rint(wall(noise, 3000).distance_m[..., 0].astype(float) * 500) % 2
@@ -46,7 +40,7 @@ def test_odd_codes_have_their_share(wall):
     assert abs(plain.mean(axis=0) - 0.5).max() < 0.04
 
 
-def test_bright_codes_are_coarse_and_dark_ones_sticky(wall):
+def test_bright_codes_are_coarse_and_dark_ones_sticky():
     """Of a bright wall neighbours are mostly a step apart; of a dark one nearly all are equal."""
     noise = {"reflectivity_noise_share": 0.043, "reflectivity_step": 1.7, "range_noise_m": 0.0052}
     bright, even = (
@@ -62,7 +56,7 @@ def test_bright_codes_are_coarse_and_dark_ones_sticky(wall):
     assert (np.diff(dark, axis=0) == 0).mean() > 0.8
 
 
-def test_heavy_tails_have_their_law(wall):
+def test_heavy_tails_have_their_law():
     """Scatter of a real unit is as without heavy tails, and the distribution is that of z (1 + 0.012 z**2), by Kolmogorov and Smirnov."""
     even = Noise(preset="ideal").model_dump() | {"range_noise_m": 0.02}
     plain, heavy = (
@@ -76,7 +70,7 @@ def test_heavy_tails_have_their_law(wall):
     assert same.pvalue > 0.01
 
 
-def test_units_differ_in_their_white_errors(detector):
+def test_units_differ_in_their_white_errors():
     """Over many seeds the logarithms of both errors are Gaussian with the spread that is wanted; without it all are alike."""
     noise = {"range_noise_m": 0.005, "reflectivity_noise_share": 0.043, "unit_spread": 0.2}
     units = [detector(noise, seed=seed).constants for seed in range(400)]
@@ -88,7 +82,7 @@ def test_units_differ_in_their_white_errors(detector):
     assert {detector(noise | {"unit_spread": 0.0}, seed=s).constants.range_noise_m for s in range(9)} == {0.005}
 
 
-def test_no_returns_wander_through_multiples(wall):
+def test_no_returns_wander_through_multiples():
     """They are the laser's constant or multiples of it, mostly equal to their neighbour, alike over lasers, the same in each revolution."""
     noise = {"no_return_reflectivity": True, "no_return_wander": 10.0}
     codes = wall(noise, 4000, range_m=np.inf).reflectivity[..., 0]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from returns.kit import detector, firings, pulses, table
 
 from vlp16emu.returns.detect import detect
 from vlp16emu.types import NO_SURFACE, Hits, ReturnMode
@@ -9,30 +10,20 @@ from vlp16emu.types import NO_SURFACE, Hits, ReturnMode
 K = 8
 
 
-@pytest.fixture(scope="module")
-def lone(detector, firings, pulses, table):
+def lone(range_m, reflectance=0.5, cosine=1.0, *, truth=False, **own):
     """Returns of pulses that are one ray each."""
-
-    def make(range_m, reflectance=0.5, cosine=1.0, *, truth=False, **own):
-        hits = pulses(K, [range_m], [NO_SURFACE if np.isinf(range_m) else 0], cosine)
-        return detect(firings(K), hits, table(reflectance), detector(**own), truth=truth)
-
-    return make
+    hits = pulses(K, [range_m], [NO_SURFACE if np.isinf(range_m) else 0], cosine)
+    return detect(firings(K), hits, table(reflectance), detector(**own), truth=truth)
 
 
-@pytest.fixture(scope="module")
-def split(detector, firings, pulses, table):
+def split(range_m, reflectance, **own):
     """First pulse's distances and reflectivities, of sub-rays that meet surfaces of a reflectance each."""
-
-    def make(range_m, reflectance, **own):
-        out = detect(firings(K), pulses(K, range_m), table(*reflectance), detector(**own), truth=True)
-        return out.distance_m[0, 0], out.reflectivity[0, 0], out.surface[0, 0]
-
-    return make
+    out = detect(firings(K), pulses(K, range_m), table(*reflectance), detector(**own), truth=True)
+    return out.distance_m[0, 0], out.reflectivity[0, 0], out.surface[0, 0]
 
 
 @pytest.mark.parametrize("max_range_m", [100.0, 131.07])
-def test_range_limits(lone, max_range_m):
+def test_range_limits(max_range_m):
     """What is nearer than the least range, farther than the greatest, or nowhere gives no return; what is just there does."""
     for range_m, is_seen in ((0.49, 0), (0.5, 1), (20, 1), (max_range_m, 1), (max_range_m + 0.001, 0), (np.inf, 0)):
         distance_m = lone(range_m, 0.9, max_range_m=max_range_m).distance_m[..., :2]
@@ -42,7 +33,7 @@ def test_range_limits(lone, max_range_m):
 BIASED = {"noise": {"range_bias_m": 0.02}}
 
 
-def test_what_is_measured_beyond_the_greatest_range_is_lost(lone):
+def test_what_is_measured_beyond_the_greatest_range_is_lost():
     """An echo within reach that a laser's bias puts beyond it gives no return, and no reflectivity either."""
     bias_m = lone(50.0, 0.7, **BIASED).distance_m[..., 0] - 50.0
     out = lone(99.99, 0.7, **BIASED)
@@ -55,7 +46,7 @@ def test_what_is_measured_beyond_the_greatest_range_is_lost(lone):
 
 
 @pytest.mark.parametrize("far", [9.0, 0.9])
-def test_without_a_lost_echo_the_others_are_what_they_would_be(split, far):
+def test_without_a_lost_echo_the_others_are_what_they_would_be(far):
     """Where the farther of two echoes, stronger or not, is measured beyond reach, the nearer is strongest and last."""
     seen = []
     for seed in range(20):
@@ -69,7 +60,7 @@ def test_without_a_lost_echo_the_others_are_what_they_would_be(split, far):
     assert {False, True} == set(seen)
 
 
-def test_lone_echo_is_strongest_and_last(lone):
+def test_lone_echo_is_strongest_and_last():
     """One echo stands as both, without a second strongest; too near for a distance it shows its reflectivity, too far or none at all does not."""
     out = lone(7.0)
     assert (out.distance_m[..., 0] == out.distance_m[..., 1]).all()
@@ -83,12 +74,12 @@ def test_lone_echo_is_strongest_and_last(lone):
     ("reflectance", "cosine", "byte"),
     [(0.5, 1.0, 50), (0.5, 0.5, 25), (1.0, 1.0, 100), (0, 1, 0), (1.2, 1, 105), (1000, 1, 255), (1e6, 1, 255)],
 )
-def test_reflectivity_scale(lone, reflectance, cosine, byte):
+def test_reflectivity_scale(reflectance, cosine, byte):
     """The byte is reflectance times cosine in percent up to 100, and grows to 255 at a thousand times white."""
     assert (lone(7.0, reflectance, cosine).reflectivity[..., 0] == byte).all()
 
 
-def test_truth_is_kept_only_on_request(lone):
+def test_truth_is_kept_only_on_request():
     """Surfaces travel along only when asked for, and are `NO_SURFACE` where there is no return."""
     assert lone(7.0).surface is None
     kept = lone(7.0, truth=True)
@@ -97,7 +88,7 @@ def test_truth_is_kept_only_on_request(lone):
     assert (lone(0.3, truth=True).surface == NO_SURFACE).all()
 
 
-def test_two_surfaces_far_apart_are_two_returns(split):
+def test_two_surfaces_far_apart_are_two_returns():
     """A beam half on a bright plate and half on one behind gives each at its place; a brighter one behind is strongest and last; a near one is blanked."""
     distance_m, reflectivity, surface = split([4.0, 9.0], [0.6, 0.4])
     assert distance_m.tolist() == pytest.approx([4, 9, 9])
@@ -114,14 +105,14 @@ def test_two_surfaces_far_apart_are_two_returns(split):
 @pytest.mark.parametrize(
     ("mode", "columns"), [(ReturnMode.STRONGEST, [4, 0, 0]), (ReturnMode.LAST, [4, 9, 6]), (ReturnMode.DUAL, [4, 9, 6])]
 )
-def test_only_what_the_mode_needs(split, mode, columns):
+def test_only_what_the_mode_needs(mode, columns):
     """Strongest return leaves last and second strongest empty; the other modes have all three."""
     distance_m, _, _ = split([4.0, 6.0, 9.0], [0.9, 0.8, 0.7], mode=mode)
     assert distance_m.tolist() == pytest.approx(columns)
 
 
 @pytest.mark.parametrize(("gap_m", "returns"), [(0.3, 1), (0.95, 1), (1.3, 1), (1.5, 2), (1.9, 2), (5.0, 2)])
-def test_step_edge(split, gap_m, returns):
+def test_step_edge(gap_m, returns):
     """A beam half on each of two plates gives one return between or on them below the resolution of 1.4 m, and two above it."""
     distance_m, _, _ = split([10.0, 10.0 + gap_m], [0.5, 0.5])
     assert len(set(distance_m[:2].tolist())) == returns
@@ -132,7 +123,7 @@ def test_step_edge(split, gap_m, returns):
         assert distance_m[0] == pytest.approx(middle_m, abs=0.002)
 
 
-def test_batches_do_not_matter(detector, firings, pulses, table):
+def test_batches_do_not_matter():
     """A pulse gives the same whatever is detected with it: only its firing number counts."""
     unit = detector({"range_noise_m": 0.01, "weak_echoes_lost": True}, visibility_m=100.0)
     ranges, surfaces = [30, 30.1, 33, np.inf], table(0.1, 0.1, 0.1)
@@ -143,7 +134,7 @@ def test_batches_do_not_matter(detector, firings, pulses, table):
         np.testing.assert_array_equal(getattr(whole, name)[12:21], getattr(part, name))
 
 
-def test_sub_rays_may_differ_in_number(detector, firings, table):
+def test_sub_rays_may_differ_in_number():
     """Ragged hits are read pulse by pulse: each pulse shows the mean of its own sub-rays."""
     count = np.arange(1, K * 16 + 1, dtype=np.uint16).reshape(K, 16)
     n = int(count.sum())

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from returns.kit import detector, firings, table
 
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
 from vlp16emu.packets.data import data_payloads
@@ -68,7 +69,7 @@ def obvious_returns(range_m, reflectance):
 lights = st.lists(st.tuples(st.floats(0, 6), st.floats(0.02, 1.0)), min_size=1, max_size=12)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(lights)
 @example([(0.0, 1.0), (0.0, 1.0), (6e-16, 1.0)])
 def test_peaks_are_those_of_the_waveform(light):
@@ -102,13 +103,13 @@ def test_two_equal_pulses_part_at_two_sigmas():
 sub_rays = st.lists(st.tuples(st.floats(2, 8), st.floats(0.05, 1.0)), min_size=1, max_size=8)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(sub_rays, min_size=1, max_size=16))
-def test_returns_are_those_of_the_twin(detector, firings, table, batch):
+def test_returns_are_those_of_the_twin(batch):
     """Strongest, last and second strongest stand where the waveform on a grid has them: to 4 mm or, on flat tops, 0.1 %."""
     want = [obvious_returns(*np.array(pulse).T) for pulse in batch]
     batch = (batch * 16)[:16]
-    out = detect_pulses(detector(), firings(1), table, batch)
+    out = detect_pulses(detector(), 1, batch)
     for pulse, expected in enumerate(want):
         if expected is not None:
             got = out.distance_m[0, pulse]
@@ -118,7 +119,7 @@ def test_returns_are_those_of_the_twin(detector, firings, table, batch):
             assert close.all(), (got, expected)
 
 
-def detect_pulses(unit, firings, table, batch):
+def detect_pulses(unit, sequences, batch):
     """Detect pulses of (range, reflectance) each; a range below 0 stands for a miss."""
     rays = np.concatenate(batch)
     range_m = np.where(rays[:, 0] < 0, np.inf, rays[:, 0]).astype(np.float32)
@@ -126,7 +127,7 @@ def detect_pulses(unit, firings, table, batch):
     count = np.array([len(pulse) for pulse in batch], np.uint16).reshape(-1, 16)
     surface = np.where(np.isinf(range_m), 0xFFFFFFFF, np.arange(n)).astype(np.uint32)
     hits = Hits(count, range_m, surface, np.isfinite(range_m).astype(np.float32))
-    return detect(firings, hits, table(*rays[:, 1]), unit, truth=True)
+    return detect(firings(sequences), hits, table(*rays[:, 1]), unit, truth=True)
 
 
 anything = st.lists(
@@ -136,13 +137,13 @@ anything = st.lists(
 )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(anything, min_size=24, max_size=24), st.booleans(), st.sampled_from([None, 60.0]))
-def test_every_dual_pair_is_lawful(detector, firings, table, batch, noisy, visibility_m):
+def test_every_dual_pair_is_lawful(batch, noisy, visibility_m):
     """Whatever is hit: even blocks hold the last return, odd ones no farther one, 1 m apart if two, and one alone twice."""
     noise = {"range_noise_m": 0.0065, "range_bias_m": 0.01, "reflectivity_noise": 1.5, "weak_echoes_lost": True}
     unit = detector(noise if noisy else None, visibility_m=visibility_m)
-    returns = detect_pulses(unit, firings(12), table, batch * 8)
+    returns = detect_pulses(unit, 12, batch * 8)
     payload = data_payloads(returns, ReturnMode.DUAL, SensorModel.VLP_16).tobytes()
     records = np.frombuffer(payload, DATA_PAYLOAD)["blocks"]["records"][0]
     last, other = (records[half::2]["distance_lsb"].astype(int) for half in (0, 1))

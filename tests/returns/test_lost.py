@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from returns.kit import LASERS, detector, firings, table
 
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.lost import loss_rates
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
 LOSSES = {"records_lost": 1.0, "no_return_reflectivity": True, "no_return_level": 5.0}
-LASERS = 16
 
 
-def seen(detector, firings, surfaces, range_m, surface, noise=LOSSES, *, index=0, block=None, **unit):
+def seen(surfaces, range_m, surface, noise=LOSSES, *, index=0, block=None, **unit):
     """Detect (k, L, s) sub-rays at right angles."""
     k, lasers, s = np.shape(range_m)
     hits = Hits(
@@ -27,22 +27,21 @@ def lost(out):
     return out.distance_m[..., 0] == 0
 
 
-def test_an_even_wall_is_nearly_whole(detector, firings, table):
+def test_an_even_wall_is_nearly_whole():
     """Between equal ranges and codes 0.04 to 0.25 % are lost where it is bright, and more where it is black and near."""
     range_m = np.full((4000, LASERS, 1), 3.0)
     bright, black = (
-        np.mean([lost(seen(detector, firings, table(one), range_m, 0, seed=seed)).mean() for seed in range(5)])
-        for one in (0.7, 0.02)
+        np.mean([lost(seen(table(one), range_m, 0, seed=seed)).mean() for seed in range(5)]) for one in (0.7, 0.02)
     )
     assert 0.0003 < bright < 0.0025
     assert 0.005 < black < 0.025
 
 
-def test_a_step_of_brightness_costs_a_record(detector, firings, table):
+def test_a_step_of_brightness_costs_a_record():
     """Of records at a step up by a factor of 11 units lose 1 to 75 %, down fewer, at one of 1.5 hardly any; codes of the former are high."""
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
     many, few = (
-        [seen(detector, firings, table(low, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(10)]
+        [seen(table(low, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(10)]
         for low in (0.055, 0.4)
     )
     up, down = (np.array([lost(out)[first::20].mean() for out in many]) for first in (10, 20))
@@ -57,29 +56,27 @@ def test_a_step_of_brightness_costs_a_record(detector, firings, table):
 @pytest.mark.parametrize(
     ("sheet", "least", "most"), [("plants", 0.15, 0.6), ("one", 0.0, 0.004), ("ground", 0.0, 0.004)]
 )
-def test_two_surfaces_in_a_pulse_cost_it(detector, firings, table, sheet, least, most):
+def test_two_surfaces_in_a_pulse_cost_it(sheet, least, most):
     """Half of the light each, half a metre apart, lose 0.15 to 0.6 of the records by unit; a slanted surface none, nor two tiles of the ground."""
     surfaces = table(0.5, 0.5)
     surfaces["part"] = PlantPart.LEAF if sheet == "plants" else PlantPart.NONE
     surfaces["semantic"] = Semantic.GROUND if sheet == "ground" else Semantic.OTHER
     range_m = np.broadcast_to(np.repeat([3.0, 3.5], 4), (500, LASERS, 8))
     met = np.repeat([0, int(sheet == "ground")], 4)
-    rates = [lost(seen(detector, firings, surfaces, range_m, met, seed=seed)).mean() for seed in range(12)]
+    rates = [lost(seen(surfaces, range_m, met, seed=seed)).mean() for seed in range(12)]
     assert least - 0.02 <= min(rates) <= max(rates) <= most + 0.02
 
 
-def test_an_echo_of_the_air_alone_has_one_surface(detector, firings, table):
+def test_an_echo_of_the_air_alone_has_one_surface():
     """In thick fog pulses whose sub-rays meet nothing have returns, and lose few: what is not met has no number to look up."""
     range_m = np.full((500, LASERS, 4), np.inf)
-    here = [
-        seen(detector, firings, table(0.5), range_m, NO_SURFACE, noise, visibility_m=10.0) for noise in (LOSSES, None)
-    ]
+    here = [seen(table(0.5), range_m, NO_SURFACE, noise, visibility_m=10.0) for noise in (LOSSES, None)]
     least, most = ((~lost(out)).mean() for out in here)
     assert 0.9 * most < least <= most
     assert most > 0.05
 
 
-def test_rough_places_lose_less(detector, firings, table):
+def test_rough_places_lose_less():
     """Where ranges jump from pulse to pulse, as in trees, two surfaces in a pulse cost a fifth of what they do at an edge, as on real units."""
     surfaces = table(0.2, 0.2)
     surfaces["part"] = PlantPart.LEAF
@@ -87,29 +84,29 @@ def test_rough_places_lose_less(detector, firings, table):
     shares = []
     for first_m in (np.full_like(near_m, 20.0), near_m):
         range_m = np.concatenate([first_m, first_m, first_m, first_m + 0.6, first_m + 0.6], axis=2)
-        shares.append([lost(seen(detector, firings, surfaces, range_m, 0, seed=seed)).mean() for seed in range(8)])
+        shares.append([lost(seen(surfaces, range_m, 0, seed=seed)).mean() for seed in range(8)])
     assert 0.1 < np.mean(shares[1]) / np.mean(shares[0]) < 0.35
 
 
-def test_blocks_make_the_whole(detector, firings, table):
+def test_blocks_make_the_whole():
     """A run in blocks has the same bytes wherever it is cut, between them."""
     rng = np.random.default_rng(3)
     surface = rng.integers(0, 2, (960, LASERS, 1))
     range_m = np.where(rng.random((960, LASERS, 1)) < 0.1, np.inf, 3.0)
-    whole = seen(detector, firings, table(0.1, 0.6), range_m, surface, block=96)
+    whole = seen(table(0.1, 0.6), range_m, surface, block=96)
     for first, stop in ((0, 480), (96, 192), (480, 960)):
-        part = seen(detector, firings, table(0.1, 0.6), range_m[first:stop], surface[first:stop], index=first, block=96)
+        part = seen(table(0.1, 0.6), range_m[first:stop], surface[first:stop], index=first, block=96)
         np.testing.assert_array_equal(part.distance_m, whole.distance_m[first:stop])
         np.testing.assert_array_equal(part.reflectivity, whole.reflectivity[first:stop])
 
 
-def test_no_returns_beside_returns_are_raised(detector, firings, table):
+def test_no_returns_beside_returns_are_raised():
     """More often the brighter the return is (mrpt, nebula, 2014: 0.01 to 0.1 at 10, 0.33 to 0.82 at 70), by about its code, mostly alone."""
     range_m = np.full((16_000, LASERS, 1), np.inf)
     range_m[::16] = 3.0
     share, ratio = [], []
     for reflectance in (0.1, 0.7):
-        outs = [seen(detector, firings, table(reflectance), range_m, 0, LOSSES, seed=s) for s in range(8)]
+        outs = [seen(table(reflectance), range_m, 0, LOSSES, seed=s) for s in range(8)]
         codes = np.concatenate([out.reflectivity[..., 0][1::16].ravel() for out in outs]).astype(float)
         base = np.concatenate([np.tile(out.reflectivity[8, :, 0], 1000) for out in outs])
         raised = codes > 1.5 * np.maximum(base, 1)
@@ -120,17 +117,17 @@ def test_no_returns_beside_returns_are_raised(detector, firings, table):
     np.testing.assert_allclose(ratio[1], [0.52, 0.78, 1.3], rtol=0.2)
 
 
-def test_dual_return_loses_single_blocks(detector, firings, table):
+def test_dual_return_loses_single_blocks():
     """Of pulses with two echoes some are without the odd block alone; pairs without range differ in code now and then."""
     range_m = np.broadcast_to(np.repeat([3.0, 9.0], 4), (4000, LASERS, 8))
-    out = seen(detector, firings, table(0.2, 0.9), range_m, np.repeat([0, 1], 4))
+    out = seen(table(0.2, 0.9), range_m, np.repeat([0, 1], 4))
     strongest, last = out.distance_m[..., 0] == 0, out.distance_m[..., 1] == 0
     alone = (strongest | ((out.distance_m[..., 2] == 0) & (out.reflectivity[..., 2] > 0))) & ~last
     assert 0.2 < alone.mean() / lost(out).mean() < 2.0
     assert 0 < (last & ~strongest).mean() < 0.3 * alone.mean()
 
 
-def test_an_ideal_unit_loses_nothing(detector):
+def test_an_ideal_unit_loses_nothing():
     """All rates are 0 unless records are lost, so that nothing is drawn."""
     assert set(detector().constants.lost) == {0.0}
     assert set(loss_rates(5, 0.0, raised=False)) == {0.0}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from returns.kit import detector, firings, pulses, table
 from scipy import stats
 
 from vlp16emu.returns.detect import detect
@@ -12,25 +13,20 @@ from vlp16emu.types import NO_SURFACE
 K = 4000
 
 
-@pytest.fixture(scope="module")
-def seen(detector, firings, pulses, table):
+def seen(noise, range_m=10.0, reflectance=0.2, *, k=K, index=0, t_ns=0, **own):
     """Returns of K sequences at one target."""
-
-    def make(noise, range_m=10.0, reflectance=0.2, *, k=K, index=0, t_ns=0, **own):
-        hits = pulses(k, [range_m], [NO_SURFACE if np.isinf(range_m) else 0])
-        return detect(firings(k, index, t_ns), hits, table(reflectance), detector(noise, **own), truth=False)
-
-    return make
+    hits = pulses(k, [range_m], [NO_SURFACE if np.isinf(range_m) else 0])
+    return detect(firings(k, index, t_ns), hits, table(reflectance), detector(noise, **own), truth=False)
 
 
-def test_white_noise_is_gaussian_with_the_sigma_that_is_set(seen):
+def test_white_noise_is_gaussian_with_the_sigma_that_is_set():
     """Range errors at 20 % and short range are normal with the given sigma (Kolmogorov-Smirnov)."""
     error_m = seen({"range_noise_m": 0.0065}).distance_m[..., 0].ravel().astype(np.float64) - 10.0
     assert stats.kstest(error_m / 0.0065, "norm").pvalue > 0.01
     assert error_m.std() == pytest.approx(0.0065, rel=0.02)
 
 
-def test_noise_is_independent_between_pulses_and_lasers(seen):
+def test_noise_is_independent_between_pulses_and_lasers():
     """Errors of neighbours in time and of neighbouring lasers are uncorrelated."""
     error_m = seen({"range_noise_m": 0.0065}).distance_m[..., 0].astype(np.float64) - 10.0
     limit = 4 / np.sqrt(error_m.size)
@@ -41,20 +37,20 @@ def test_noise_is_independent_between_pulses_and_lasers(seen):
 @pytest.mark.parametrize(
     ("reflectance", "sigma_m"), [(0.025, 0.0105), (0.11, 0.0072), (0.25, 0.0059), (0.52, 0.0049), (0.9, 0.0043)]
 )
-def test_noise_grows_on_dark_targets(seen, reflectance, sigma_m):
+def test_noise_grows_on_dark_targets(reflectance, sigma_m):
     """A unit with 6.2 mm at a reflectivity of 20 shows what a real one does without its beat, from below 4 to above 80."""
     error_m = seen({"range_noise_m": 0.0062}, 4.0, reflectance).distance_m[..., 0] - np.float32(4)
     assert error_m.std() == pytest.approx(sigma_m, rel=0.02)
 
 
-def test_noise_grows_where_light_is_short(seen):
+def test_noise_grows_where_light_is_short():
     """At the detection threshold the noise is the pulse's width over the signal-to-noise ratio, 64 mm at 6."""
     out = seen({"range_noise_m": 0.0065, "weak_echoes_lost": True}, 40.0, 0.1).distance_m[..., 0]
     sigma_m = 0.299792458 / 2 * 6.0 / 2.35482 / 6
     assert out[out > 0].std() == pytest.approx(np.hypot(sigma_m, 0.0065 * 2**0.25), rel=0.02)
 
 
-def test_bias_is_constant_per_laser_and_gaussian_over_units(seen):
+def test_bias_is_constant_per_laser_and_gaussian_over_units():
     """Each laser keeps its error, another seed is another unit, none exceeds the data sheet; over many lasers they are normal but for the cut."""
     early, late = (seen({"range_bias_m": 0.01}, k=8, index=n).distance_m[..., 0] - np.float32(10) for n in (0, 10**6))
     assert (early == early[0]).all()
@@ -66,14 +62,14 @@ def test_bias_is_constant_per_laser_and_gaussian_over_units(seen):
     assert stats.kstest(range_bias_m(7, 5000, 0.008) / 0.008, "norm").pvalue > 0.01
 
 
-def test_warm_up_fades_exponentially(seen):
+def test_warm_up_fades_exponentially():
     """Ranges are too long by the drift at power-up, by 1 / e of it one time constant later, and right in the end."""
     for since_s, share in ((0, 1.0), (900, np.exp(-1)), (60_000, 0.0)):
         out = seen({"warm_up_m": 0.05}, k=1, t_ns=since_s * 10**9)
         np.testing.assert_allclose(out.distance_m[..., 0] - 10, 0.05 * share, atol=2e-6)
 
 
-def test_reflectivity_noise_and_gain(seen):
+def test_reflectivity_noise_and_gain():
     """Reflectivity scatters by its sigma around a level that each laser has for itself."""
     out = seen({"reflectivity_noise": 1.5, "gain_spread": 0.05}, 10.0, 0.5).reflectivity[..., 0]
     level = out.mean(axis=0)
@@ -83,7 +79,7 @@ def test_reflectivity_noise_and_gain(seen):
 
 
 @pytest.mark.parametrize(("range_m", "reflectance"), [(36, 0.1), (40, 0.1), (44, 0.1), (60, 0.2), (86, 0.5)])
-def test_weak_echoes_are_seen_with_their_probability(seen, range_m, reflectance):
+def test_weak_echoes_are_seen_with_their_probability(range_m, reflectance):
     """The share of pulses seen is Phi of amplitude less threshold over noise, one half at the range of 10 % (chi-square)."""
     out = seen({"weak_echoes_lost": True}, float(range_m), reflectance).distance_m[..., 0] > 0
     threshold = 0.1 / 40.0**2
@@ -94,7 +90,7 @@ def test_weak_echoes_are_seen_with_their_probability(seen, range_m, reflectance)
     assert range_m != 40 or 0.48 < out.mean() < 0.52
 
 
-def test_grazing_and_partly_hit_targets_drop_out(detector, firings, pulses, table):
+def test_grazing_and_partly_hit_targets_drop_out():
     """A target seen at right angles is lost when grazed, and when a tenth of the beam is on it."""
     unit = detector({"weak_echoes_lost": True})
     for ranges, kinds, cosine, share in (
@@ -106,7 +102,7 @@ def test_grazing_and_partly_hit_targets_drop_out(detector, firings, pulses, tabl
         assert (out.distance_m[..., 0] > 0).mean() == share
 
 
-def test_no_returns_show_a_constant_of_their_laser(seen):
+def test_no_returns_show_a_constant_of_their_laser():
     """Where asked for, records without a return carry that of their laser, the same for a laser each time; else 0."""
     silent = seen({"no_return_reflectivity": True}, np.inf, k=50)
     assert (silent.distance_m == 0).all()

@@ -2,12 +2,19 @@
 
 import numpy as np
 import pytest
+from returns.kit import detector, firings, pulses, table
 
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.weather import fog_extinction_per_m, rain_extinction_per_m
 from vlp16emu.types import NO_SURFACE
 
 K = 2000
+
+
+def through(range_m, **weather):
+    """Returns of a wall of 50 % in some weather, or of nothing."""
+    hits = pulses(K, [range_m], [NO_SURFACE if np.isinf(range_m) else 0])
+    return detect(firings(K), hits, table(0.5), detector(**weather), truth=True)
 
 
 def test_extinction_of_fog_and_rain():
@@ -20,18 +27,7 @@ def test_extinction_of_fog_and_rain():
     assert rain_extinction_per_m(0.0) == 0
 
 
-@pytest.fixture(scope="module")
-def through(detector, firings, pulses, table):
-    """Returns of a wall of 50 % in some weather, or of nothing."""
-
-    def make(range_m, **weather):
-        hits = pulses(K, [range_m], [NO_SURFACE if np.isinf(range_m) else 0])
-        return detect(firings(K), hits, table(0.5), detector(**weather), truth=True)
-
-    return make
-
-
-def test_what_comes_through_is_dimmed_on_both_ways(through):
+def test_what_comes_through_is_dimmed_on_both_ways():
     """The reflectivity of a wall behind haze is that of a clear day times the transmission there and back."""
     extinction_per_m = fog_extinction_per_m(1000.0)
     out = through(60.0, visibility_m=1000.0)
@@ -40,7 +36,7 @@ def test_what_comes_through_is_dimmed_on_both_ways(through):
     assert (out.reflectivity[..., 1][wall] == np.rint(50 * np.exp(-2 * extinction_per_m * 60))).all()
 
 
-def test_fog_echoes_follow_the_lidar_equation(through):
+def test_fog_echoes_follow_the_lidar_equation():
     """With nothing behind, echoes are as many, and as far, as an integral over their law says."""
     visibility_m = 50.0
     a = fog_extinction_per_m(visibility_m)
@@ -57,7 +53,7 @@ def test_fog_echoes_follow_the_lidar_equation(through):
     assert (out.surface[..., 0] == NO_SURFACE).all()
 
 
-def test_no_fog_shines_through_a_wall(through):
+def test_no_fog_shines_through_a_wall():
     """No echo of the air is farther than what stands in its way, and rain gives less clutter than fog."""
     fog, rain = through(3.0, visibility_m=40.0), through(20.0, rain_mm_h=20.0)
     assert fog.distance_m.max() <= 3.001

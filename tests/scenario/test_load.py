@@ -230,33 +230,14 @@ BAD_FILES = [
     ("schema = 1", "schema = 1\nseed = -1", "seed: found -1; expected a whole number at least 0 and below 9223372036854775808"),
     ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "live", "recorded", "static" or "walk"'),
     ('kind = "static"', "", 'motion.kind: missing; expected "live", "recorded", "static" or "walk"'),
-    (
-        'kind = "static"',
-        'kind = "static"\nspeed = 1.0',
-        "motion.speed: unknown key; expected one of mount, kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg",
-    ),
+    ('kind = "static"', 'kind = "static"\nspeed = 1.0', "motion.speed: unknown key; expected one of mount, kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg"),
     ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number from 0.001 to 10000"),
     ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number from 0.001 to 10000"),
-    (
-        "height_m = 6.0",
-        'height_m = 6.0\npoles = [{ name = "p", foot_m = [0, 0], diameter_m = 1, height_m = 1 }]',
-        "world.poles[0].foot_m[2]: missing; expected a number",
-    ),
+    ("height_m = 6.0", 'height_m = 6.0\npoles = [{ name = "p", foot_m = [0, 0], diameter_m = 1, height_m = 1 }]', "world.poles[0].foot_m[2]: missing; expected a number"),
     ("[motion]", "[gps]\nconnected = 1\n[motion]", "gps.connected: found 1; expected true or false"),
-    (
-        "[sensor]\nrpm = 600",
-        "sensor = 600",
-        'sensor: found 600; expected a table with model = "free", "puck-hi-res", "puck-lite" or "vlp-16"',
-    ),
+    ("[sensor]\nrpm = 600", "sensor = 600", 'sensor: found 600; expected a table with model = "free", "puck-hi-res", "puck-lite" or "vlp-16"'),
     ("rpm = 600", "min_range_m = 20.0\nmax_range_m = 10.0", "sensor.max_range_m: found 10.0; expected more than min_range_m = 20.0"),
-    (
-        'title = "A bench"',
-        'title = "A bench"\nstart_utc = 2026-05-20T09:00:00',
-        (
-            "start_utc: found 2026-05-20T09:00:00; expected a date and time with its offset from UTC, "
-            "such as 2026-05-20T09:00:00Z"
-        ),
-    ),
+    ('title = "A bench"', 'title = "A bench"\nstart_utc = 2026-05-20T09:00:00', "start_utc: found 2026-05-20T09:00:00; expected a date and time with its offset from UTC, such as 2026-05-20T09:00:00Z"),
 ]  # fmt: skip
 
 BAD_SETTINGS = [
@@ -268,47 +249,22 @@ BAD_SETTINGS = [
     ("duration_s=-1", "--set duration_s=-1: found -1; expected a number above 0 and at most 604800"),
     ('motion.kind=["walk"]', '--set motion.kind=["walk"]: found a list of 1; expected "live", "recorded", "static" or "walk"'),
     ("gps.wander_s=0.9", "--set gps.wander_s=0.9: found 0.9; expected a number from 1 to 1000000"),
-    (
-        "motion.way_points_m=[[0, 0], [nan, 1]]",
-        "--set motion.way_points_m=[[0, 0], [nan, 1]]: motion.way_points_m[1][0]: found nan; expected a finite number",
-    ),
-    (
-        "motion.way_points_m=[[0, 0], [1, 2, 3]]",
-        (
-            "--set motion.way_points_m=[[0, 0], [1, 2, 3]]: motion.way_points_m[1]: found a list of 3; "
-            "expected a list of 2 numbers"
-        ),
-    ),
+    ("motion.way_points_m=[[0, 0], [nan, 1]]", "--set motion.way_points_m=[[0, 0], [nan, 1]]: motion.way_points_m[1][0]: found nan; expected a finite number"),
+    ("motion.way_points_m=[[0, 0], [1, 2, 3]]", "--set motion.way_points_m=[[0, 0], [1, 2, 3]]: motion.way_points_m[1]: found a list of 3; expected a list of 2 numbers"),
     *((f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5") for found in ("4.9", '"far"')),
     ("motion=3", '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"'),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
     ("rpm=1200", "--set rpm=1200: unknown key; expected sensor.rpm"),
     ("gait=strong", "--set gait=strong: unknown key; expected motion.gait"),
-    (
-        "sensor.beams=64",
-        (
-            '--set sensor.beams=64: unknown key; expected sensor.model = "free" beside it, with elevations_deg, beams, '
-            "vertical_fov_deg, azimuth_resolution_deg, lens_radius_m"
-        ),
-    ),
+    ("sensor.beams=64", ('--set sensor.beams=64: unknown key; expected sensor.model = "free" beside it, with elevations_deg, beams, ' "vertical_fov_deg, azimuth_resolution_deg, lens_radius_m")),
     ("motion.yaw_deg=3", '--set motion.yaw_deg=3: unknown key; expected motion.kind = "recorded" or "static" beside it'),
     ("motion.gait=fast", '--set motion.gait=fast: motion.gait.preset: found "fast"; expected "none", "paper", "natural" or "strong"'),
     ("world=old_growth", '--set world=old_growth: found "old_growth"; expected a table, as by world.preset = "old_growth"'),
     ("beam=fixed", '--set beam=fixed: found "fixed"; expected a table, as by beam.model = "fixed"'),
     ("sensor.data_port=8308", "--set sensor.data_port=8308: sensor: found a table; expected a data_port and a position_port that differ"),
     ("sensor.min_range_m=120", "--set sensor.min_range_m=120: sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0"),
-    (
-        "world={kind='hall'}",
-        (
-            "--set world={kind='hall'}: world.length_m, world.width_m, world.height_m: missing; expected "
-            "world.length_m = a number from 0.001 to 10000, world.width_m = a number from 0.001 to 10000, "
-            "world.height_m = a number from 0.001 to 10000"
-        ),
-    ),
-    (
-        "seed=1\ntitle='x'",
-        "--set seed=1\\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808",
-    ),
+    ("world={kind='hall'}", "--set world={kind='hall'}: world.length_m, world.width_m, world.height_m: missing; expected world.length_m = a number from 0.001 to 10000, world.width_m = a number from 0.001 to 10000, world.height_m = a number from 0.001 to 10000"),
+    ("seed=1\ntitle='x'", "--set seed=1\\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808"),
 ]  # fmt: skip
 
 

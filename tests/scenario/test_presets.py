@@ -4,8 +4,9 @@ import pytest
 from pydantic import ValidationError
 
 from vlp16emu.extras.imu.settings import Imu
+from vlp16emu.extras.walk import Gait
 from vlp16emu.forest.settings import Forest, Terrain
-from vlp16emu.motion import Gait, Mount
+from vlp16emu.motion import Mount
 
 AMPLITUDES = set(Gait.model_fields) - {"preset", "step_hz", "variation"}
 

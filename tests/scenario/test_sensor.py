@@ -26,30 +26,14 @@ def test_beams_are_spread_evenly_over_the_field_of_view():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        (["sensor.beams=8"], '--set sensor.beams=8: unknown key; expected sensor.model = "free" beside it, '),
-        (
-            [FREE, "sensor.position_rate=manual"],
-            '--set sensor.position_rate=manual: unknown key; expected sensor.model = "puck-hi-res", "puck-lite" or "vlp-16" ',
-        ),
+        ([FREE, "sensor.position_rate=manual"], '--set sensor.position_rate=manual: unknown key; expected sensor.model = "puck-hi-res", "puck-lite" or "vlp-16" '),
         (["sensor.model=vlp-32c"], '--set sensor.model=vlp-32c: found "vlp-32c"; expected "free", "puck-hi-res", "puck-lite" or "vlp-16"'),
         ([FREE, "sensor.rpm=3601"], "--set sensor.rpm=3601: found 3601; expected a whole number from 60 to 3600"),
-        (
-            [FREE, "sensor.azimuth_resolution_deg=0.01"],
-            "--set sensor.azimuth_resolution_deg=0.01: found 0.01; expected a number from 0.05 to 2",
-        ),
+        ([FREE, "sensor.azimuth_resolution_deg=0.01"], "--set sensor.azimuth_resolution_deg=0.01: found 0.01; expected a number from 0.05 to 2"),
         ([FREE, "sensor.beams=0"], "--set sensor.beams=0: found 0; expected a whole number from 1 to 1024"),
-        (
-            [FREE, "sensor.elevations_deg=[1, 2]", "sensor.beams=2"],
-            "--set sensor.beams=2: found 2; expected nothing, as elevations_deg names every beam",
-        ),
-        (
-            [FREE, "sensor.vertical_fov_deg=[15, -15]"],
-            "--set sensor.vertical_fov_deg=[15, -15]: found a list of 2; expected the lower elevation first",
-        ),
-        (
-            [FREE, "sensor.elevations_deg=[0, 90]"],
-            "--set sensor.elevations_deg=[0, 90]: sensor.elevations_deg[1]: found 90; expected a number above -90",
-        ),
+        ([FREE, "sensor.elevations_deg=[1, 2]", "sensor.beams=2"], "--set sensor.beams=2: found 2; expected nothing, as elevations_deg names every beam"),
+        ([FREE, "sensor.vertical_fov_deg=[15, -15]"], "--set sensor.vertical_fov_deg=[15, -15]: found a list of 2; expected the lower elevation first"),
+        ([FREE, "sensor.elevations_deg=[0, 90]"], "--set sensor.elevations_deg=[0, 90]: sensor.elevations_deg[1]: found 90; expected a number above -90"),
         (["noise.elevation_error_deg=2"], "--set noise.elevation_error_deg=2: found 2; expected a number from 0 to 1"),
     ],
 )  # fmt: skip

@@ -20,14 +20,6 @@ def scene(folder, motion):
     return str(path)
 
 
-def test_files_are_relative_to_the_scene(tmp_path):
-    """Waypoints and recorded poses are named relative to the scene file."""
-    walk = load(scene(tmp_path, 'kind = "walk"\nway_points_file = "way.csv"')).motion
-    assert walk.way_points_file == str(tmp_path / "way.csv")
-    flown = load(scene(tmp_path, 'kind = "recorded"\nfile = "poses.txt"\nformat = "tum"')).motion
-    assert flown.file == str(tmp_path / "poses.txt")
-
-
 @pytest.mark.parametrize(
     ("motion", "key", "expected"),
     [
@@ -35,11 +27,7 @@ def test_files_are_relative_to_the_scene(tmp_path):
         (f'kind = "walk"\n{POINTS}\n{MOWER}', "motion", EITHER),
         (f'kind = "walk"\n{POINTS}\nspeed_m_s = 1.0\nrun_time_s = 9.0', "motion", "one of speed_m_s and run_time_s in it, not both"),
         (f'kind = "walk"\n{POINTS}\nstops = [{{ pause_s = 3 }}]', "motion.stops[0]", "exactly one of way_point and at_m in it"),
-        (
-            f'kind = "walk"\n{MOWER}\nstops = [{{ way_point = 2, pause_s = 3 }}]',
-            "motion",
-            "stops given by at_m where lawn_mower makes the waypoints",
-        ),
+        (f'kind = "walk"\n{MOWER}\nstops = [{{ way_point = 2, pause_s = 3 }}]', "motion", "stops given by at_m where lawn_mower makes the waypoints"),
         ('kind = "recorded"\nfile = "p"\nformat = "kitti"', "motion", TIMES),
         ('kind = "recorded"\nfile = "p"\nformat = "tum"\nrate_hz = 10', "motion", TIMES),
     ],

@@ -40,7 +40,7 @@ def test_a_walk_is_as_long_as_its_scene(path):
     assert np.isfinite(emulator.world_T_sensor(t_ns)).all()
 
 
-FEW = ("stems_per_ha=60", "regeneration.stems_per_ha=0", "shrubs.per_ha=0", "storeys=[]")
+FEW = ("stems_per_ha=15", "regeneration.stems_per_ha=0", "shrubs.per_ha=0", "storeys=[]")
 """Of a stand: how dense each is, `test_presets.py` looks at without a ray."""
 
 

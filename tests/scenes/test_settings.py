@@ -47,25 +47,3 @@ EXAMPLES = [
 def test_the_examples_of_what_people_set_are_taken(path, example):
     """Each example is a value of its key that differs from the default."""
     assert load(FROM.get(path, "birch_walk"), [f"{path}={example}"]) != load(FROM.get(path, "birch_walk"))
-
-
-def test_every_key_has_a_meaning(tool):
-    """No line of the page ends without saying what the key is."""
-    assert [line for line in tool.page().splitlines() if line.startswith("|") and line.endswith("|  |")] == []
-
-
-@pytest.mark.parametrize(
-    ("key", "unit"),
-    [
-        ("speed_m_s", "m/s"),
-        ("accel_walk_m_s3_sqrt_hz", "m/s3/sqrt(Hz)"),
-        ("basal_area_m2_per_ha", "m2/ha"),
-        ("rpm", "rev/min"),
-        ("range_at_10_percent_m", "m"),
-        ("rays", ""),
-        ("threshold_snr", ""),
-    ],
-)
-def test_units_are_read_off_the_keys(tool, key, unit):
-    """The unit of a key is that of its longest known ending."""
-    assert tool._unit(key) == unit

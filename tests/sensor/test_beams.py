@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vlp16emu.sensor.beams import BEAM_TABLES, LENS_RADIUS_M, beams_of, with_angle_errors
-from vlp16emu.sensor.settings import FreeSensor
+from vlp16emu.extras.free_sensor import FreeSensor
+from vlp16emu.sensor.beams import BEAM_TABLES, LENS_RADIUS_M, with_angle_errors
 from vlp16emu.types import SensorModel
 
 
 def free(**settings):
-    return beams_of(FreeSensor(model="free", **settings))
+    return FreeSensor(model="free", **settings).beam_table()
 
 
 @pytest.mark.parametrize(("model", "off_m"), [(SensorModel.VLP_16, 1e-4), (SensorModel.PUCK_HI_RES, 5e-4)])

@@ -21,26 +21,9 @@ def angles_deg(count):
     return rotor_of().angle_deg(np.arange(count) * 2 * SEQUENCE_NS)
 
 
-@pytest.mark.parametrize("rpm", [300, 420, 600, 1200])
-def test_a_block_turns_by_the_manuals_angle(rpm):
-    """Two firing sequences turn the head by rpm * 6 * 110.592 us."""
-    rotor = rotor_of(rpm)
-    step = np.diff(rotor.angle_deg(np.arange(3) * 2 * SEQUENCE_NS))
-    np.testing.assert_allclose(step, rpm * 6 * 110.592e-6, rtol=1e-12)
-
-
-@pytest.mark.parametrize("rpm", [300, 420, 1140])
-def test_angle_is_exact_after_a_day(rpm):
-    """A day and a millisecond after the start the angle is that of the millisecond, to the last bit."""
-    rotor = rotor_of(rpm)
-    day = np.array([1_000_000, 86_400 * 10**9 + 1_000_000])
-    first, later = rotor.angle_deg(day)
-    assert first == later
-
-
-@pytest.mark.parametrize("rpm", [61, 90, 750, 3599])
+@pytest.mark.parametrize("rpm", [61, 300, 420, 600, 1140, 3599])
 def test_any_whole_speed_is_exact_after_years(rpm):
-    """At a speed that makes no whole turns in a second the angle still is the exact fraction, years later too."""
+    """The angle is the exact fraction of the manual's rpm * 6 per second, years later too, and at speeds without whole turns in a second."""
     rotor = rotor_of(rpm)
     elapsed_ns = np.array([1, 999_999_999, 59 * 10**9 + 1, 10 * 365 * 86_400 * 10**9 + 1_234_567_891])
     exact = [float(Fraction(int(ns) * rpm * 6, 10**9) % 360) for ns in elapsed_ns]

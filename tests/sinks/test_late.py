@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from listening import MemorySink
+from sinks.kit import PERIOD_NS
 
 from vlp16emu.sinks import TOLERANCE_NS, Late, Pacer
 from vlp16emu.sinks.stream import Sender
 from vlp16emu.types import Packet, PacketKind
-
-PERIOD_NS = 1_327_104
 
 
 def shortest_ns(left_ns, count):

@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from sinks.kit import PERIOD_NS
 
 from vlp16emu.errors import InputError
 from vlp16emu.sinks import LatenessHistogram, Pacer
 from vlp16emu.types import Packet, PacketKind
-
-PERIOD_NS = 1_327_104
 
 
 class Clock:

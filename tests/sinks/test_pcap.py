@@ -2,12 +2,14 @@
 
 import hashlib
 import os
+import resource
 import signal
 import subprocess
 import sys
 import threading
 
 import pytest
+from sinks.kit import make_packets
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.capture import Capture
@@ -16,16 +18,6 @@ from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 
 RECORD_BYTES = 16 + 42 + 1206
-PROGRAM = """
-import itertools, resource, sys
-from pathlib import Path
-from vlp16emu.sinks import PcapSink
-from vlp16emu.types import Packet, PacketKind
-
-def send(sink, i):
-    sink.send(Packet(PacketKind.DATA, i * 1_327_104, i.to_bytes(2) * 603))
-
-"""
 
 
 def read(path):
@@ -34,7 +26,7 @@ def read(path):
         return list(capture), capture.cut
 
 
-def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
+def test_file_holds_the_frames_in_sending_order(tmp_path):
     """Each packet is one record with its frame and its due time cut to microseconds."""
     packets = make_packets(20)
     with PcapSink(tmp_path / "out.pcap") as sink:
@@ -57,7 +49,7 @@ def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
     assert at == len(content)
 
 
-def test_result_has_size_and_hash_of_the_file(tmp_path, make_packets):
+def test_result_has_size_and_hash_of_the_file(tmp_path):
     """They are those of the file, also when read after closing; two pieces hold the records of one file, whose identifications count on over 65535."""
     path = tmp_path / "out.pcap"
     with PcapSink(path) as sink:
@@ -74,7 +66,7 @@ def test_result_has_size_and_hash_of_the_file(tmp_path, make_packets):
     assert whole == a + b[24:]
 
 
-def test_pipe_is_written_like_a_file(tmp_path, make_packets):
+def test_pipe_is_written_like_a_file(tmp_path):
     """A named pipe receives the bytes whose hash is in the result."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
@@ -88,17 +80,24 @@ def test_pipe_is_written_like_a_file(tmp_path, make_packets):
     assert hashlib.sha256(received[0]).hexdigest() == sink.result.sha256
 
 
+KILLED = """
+import itertools, sys
+from pathlib import Path
+from vlp16emu.sinks import PcapSink
+from vlp16emu.types import Packet, PacketKind
+
+sink = PcapSink(Path(sys.argv[1]))
+for i in itertools.count():
+    sink.send(Packet(PacketKind.DATA, i * 1_327_104, (i % 65536).to_bytes(2) * 603))
+    if i == 999:
+        print("sent", flush=True)
+"""
+
+
 def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
     """After SIGKILL in the middle of writing, every packet sent before is whole and in order in the file."""
     path = tmp_path / "out.pcap"
-    program = PROGRAM + (
-        "sink = PcapSink(Path(sys.argv[1]))\n"
-        "for i in itertools.count():\n"
-        "    send(sink, i % 65536)\n"
-        "    if i == 999:\n"
-        "        print('sent', flush=True)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", program, path], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen([sys.executable, "-c", KILLED, path], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"sent\n"
         process.send_signal(signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
@@ -109,7 +108,7 @@ def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
     assert all(d.payload == (i % 65_536).to_bytes(2) * 603 for i, d in enumerate(datagrams))
 
 
-def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets):
+def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path):
     """The earlier file stays after an error; packets before it are in a file that ends with a whole one."""
     path = tmp_path / "out.pcap"
     path.write_bytes(b"earlier")
@@ -128,7 +127,7 @@ def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets
         assert [len(read(part)[0]) for part in tmp_path.glob("out.pcap.*.part")] == [5] * bool(packets)
 
 
-def test_an_interrupt_ends_a_valid_capture(tmp_path, make_packets):
+def test_an_interrupt_ends_a_valid_capture(tmp_path):
     """Ctrl-C that arrives as an exception keeps the packets before it, NMEA is a programming error, and nothing is left of a longer earlier file."""
     with pytest.raises(KeyboardInterrupt), PcapSink(tmp_path / "out.pcap") as sink:  # noqa: PT012
         sink.send(make_packets(1)[0])
@@ -147,23 +146,17 @@ def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
     """If only part of a record has room, the error names the file that ends with the packet before it; the earlier stays."""
     path = tmp_path / "out.pcap"
     path.write_bytes(b"earlier")
-    room = 24 + 10 * RECORD_BYTES + 700
-    program = PROGRAM + (
-        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
-        "from vlp16emu.errors import RunError\n"
-        "with PcapSink(Path(sys.argv[1])) as sink:\n"
-        "    try:\n"
-        "        for i in range(100):\n"
-        "            send(sink, i)\n"
-        "    except RunError as error:\n"
-        "        print(error)\n"
-        "print(sink.result.sha256)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=True)
-    message, result = done.stdout.splitlines()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (24 + 10 * RECORD_BYTES + 700, before[1]))
+    try:
+        with PcapSink(path) as sink, pytest.raises(RunError) as caught:  # noqa: PT012
+            for i in range(100):
+                sink.send(Packet(PacketKind.DATA, i, bytes(1206)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     (part,) = tmp_path.glob("out.pcap.*.part")
-    assert message == f"{path}: File too large at packet 11; the 10 packets before it are in {part}"
-    assert result == hashlib.sha256(part.read_bytes()).hexdigest()
+    assert str(caught.value) == f"{path}: File too large at packet 11; the 10 packets before it are in {part}"
+    assert sink.result.sha256 == hashlib.sha256(part.read_bytes()).hexdigest()
     assert path.read_bytes() == b"earlier"
     datagrams, cut = read(part)
     assert (len(datagrams), cut) == (10, False)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from listening import MemorySink
+from sinks.kit import PERIOD_NS, make_packets
 
 from vlp16emu.errors import RunError
 from vlp16emu.sinks import Pacer, stream
@@ -18,7 +19,6 @@ from vlp16emu.sinks.stream import LookAhead
 from vlp16emu.types import Packet, PacketKind
 
 FAST = 1000.0
-PERIOD_NS = 1_327_104
 
 
 class BreakingSink(MemorySink):
@@ -39,7 +39,7 @@ def endless(made):
     """Make packets without end, and count them in a list."""
     for i in itertools.count():
         made.append(i)
-        yield Packet(PacketKind.DATA, i * 1_327_104, b"")
+        yield Packet(PacketKind.DATA, i * PERIOD_NS, b"")
 
 
 def threads():
@@ -48,7 +48,7 @@ def threads():
 
 
 @pytest.mark.parametrize("look_ahead", [1, 7, 2048])
-def test_all_packets_arrive_in_order(make_packets, look_ahead):
+def test_all_packets_arrive_in_order(look_ahead):
     """Whatever the buffer's size, a sink gets the very packets, in their order, and the report counts them."""
     packets = make_packets(300)
     with MemorySink() as sink:
@@ -60,7 +60,7 @@ def test_all_packets_arrive_in_order(make_packets, look_ahead):
     assert threads() == 0
 
 
-def test_packets_leave_in_real_time(make_packets):
+def test_packets_leave_in_real_time():
     """At speed 1 a quarter of a second of packets takes that time, and at speed 5 a fifth of it."""
     packets = make_packets(190)
     for speed in (1.0, 5.0):
@@ -142,7 +142,7 @@ def test_what_is_made_anew_follows_what_is_sent_without_a_gap(cuts, capacity):
     assert min(generations[max(cuts) :]) > 0
 
 
-def test_error_of_the_engine_comes_after_the_packets_before_it(make_packets):
+def test_error_of_the_engine_comes_after_the_packets_before_it():
     """What the engine raises is raised to the caller, once all earlier packets have been sent."""
 
     def failing():
@@ -185,7 +185,7 @@ def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():
     assert threads() == 0
 
 
-def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world(make_packets):
+def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world():
     """A stream that is stopped before its first packet, while what begins beside it waits for a world, has a report."""
     stop, sink = threading.Event(), MemorySink()
 
@@ -197,7 +197,7 @@ def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world(make_packets)
     assert sink.packets == []
 
 
-def test_stop_event_and_switch_interval_are_left_as_they_were(make_packets):
+def test_stop_event_and_switch_interval_are_left_as_they_were():
     """A stream that ends by itself does not set the caller's event; the interpreter's switch interval is short while it sends, and as before afterwards."""
     stop = threading.Event()
     assert not stream(make_packets(3), MemorySink(), Pacer(FAST), stop=stop).interrupted
@@ -214,7 +214,7 @@ def test_stop_event_and_switch_interval_are_left_as_they_were(make_packets):
     assert max(during_s) < before_s
 
 
-def test_a_slow_engine_is_reported_at_once(make_packets):
+def test_a_slow_engine_is_reported_at_once():
     """An engine that pauses for 0.2 s after the buffer has run dry is notified once, while the stream runs."""
     times, sink = [], MemorySink()
 
@@ -235,7 +235,7 @@ def test_a_slow_engine_is_reported_at_once(make_packets):
     assert report.lateness.packets == 100
 
 
-def test_a_packet_that_does_not_come_is_notified_before_it_comes(make_packets):
+def test_a_packet_that_does_not_come_is_notified_before_it_comes():
     """An engine that stands still is notified while the stream waits for it, and is one time with its delay."""
     notified = threading.Event()
 

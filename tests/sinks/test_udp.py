@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
+from sinks.kit import make_packets
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets import FACTORY_LINK
@@ -31,7 +32,7 @@ def open_sink(receivers):
     return UdpSink([replace(FACTORY_LINK, data_port=data.getsockname()[1], position_port=position.getsockname()[1])])
 
 
-def test_datagrams_arrive_at_their_ports(receivers, make_packets):
+def test_datagrams_arrive_at_their_ports(receivers):
     """Data and position payloads arrive unchanged and in order, each at its own port, from two free ports."""
     packets = make_packets(50)
     data, position = receivers
@@ -55,7 +56,7 @@ def test_loopback_is_the_default():
         assert sink.address == "127.0.0.1"
 
 
-def test_nobody_listening_does_not_end_the_stream(make_packets):
+def test_nobody_listening_does_not_end_the_stream():
     """Sending on goes well where every datagram is answered by port unreachable; who listens then gets what comes next."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
         closed.bind((LOOPBACK, 0))

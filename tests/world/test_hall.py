@@ -79,7 +79,7 @@ def test_pole_is_round_to_a_twentieth_of_a_millimetre(diameter_m):
     assert abs(radius.mean() - diameter_m / 2) < 2e-6
 
 
-@pytest.mark.parametrize("diameter_m", [0.1, 1.0, 4.0])
+@pytest.mark.parametrize("diameter_m", [0.1, 4.0])
 def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
     """Vertices and the middles of all faces lie within 0.1 mm of the true sphere; the ball is closed."""
     solid = solid_of(HallSphere(name="ball", centre_m=(0.0, 0.0, 0.0), diameter_m=diameter_m))

@@ -26,7 +26,7 @@ class Swing(MotionSection):
     rope_m: Size = 3.0
     amplitude_rad: float = 0.3
 
-    def carrier(self, height_m: object, start_ns: int) -> tuple["Pendulum", np.ndarray]:
+    def carrier(self, site: object, *, start_ns: int, **_: object) -> tuple["Pendulum", np.ndarray]:
         """Return the motion and its path on the map, around which a forest is laid out."""
         reach_m = self.rope_m * math.sin(self.amplitude_rad)
         return Pendulum(self, start_ns), np.array([[-reach_m, 0.0], [reach_m, 0.0]])

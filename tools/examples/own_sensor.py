@@ -10,7 +10,7 @@ import sys
 from typing import Literal
 
 from vlp16emu import Emulator, write_points
-from vlp16emu.sensor import FreeSensor
+from vlp16emu.extras.free_sensor import FreeSensor
 
 
 class Dense32(FreeSensor):

@@ -97,6 +97,7 @@ def main() -> None:
     """Carry out the command line of this process and exit."""
     # What runs side by side is threads of ours: those of OpenBLAS, for products of a few rows, wait in a loop.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would search all that is installed for them
     gc.set_threshold(500_000)  # libraries bring 300 000 objects, none of them garbage
     for number in range(3):  # a file that a run opens must not take the place of a closed standard stream
         try:

@@ -12,7 +12,6 @@ from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.engine.timeline import Stretch, Timeline
 from vlp16emu.motion import Mount
-from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
@@ -20,11 +19,11 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.beams import beams_of, with_angle_errors
+from vlp16emu.sensor.beams import with_angle_errors
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
-from vlp16emu.sensor.settings import FreeSensor, Lidar, Sensor, on_the_wire
+from vlp16emu.sensor.settings import Lidar, Sensor, on_the_wire
 from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -68,7 +67,7 @@ class Unit:
     """One sensor on the carrier, with all that is its own."""
 
     number: int  # Place in the rig, from 0
-    section: Sensor | FreeSensor
+    section: Lidar
     mount: Mount  # Mount on the carrier
     seed: int  # Seed of all that is random in it
     head: Head
@@ -206,16 +205,12 @@ def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
     site = section.site(seed)
-    carrier, path_xy_m = make_carrier(
-        scenario.motion,
-        site.height_m,
-        site.name,
-        origin_m=site.origin_m,
+    carrier, path_xy_m = scenario.motion.carrier(
+        site,
         gps=scenario.gps,
         reach_m=scenario.sensor.max_range_m,
         start_ns=scenario.start_ns,
         seed=scenario.motion_seed,
-        obstacles=site.obstacles,
     )
     world, wind = site.world(
         path_xy_m,
@@ -232,7 +227,7 @@ def mounts_of(scenario: Scenario) -> list[Mount]:
     return [scenario.motion.mount, *(unit.mount for unit in scenario.rig)]
 
 
-def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
+def _sensors(scenario: Scenario) -> list[tuple[Lidar, Mount]]:
     return list(zip([scenario.sensor, *scenario.rig], mounts_of(scenario), strict=True))
 
 
@@ -275,7 +270,7 @@ def clock_at(t_ns: int, section: Lidar, reading_ns: int = 0, *, locked: bool) ->
     return ClockSpan(t_ns, reading_ns, error_ppm)
 
 
-def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
+def _head(scenario: Scenario, section: Lidar, seed: int) -> Head:
     start_ns, power_up_ns = scenario.start_ns, _power_up_ns(scenario, section)
     phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
     angle_deg, error_rpm = section.start_azimuth_deg or 0.0, section.speed_error_rpm
@@ -284,7 +279,7 @@ def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
     swings = Swing.sample(seed, error_rpm, section.speed_wander_rpm, is_exact=section.rotation_spread == 0.0)
     rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
     beams = with_angle_errors(
-        beams_of(section),
+        section.beam_table(),
         elevation_error_deg=scenario.noise.elevation_error_deg,
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,

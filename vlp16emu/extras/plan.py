@@ -10,13 +10,13 @@ from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.keep_up import choose, settings_that_keep_up
 from vlp16emu.extras.meshes.furnished import MeshKey
+from vlp16emu.extras.walk import Walk
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.prototypes import CrownKey, SaplingKey, ShrubKey
 from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.stand.tree_models import ModelKey
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.motion import Walk
 from vlp16emu.scenario import Scenario
 
 _KINDS = {

@@ -10,7 +10,7 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from vlp16emu.store import PACKAGE, Store, read_checked, user_folder
 
 _IMPORT = re.compile(r"^ *from vlp16emu([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _SUFFIX = ".kernel"
+_LAYOUT = 3  # of the files
 _MOST_BYTES = 200_000_000
 _PACKAGED = PACKAGE / "_kernels"  # kernels that a wheel carries
 
@@ -44,21 +45,21 @@ class KernelCache:
 
     def load_overload(self, signature: object, context: Any) -> object:
         """Load a kernel; None if there is none that is whole."""
-        from numba.core.compiler import CompileResult
-
-        context.refresh()
         if not self._is_kept:
             return None
         name = self._file(signature)
         content = read_checked(_PACKAGED / name) or user_kernels().read(name)
-        return CompileResult._rebuild(context, *pickle.loads(content)) if content else None  # noqa: S301 - from a safe folder
+        return _loaded(context, *pickle.loads(content)) if content else None  # noqa: S301 - from a safe folder
 
     def save_overload(self, signature: object, result: Any) -> None:
-        """Keep a kernel, unless only other kernels can call it or it holds addresses of this process."""
+        """Keep a kernel, unless it holds addresses of this process."""
         from numba.core.serialize import dumps
 
-        if self._is_kept and result.entry_point is not None and not result.library.has_dynamic_globals:
-            user_kernels().write(self._file(signature), dumps(result._reduce()))
+        if self._is_kept and not result.library.has_dynamic_globals:
+            library, described, environment, types, *_, environments = result._reduce()
+            name, _, (code, _) = library
+            full = [inner for inner in environments if inner.consts]  # others name modules that need not be loaded
+            user_kernels().write(self._file(signature), dumps((name, code, described, environment, types, full)))
 
     def give_up(self, signature: object) -> None:
         """Keep nothing in the place of a kernel that cannot be compiled, so that it is not tried at each start."""
@@ -68,6 +69,45 @@ class KernelCache:
         args = getattr(signature, "args", signature)
         of = hashlib.sha256(str(args).encode()).hexdigest()[:20]
         return f"{_state()}-{self._name}-{of}-{_content(frozenset({self._module, *_modules(args)}))}{_SUFFIX}"
+
+
+def _loaded(
+    context: Any, name: str, code: bytes, described: Any, environment: Any, types: object, environments: Iterable[Any]
+) -> object:
+    """Make a kernel of what was kept, for calls from Python: its code for linking, half of the file, is not kept.
+
+    Nothing is loaded that only compilation needs, as `CompileResult._rebuild` would.
+    """
+    from numba.core.compiler import compile_result
+
+    _declare_runtime()
+    codegen = context.codegen()
+    library = codegen.create_library(name)
+    library.enable_object_caching()
+    library._set_compiled_object(code)
+    library._finalize_final_module()
+    codegen._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
+    entry = context.get_executable(library, described, environment)
+    for inner in environments:
+        codegen.set_env(inner.env_name, inner)
+    return compile_result(
+        target_context=context,
+        entry_point=entry,
+        fndesc=described,
+        signature=types,
+        environment=environment,
+        objectmode=False,
+    )
+
+
+@cache
+def _declare_runtime() -> None:
+    """Name to LLVM what code calls of numba's runtime, as its `initialize` does, which compiles for 0.05 s more than that."""
+    from llvmlite import binding
+    from numba.core.runtime import _nrt_python
+
+    for name, address in _nrt_python.c_helpers.items():
+        binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 @cache
@@ -89,12 +129,18 @@ def sources_of(modules: frozenset[str]) -> list[str]:
     """Return the files of the package that modules are made of: their own, and those of all that they import, but for this room."""
     left, found = set(modules), set[str]()
     while left:
-        place = left.pop().partition(".")[2].replace(".", "/")
-        for file in {f"{place}.py", f"{place}/__init__.py"} - found:
-            if place and not place.startswith("kernels") and (PACKAGE / file).is_file():
+        for file in _files_of(left.pop()):
+            if file not in found:
                 found.add(file)
                 left.update(_read(file)[1])
     return sorted(found)
+
+
+@cache
+def _files_of(module: str) -> list[str]:
+    place = module.partition(".")[2].replace(".", "/")
+    files = [] if not place or place.startswith("kernels") else [f"{place}.py", f"{place}/__init__.py"]
+    return [file for file in files if (PACKAGE / file).is_file()]
 
 
 def _modules(kind: Any) -> Iterator[str]:
@@ -131,7 +177,7 @@ def _state() -> str:
     import numpy as np
     from numba.core.registry import cpu_target
 
-    versions = numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag
+    versions = _LAYOUT, numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag
     target = cpu_target.target_context.codegen().magic_tuple()
     options = [getattr(numba.config, name) for name in ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE")]
     return hashlib.sha256(repr((versions, target, options)).encode()).hexdigest()[:16]

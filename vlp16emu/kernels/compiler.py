@@ -24,12 +24,12 @@ import numba
 from llvmlite import binding
 from numba import types
 from numba.core import sigutils
+from numba.core.caching import NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
-from numba.np import linalg
 
 from vlp16emu.kernels.cache import KernelCache, user_kernels
 
@@ -49,15 +49,21 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     def take_over(cls, dispatcher: CPUDispatcher) -> None:
         """Make a dispatcher of numba one of these, with a cache of ours."""
         dispatcher.__class__ = cls
-        dispatcher._cache = KernelCache(dispatcher.py_func)
+        dispatcher.kept = KernelCache(dispatcher.py_func)
         dispatcher._compiler.pipeline_class = _KernelCompiler
 
+    @property
+    def _cache(self) -> Any:
+        """Files, for kernels that Python calls: from others' they would come without code to be linked with."""
+        return NullCache() if KernelDispatcher.depth > 1 else self.kept
+
     def compile(self, sig: Any) -> Any:
-        """Compile for types of arguments, unless that has been done; what was done for other kernels does not count."""
+        """Compile for types of arguments, unless that has been done: for Python, or in a way that other kernels can use."""
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
             done = self.overloads.get(tuple(args))
-            if KernelDispatcher.depth == 0 and done is not None and isinstance(done.entry_point, _Inner):
+            is_for_kernels = KernelDispatcher.depth > 0
+            if done and (done.library is None if is_for_kernels else isinstance(done.entry_point, _Inner)):
                 del self.overloads[tuple(args)]
             KernelDispatcher.depth += 1
             try:
@@ -81,6 +87,15 @@ class _Inner:
 
 class _KernelCompiler(Compiler):  # type: ignore[misc]
     """Numba's compiler, which makes for inner kernels what other kernels take of them and nothing else."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        if "numba.np.arraymath" not in sys.modules:
+            # It would load scipy.linalg for 0.1 s only to see whether that is there; a kernel that takes it asks once more.
+            from numba.np import linalg
+
+            ensure_blas = linalg.ensure_blas
+            linalg.ensure_blas = lambda: setattr(linalg, "ensure_blas", ensure_blas)
+        super().__init__(*args, **options)
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function."""
@@ -118,10 +133,6 @@ def _prepare() -> None:
     # In the environment: numba reads it again whenever a variable of its own has changed.
     os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
     numba.config.reload_config()
-    if "numba.np.arraymath" not in sys.modules:
-        # It would load scipy.linalg for 0.1 s only to see whether that is there; a kernel that takes it asks once more.
-        ensure_blas = linalg.ensure_blas
-        linalg.ensure_blas = lambda: setattr(linalg, "ensure_blas", ensure_blas)
     enable_caching = Dispatcher.enable_caching
 
     def enable_our_caching(dispatcher: CPUDispatcher) -> None:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.doors import door
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.beam import FARTHEST, LINE, ROUND, Footprint, beam_axis_of
 from vlp16emu.raycast.build import EmbreeMesh, Placed, inverses, relative_to_window, shape_of
-from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.kernel import Cast, PulseBatch, batch_of, cast_lines, cast_pulses, join_rounds
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import recalled
@@ -98,7 +98,7 @@ class EmbreeGeometry:
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
         cast_lines(own, *beyond, *met)
         if beam.section.model == "offset":
-            displace(met[0], beam, firings.index)
+            door("displace")(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -14,13 +15,10 @@ from pydantic import ValidationError
 from vlp16emu.doors import added, door
 from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
-from vlp16emu.motion import Walk
 from vlp16emu.scenario.model import Scenario, schema
 from vlp16emu.sensor import Lidar
 from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
 
-_RIVALS = frozenset(Walk.one_of), Walk.either_or
-"""Keys that exclude each other: a setting of one takes the place of the others."""
 _UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)
 """Errors among the keys of `[sensor]` and `[[rig]]`, switched off."""
 
@@ -31,6 +29,7 @@ class _Setting(NamedTuple):
     key: str
     value: object
     where: str  # Its name in errors
+    rivals: Sequence[Iterable[str]] = ()  # Of each name of the key, those that it excludes, and takes the place of
 
 
 class _Source(NamedTuple):
@@ -67,7 +66,7 @@ def load(
     source = _source(scene, folder or Path.cwd())
     given = settings.items() if isinstance(settings, Mapping) else ()
     read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
-    changes = [one._replace(value=_as_meant(one.value, _kinds_at(one.key))) for one in read]
+    changes = [_meant(one) for one in read]
     if ideal:
         _take_errors(source.tree)
     try:
@@ -144,12 +143,17 @@ def _take_errors(tree: dict[str, Any]) -> None:
             unit.update({"preset": "steady"} | _UNIT_ERRORS)
 
 
-def _kinds_at(key: str) -> list[Any]:
-    """List the types that a key of a scene may have, by its path."""
-    kinds: list[Any] = [Scenario]
-    for name in key.split("."):
+def _meant(setting: _Setting) -> _Setting:
+    """Return a setting with its value as its key takes it, and what it excludes, by the tables that its path may lead through."""
+    kinds, rivals = list[Any]([Scenario]), list[set[str]]()
+    for name in setting.key.split("."):
+        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)]
+        groups = [
+            {*group} for table in tables for group in (table.either_or, getattr(table, "one_of", ())) if name in group
+        ]
+        rivals.append({*chain(*groups)} - {name})
         kinds = _kinds_of(kinds, name)
-    return kinds
+    return setting._replace(value=_as_meant(setting.value, kinds), rivals=rivals)
 
 
 def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
@@ -205,21 +209,15 @@ def _apply(tree: dict[str, Any], setting: _Setting) -> None:
         raise ScenarioError(setting.where, "no assignment", "key.path=value")
     if len(names) > DEEPEST:
         raise ScenarioError(setting.where, f"a key of {len(names)} names", "a key of a scene")
-    for name in names[:-1]:
-        _drop_rivals(tree, name)
-        branch = tree.setdefault(name, {})
-        if not isinstance(branch, dict):
+    for place, (name, rivals) in enumerate(zip(names, setting.rivals, strict=True), start=1):
+        for rival in rivals:
+            tree.pop(rival, None)
+        if place == len(names):
+            tree[name] = setting.value
+            return
+        tree = tree.setdefault(name, {})
+        if not isinstance(tree, dict):
             raise ScenarioError(setting.where, f"{name} is no table", "table names before the last dot")
-        tree = branch
-    _drop_rivals(tree, names[-1])
-    tree[names[-1]] = setting.value
-
-
-def _drop_rivals(tree: dict[str, Any], name: str) -> None:
-    for rivals in _RIVALS:
-        if name in rivals:
-            for rival in rivals - {name}:
-                tree.pop(rival, None)
 
 
 def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str, str]) -> str:

@@ -26,7 +26,7 @@ from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, MotionSection, Mount
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
-from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
+from vlp16emu.sensor import AnySensor, Lidar, Sensor
 from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import People, WorldSection
@@ -192,9 +192,9 @@ class Scenario(Section):
     @classmethod
     def _like_the_first(cls, tables: Any, info: ValidationInfo) -> Any:
         first = info.data.get("sensor")  # absent where it is itself in error
-        if isinstance(first, FreeSensor) and tables:
-            raise ValueError('none beside sensor.model = "free", which has no packets')
         if not isinstance(first, Sensor) or not isinstance(tables, list):
+            if first is not None and tables and not isinstance(first, Sensor):
+                raise ValueError(f'none beside sensor.model = "{first.model}", which has no packets')
             return tables
         return [completed(table, first, place) for place, table in enumerate(tables, start=1)]
 
@@ -273,7 +273,7 @@ class Scenario(Section):
         return start_s, self.duration_s
 
 
-def _is_locked(sensor: Sensor | FreeSensor | None) -> bool:
+def _is_locked(sensor: Lidar | None) -> bool:
     return isinstance(sensor, Sensor) and sensor.phase_lock_deg is not None
 
 

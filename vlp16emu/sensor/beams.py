@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, tan
+from vlp16emu.elementary import cos
 from vlp16emu.random import Purpose, normal
-from vlp16emu.sensor.settings import FreeSensor, Sensor
 from vlp16emu.types import Array, SensorModel
-from vlp16emu.units import S_NS
 
 LASER_NS = 2_304  # time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)
 SEQUENCE_NS = 55_296  # period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)
@@ -47,42 +45,29 @@ class BeamTable:
         return np.argsort(np.argsort(self.elevation_deg, kind="stable"), kind="stable").astype(np.uint16)
 
 
-def _table(
+def table_of(
     elevation_deg: Sequence[float],
     vertical_offset_m: Array,
     lens_radius_m: float = LENS_RADIUS_M,
     sequence_ns: int = SEQUENCE_NS,
     laser_ns: int = LASER_NS,
 ) -> BeamTable:
+    """Return the table of a unit without angle errors, from columns of `BeamTable`."""
     elevation, errors_deg = np.array(elevation_deg, np.float64), np.zeros(len(elevation_deg))
     return BeamTable(elevation, vertical_offset_m, lens_radius_m, sequence_ns, laser_ns, errors_deg, errors_deg)
 
 
-_VLP_16 = _table(
+_VLP_16 = table_of(
     (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15),
     np.array((11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2)) * 1e-3,
 )
 # Offsets of ids 0..6 follow from those of 15..9 by antisymmetry.
-_PUCK_HI_RES = _table(
+_PUCK_HI_RES = table_of(
     (-10.0, 0.667, -8.667, 2.0, -7.333, 3.333, -6.0, 4.667, -4.667, 6.0, -3.333, 7.333, -2.0, 8.667, -0.667, 10.0),
     np.array((7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4)) * 1e-3,
 )
 
 BEAM_TABLES = {SensorModel.VLP_16: _VLP_16, SensorModel.PUCK_LITE: _VLP_16, SensorModel.PUCK_HI_RES: _PUCK_HI_RES}
-
-
-def beams_of(section: Sensor | FreeSensor) -> BeamTable:
-    """Return the beam table of a model, or that of a free sensor.
-
-    A free sensor fires once per azimuth step, to the nearest nanosecond, its lasers evenly in between. All its beams pass
-    through one point of the lens.
-    """
-    if isinstance(section, Sensor):
-        return BEAM_TABLES[SensorModel(section.model)]
-    elevation_deg, radius_m = section.beam_elevations_deg, section.lens_radius_m
-    sequence_ns = round(section.azimuth_resolution_deg / (6 * section.rpm) * S_NS)
-    offset_m = -radius_m * tan(np.radians(np.array(elevation_deg)))  # where lines through the lens meet the axis
-    return _table(elevation_deg, offset_m, radius_m, sequence_ns, sequence_ns // len(elevation_deg))
 
 
 def with_angle_errors(

@@ -1,15 +1,17 @@
 """The `[sensor]` table."""
 
 from ipaddress import IPv4Address
-from typing import Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import OneOf, Preset, Seed
 
+if TYPE_CHECKING:  # scenes are read without numpy
+    from vlp16emu.sensor.beams import BeamTable
+
 Degrees = Annotated[float, Field(ge=0, lt=360)]
-Elevation = Annotated[float, Field(gt=-90, lt=90)]
 Port = Annotated[int, Field(ge=1, le=65_535)]
 
 
@@ -42,6 +44,10 @@ Address = Annotated[str, AfterValidator(_of_a_host)]
 
 class Lidar(Preset):
     """Keys that all lidars have in common."""
+
+    if TYPE_CHECKING:
+        model: str
+        rpm: int
 
     seed: Seed | None = None
     """Seed of the errors of this sensor, and of the GPS receiver and inertial unit beside it; the scene's seed if not set."""
@@ -96,6 +102,10 @@ class Lidar(Preset):
             raise ValueError(f"more than min_range_m = {nearest}")
         return max_range_m
 
+    def beam_table(self) -> "BeamTable":
+        """Return the directions and firing times of the lasers."""
+        raise NotImplementedError
+
 
 class Sensor(Lidar):
     """A lidar whose packets are known, as it leaves the box and as it is set."""
@@ -121,6 +131,13 @@ class Sensor(Lidar):
     position_port: Port = 8308
     """Destination port of position packets (63-9243 Rev D, section 9.3.3)."""
 
+    def beam_table(self) -> "BeamTable":
+        """Return the table of the model."""
+        from vlp16emu.sensor.beams import BEAM_TABLES
+        from vlp16emu.types import SensorModel
+
+        return BEAM_TABLES[SensorModel(self.model)]
+
     @model_validator(mode="after")
     def _starts_once(self) -> Self:
         if self.either_or <= self.model_fields_set:
@@ -135,60 +152,19 @@ class Sensor(Lidar):
         return self
 
 
-class FreeSensor(Lidar):
-    """A spinning lidar of any beam table. It has no packets, only points."""
-
-    model: Literal["free"]
-    """Selects a sensor of any beam table, without packets."""
-    elevations_deg: Annotated[tuple[Elevation, ...], Field(strict=False)] = ()
-    """Elevation of each laser in order of firing; instead of `beams` and `vertical_fov_deg`."""
-    beams: Annotated[int, Field(ge=1, le=1024)] = 16
-    """Number of lasers, spread evenly over the field of view, lowest first; a single one looks at its middle."""
-    vertical_fov_deg: Annotated[tuple[Elevation, Elevation], Field(strict=False)] = (-15.0, 15.0)
-    """Elevations of the lowest and the highest laser."""
-    azimuth_resolution_deg: Annotated[float, Field(ge=0.05, le=2)] = 0.2
-    """Rotor angle from one firing sequence to the next."""
-    rpm: Annotated[int, Field(ge=60, le=3600)] = 600
-    """Rotor speed."""
-    lens_radius_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Distance from the spin axis of the point through which all beams pass; 0 lets them begin on the axis."""
-
-    @field_validator("beams", "vertical_fov_deg")
-    @classmethod
-    def _said_once(cls, value: object, info: ValidationInfo) -> object:
-        if info.data.get("elevations_deg"):
-            raise ValueError("nothing, as elevations_deg names every beam")
-        return value
-
-    @field_validator("vertical_fov_deg")
-    @classmethod
-    def _rising(cls, vertical_fov_deg: tuple[float, float]) -> tuple[float, float]:
-        if vertical_fov_deg[0] >= vertical_fov_deg[1]:
-            raise ValueError("the lower elevation first")
-        return vertical_fov_deg
-
-    @property
-    def beam_elevations_deg(self) -> tuple[float, ...]:
-        """Elevation of each laser in order of firing."""
-        low, high = self.vertical_fov_deg
-        if self.elevations_deg or self.beams == 1:
-            return self.elevations_deg or ((low + high) / 2,)
-        return tuple(low + (high - low) * i / (self.beams - 1) for i in range(self.beams))
-
-
-AnySensor = Annotated[Sensor | FreeSensor, OneOf(Lidar, "sensors", "model", "vlp-16")]
+AnySensor = Annotated[Lidar, OneOf(Lidar, "sensors", "model", "vlp-16")]
 """The `[sensor]` table."""
 
 
-def on_the_wire(sensor: Sensor | FreeSensor) -> Sensor:
+def on_the_wire(sensor: Lidar) -> Sensor:
     """Return a sensor that has packets.
 
     Raises ScenarioError if it has none.
     """
-    if isinstance(sensor, FreeSensor):
+    if not isinstance(sensor, Sensor):
         raise ScenarioError(
             "sensor.model",
-            'found "free", which has no packets',
+            f'found "{sensor.model}", which has no packets',
             '"vlp-16", "puck-lite" or "puck-hi-res", or `vlp16emu points`, which writes what any sensor sees',
         )
     return sensor

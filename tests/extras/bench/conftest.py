@@ -38,7 +38,6 @@ class Engine:
         )
 
     def changed(self, _before, after, *, restarts):
-        """Take over what was set, or start again with it."""
         self.settings = after
         (self.resets if restarts else self.changes).append(after)
 
@@ -53,8 +52,6 @@ class Engine:
 
 @pytest.fixture
 def make(tmp_path):
-    """Make an engine and its device, which saves into a file or not."""
-
     def made(*, saved=None, factory=None):
         engine = Engine()
         what = {"status": engine.status, "is_up": lambda: engine.is_up, "changed": engine.changed, "info": INFO}
@@ -72,24 +69,20 @@ class Client:
         self._line = http.client.HTTPConnection(*address, timeout=60)
 
     def ask(self, method, path, body=None, headers=None):
-        """Ask anything."""
         self._line.request(method, path, body, headers or {})
         answer = self._line.getresponse()
         return answer.status, answer.headers, answer.read()
 
     def get(self, path):
-        """Read a document."""
         status, _, body = self.ask("GET", path)
         assert status == 200
         return json.loads(body)
 
     def post(self, path, body):
-        """Send a form."""
         status, _, body = self.ask("POST", path, body)
         return status, body
 
     def close(self):
-        """Hang up."""
         self._line.close()
 
 

@@ -25,7 +25,6 @@ def sentence(second, *, valid=True):
 
 
 def host(second):
-    """Instant of the host's clock."""
     return HOST_NS + round(second * S_NS)
 
 
@@ -46,7 +45,6 @@ def feed(line, seconds, *, valid=True, jitter_ns=0, say=sentence):
 
 
 def off_ns(line, second):
-    """How far the clock is from UTC, in ns."""
     error = line.clock_ns(host(second)) - (UTC_NS + round(second * S_NS)) % HOUR_NS
     return (error + HOUR_NS // 2) % HOUR_NS - HOUR_NS // 2
 

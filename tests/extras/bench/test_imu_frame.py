@@ -1,8 +1,6 @@
 """Frames of inertial samples."""
 
-import struct
 import tomllib
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -16,25 +14,6 @@ from vlp16emu.types import Packet, PacketKind
 GOLDEN = Path(__file__).resolve().parents[3] / "protocol" / "golden"
 MEANING = tomllib.loads((GOLDEN / "imu.toml").read_text())
 FRAME = bytes.fromhex((GOLDEN / "imu.hex").read_text())
-
-
-def made(count, seed=1):
-    """Frames of random samples."""
-    draw = np.random.default_rng(seed)
-    t_ns = draw.integers(2**62, size=count)
-    return imu_frames(2**40, t_ns, draw.normal(size=(count, 3)), draw.normal(size=(count, 3)))
-
-
-def found_in(stream):
-    """Frames in bytes of a serial line, as `protocol/imu_frame.toml` says, by the standard library alone."""
-    at = 0
-    while (at := stream.find(b"IMU\1", at)) >= 0:
-        frame = stream[at : at + 72]
-        if len(frame) == 72 and struct.unpack_from("<I", frame, 4)[0] == zlib.crc32(frame[8:]):
-            yield frame
-            at += 72
-        else:
-            at += 1
 
 
 def test_a_sample_becomes_the_golden_frame():
@@ -62,14 +41,6 @@ def test_any_wrong_bit_is_found():
             decode_imu(bytes(wrong))
     with pytest.raises(PacketError, match="found 71 bytes; expected 72"):
         decode_imu(FRAME[:-1])
-
-
-def test_a_reader_finds_its_way_back():
-    """Of a line that begins amid a frame, loses bytes and has noise between frames, all whole frames are found."""
-    frames = made(50)
-    noise = np.random.default_rng(2).bytes(200) + b"IMU\1"
-    stream = frames[0][31:] + b"".join(frames[1:20]) + frames[20][:40] + frames[21] + noise + b"".join(frames[22:])
-    assert list(found_in(stream)) == frames[1:20] + frames[21:]
 
 
 def test_moving_changes_time_and_checksum_alone():

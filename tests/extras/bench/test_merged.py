@@ -27,11 +27,9 @@ class Stream:
         self.made_until_ns, self.changes, self.changed = self.start_ns, [], threading.Semaphore(0)
 
     def due_in_ns(self, ahead_ns):
-        """Say when a packet is due."""
         return self.start_ns + ahead_ns
 
     def redo(self, due_ns, restart):
-        """Begin again."""
         restart(due_ns)
         self.changes.append(due_ns)
         self.changed.release()

@@ -19,11 +19,9 @@ class Clock:
         self.now_ns = now_ns
 
     def __call__(self):
-        """Time now."""
         return self.now_ns
 
     def sleep(self, seconds):
-        """Go on at once."""
         self.now_ns += round(seconds * S_NS)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.imu_frame import decode_imu
 from vlp16emu.extras.bench.outlets import PULSE_NS, Beside
 from vlp16emu.extras.truth.truth import write_truth
@@ -36,7 +35,6 @@ def beside(emulator, *kinds):
 
 
 def all_of(emulator, start_s, stop_s):
-    """Packets of a span, with all that leaves beside."""
     span_ns = round(start_s * S_NS), round(stop_s * S_NS)
     return beside(emulator, *ALSO).among(emulator.packets(start_s, stop_s), *span_ns)
 
@@ -116,13 +114,3 @@ def test_nothing_is_made_before_its_time(hall, packets, monkeypatch):
     for packet in all_of(hall, 0.0, 2.0):
         assert asked_ns[-1] <= packet.due_ns
         assert looked[0] <= packet.due_ns + 20 * MS_NS
-
-
-@pytest.mark.parametrize(
-    ("kind", "key"), [(PacketKind.NMEA, "gps.connected"), (PacketKind.PPS, "gps.connected"), (PacketKind.IMU, "imu")]
-)
-def test_a_device_that_the_scene_has_not_is_refused(kind, key):
-    """Before anything is computed, by the key that would bring it."""
-    emulator = Emulator("static_bench", threads=1)
-    with pytest.raises(ScenarioError, match=rf"^{key}: found|^{key}: no such"):
-        beside(emulator, kind)

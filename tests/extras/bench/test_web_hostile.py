@@ -22,7 +22,6 @@ FORM = b"POST /cgi/setting HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 
 
 def lives(web):
-    """Whether it still answers; its client gives up after a minute."""
     return web.client.get("/cgi/status.json")["motor"]["rpm"] > 0
 
 

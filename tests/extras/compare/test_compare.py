@@ -85,9 +85,8 @@ def test_known_settings_come_back_from_our_own_packets(recorded):
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_rate_of_lost_records_comes_back(recorded, share):
     """A unit that loses no record has a rate of 0; one like the real ones has between a third of their rate and three times it."""
-    lost = fitted(recorded(f"lost {share}", UNIT | SHORT_SIGHTED | {"noise.records_lost": share}, 0.9))["noise"][
-        "records_lost"
-    ]
+    noise = fitted(recorded(f"lost {share}", UNIT | SHORT_SIGHTED | {"noise.records_lost": share}, 0.9))["noise"]
+    lost = noise["records_lost"]
     assert lost < 0.1 if share == 0.0 else 0.3 < lost < 3.0
 
 
@@ -123,7 +122,6 @@ def test_the_beat_of_real_units_is_found(real):
 
 
 def settings_of(sequences):
-    """What fits a capture, as settings of a scene."""
     tables = fitted(sequences)
     return {f"{section}.{key}": value for section, table in tables.items() for key, value in table.items()}
 
@@ -136,15 +134,8 @@ def test_a_fitted_unit_is_like_the_real_one(real, recorded):
 
 
 FITTED = (
-    "range.beat",
-    "range.white",
-    "reflectivity.equal_60",
-    "reflectivity.scatter_60",
-    "no_return.above_0",
-    "no_return.mean",
-    "rotation.o",
-    "rotation.r",
-    "residue",
+    *("range.beat", "range.white", "reflectivity.equal_60", "reflectivity.scatter_60"),
+    *("no_return.above_0", "no_return.mean", "rotation.o", "rotation.r", "residue"),
 )
 """Beginnings of the names of statistics that follow from keys which `fit` gives."""
 

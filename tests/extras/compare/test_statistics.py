@@ -70,13 +70,13 @@ def test_heavy_tails_show_in_the_kurtosis():
 def test_texture_is_scatter_over_level():
     """Codes around 40 whose scatter is 2 % on three quarters of a wall and 10 % on the rest: P90 over P25 is near five."""
     sigma = np.where(NUMBER % 1800 < 450, 4.0, 0.8)[:, None]
-    spread = reflectivity_noise(
-        stretches_of(sequences_of(noisy(5.0), np.rint(DRAW.normal(40, sigma, (COUNT, 16))).astype(int)))
-    )
-    assert spread["reflectivity.texture_spread"] == pytest.approx(5.0, abs=0.8)
-    dark = reflectivity_noise(
-        stretches_of(sequences_of(noisy(5.0), np.rint(DRAW.normal(10, 1.0, (COUNT, 16))).astype(int)))
-    )
+
+    def noise(level, sigma):
+        wall = np.rint(DRAW.normal(level, sigma, (COUNT, 16))).astype(int)
+        return reflectivity_noise(stretches_of(sequences_of(noisy(5.0), wall)))
+
+    assert noise(40, sigma)["reflectivity.texture_spread"] == pytest.approx(5.0, abs=0.8)
+    dark = noise(10, 1.0)
     assert dark["reflectivity.texture_4_15"] == pytest.approx(np.hypot(1.0, 12**-0.5) / 10, abs=0.005)
 
 
@@ -87,9 +87,8 @@ def test_gains_of_lasers_are_found_whatever_stands_there():
         gain = np.exp(spread * np.random.default_rng(2).normal(size=16))
         r = np.rint(shade * gain * (1 + 0.03 * DRAW.normal(size=(COUNT, 16)))).astype(int)
         second = np.diff(np.log(gain)[np.r_[0:16:2, 1:16:2]], 2)
-        assert gains(sequences_of(None, r))["reflectivity.gain_spread"] == pytest.approx(
-            second.std(ddof=1) / 2 / np.sqrt(1.5), abs=0.012
-        )
+        found = gains(sequences_of(None, r))["reflectivity.gain_spread"]
+        assert found == pytest.approx(second.std(ddof=1) / 2 / np.sqrt(1.5), abs=0.012)
 
 
 def test_records_are_lost_where_they_are_taken_away():
@@ -162,9 +161,8 @@ def test_steps_of_an_even_ruler_have_no_excess():
     assert even["rotation.excess_variance"] == pytest.approx(0.0, abs=0.01)
     assert even["rotation.short_steps"] == 0
     block = np.arange(COUNT // 2)
-    rough = rotation(
-        sequences_of(azimuth_cdeg=np.floor(9 + 39.8131 * block + DRAW.normal(0, 0.8, len(block))).astype(int))
-    )
+    read_cdeg = np.floor(9 + 39.8131 * block + DRAW.normal(0, 0.8, len(block))).astype(int)
+    rough = rotation(sequences_of(azimuth_cdeg=read_cdeg))
     assert rough["rotation.excess_variance"] == pytest.approx(2 * 0.8**2, abs=0.1)
     assert rough["rotation.short_steps"] > 0.005
 

@@ -1,12 +1,8 @@
 """Datasets: the same bytes by any number of workers, whole after a death, and split by stand."""
 
 import json
-import os
+import multiprocessing
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from shutil import copytree
 
@@ -86,13 +82,6 @@ def test_a_moving_sensor_s_scan_is_that_of_its_first_pose(tmp_path):
     assert np.abs(skewed_m - world_m).max() > 0.01
 
 
-def test_stands_are_in_one_split_each(made):
-    """All walks of a stand share its split, and the shares are kept."""
-    walks, _, _ = made
-    splits = {(walk.stand, walk.split) for walk in walks}
-    assert sorted(split for _, split in splits) == ["test", "train"]
-
-
 def test_only_what_is_missing_or_damaged_is_made_again(made):
     """A second run makes nothing; a file that somebody changed stays, and once it is moved its walk is made again as before."""
     walks, out, first = made
@@ -115,19 +104,15 @@ def test_a_run_that_ends_keeps_its_walks(tmp_path):
     def progress(done_s):
         done.append(done_s)
         if done_s == 0.5 and len(done) == 3:
-            raise EndError
+            raise KeyboardInterrupt
 
-    with pytest.raises(EndError):
+    with pytest.raises(KeyboardInterrupt):
         make_dataset(walks, tmp_path / "out", workers=0, progress=progress)
     listed = json.loads((tmp_path / "out" / "manifest.json").read_text())
     assert [walk["folder"] for walk in listed["walks"]] == ["sequences/00", "sequences/01"]
     assert make_dataset(walks, tmp_path / "out", workers=0, progress=done.append).made == 2
     np.testing.assert_allclose(done, [0, 0.25, 0.5, 0.5, 0.75, 1.0])
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["manifest.json", "sequences"]
-
-
-class EndError(Exception):
-    """Ends a run from its progress."""
 
 
 @pytest.mark.parametrize(
@@ -149,10 +134,16 @@ def test_what_is_not_listed_is_not_touched(tmp_path, strange):
 
 
 def test_a_note_beside_a_walk_s_files_stays(tmp_path):
-    """A walk that is whole is kept with what somebody has put beside it; one to be made again is refused until that is gone."""
+    """A whole walk is kept with what somebody put beside it; one to be made again is refused until that is gone.
+
+    The folder in which an earlier run made walks is removed; another of a like name stays.
+    """
     (walk, *_) = walks_in(tmp_path)
     folder = tmp_path / "out" / "sequences" / "00"
+    for name in (".vlp16emu.parts", ".parts.mine"):
+        (tmp_path / "out" / name / "walk").mkdir(parents=True)
     make_dataset([walk], tmp_path / "out", workers=0)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".parts.mine", "manifest.json", "sequences"]
     (folder / "notes.txt").write_text("mine")
     assert make_dataset([walk], tmp_path / "out", workers=0).made == 0
     (folder / "poses.txt").unlink()
@@ -162,16 +153,6 @@ def test_a_note_beside_a_walk_s_files_stays(tmp_path):
     (folder / "notes.txt").rename(tmp_path / "notes.txt")
     assert make_dataset([walk], tmp_path / "out", workers=0).made == 1
     assert (folder / "poses.txt").exists()
-
-
-def test_the_parts_of_a_killed_run_go(tmp_path):
-    """The folder in which an earlier run made walks is removed; another of a like name stays."""
-    (walk, *_) = walks_in(tmp_path)
-    out = tmp_path / "out"
-    for name in (".vlp16emu.parts", ".parts.mine"):
-        (out / name / "walk").mkdir(parents=True)
-    make_dataset([walk], out, workers=0)
-    assert sorted(path.name for path in out.iterdir()) == [".parts.mine", "manifest.json", "sequences"]
 
 
 def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
@@ -219,41 +200,29 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
 
 def test_workers_that_are_killed_lose_nothing(tmp_path):
     """Two workers, with one killed on the way, make the manifest of one process."""
-    text = PUCK_ALONE.replace("0.25", "1.0")  # long enough to be seen
-    first = make_dataset(walks_in(tmp_path, text), tmp_path / "alone", workers=0)
-    spec, out = tmp_path / "spec.toml", tmp_path / "out"
-    command = [sys.executable, "-m", "vlp16emu", "dataset", spec, out, "--workers", "2", "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
-        killed = set()
-        while run.poll() is None and not killed:
-            is_making = any(out.glob(".vlp16emu.parts/*"))
-            if is_making and (workers := workers_of(run.pid) - killed):
-                os.kill(worker := workers.pop(), signal.SIGKILL)
-                killed.add(worker)
-            time.sleep(0.01)
-        written, said = run.communicate(timeout=300)
-    assert run.returncode == 0, said
-    assert len(killed) == 1
-    assert json.loads(written)["sha256"] == first.sha256
-    assert not (out / ".vlp16emu.parts").exists()
+    walks, killed = walks_in(tmp_path, PUCK_ALONE)[:3], []
+
+    def progress(done_s):
+        if done_s and not killed:
+            killed.append(multiprocessing.active_children()[0])
+            killed[0].kill()
+
+    first = make_dataset(walks, tmp_path / "alone", workers=0)
+    second = make_dataset(walks, tmp_path / "out", workers=2, progress=progress)
+    assert second.sha256 == first.sha256
+    assert killed[0].exitcode == -9
+    assert not (tmp_path / "out" / ".vlp16emu.parts").exists()
 
 
 def test_shares_of_machines_are_the_dataset(made, tmp_path):
-    """Shares that two machines have made are, copied into one folder, the dataset that one machine makes; nothing is made again."""
+    """Shares that two machines made are, in one folder, the dataset that one machine makes; each stand is in one split."""
     walks, _, first = made
+    assert sorted(split for _, split in {(walk.stand, walk.split) for walk in walks}) == ["test", "train"]
     for name, share in (("one", (0, 3)), ("two", (3, 99))):
         assert make_dataset(walks, tmp_path / name, workers=0, share=share).made == len(walks[slice(*share)])
         copytree(tmp_path / name, tmp_path / "all", dirs_exist_ok=True)
     whole = make_dataset(walks, tmp_path / "all", workers=0)
     assert (whole.made, whole.walks, whole.sha256) == (0, len(walks), first.sha256)
-
-
-def workers_of(pid):
-    """Processes below a process that hold the world of a walk: spawned, and no resource tracker."""
-    words = ["ps", "-ww", "--ppid", str(pid), "-o", "pid=", "-o", "args="]
-    listed = subprocess.run(words, capture_output=True, text=True, check=False)
-    rows = [line.split(None, 1) for line in listed.stdout.splitlines()]
-    return {int(number) for number, words in rows if "spawn_main" in words}
 
 
 def test_the_dataset_of_the_documents_has_24_walks(tmp_path):

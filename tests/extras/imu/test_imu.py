@@ -7,10 +7,13 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2, ImuSampler
 from vlp16emu.extras.imu.settings import Imu
-from vlp16emu.motion import Gps, Harness, Mount, Walk
-from vlp16emu.motion.carrier import StaticMotion, make_carrier
+from vlp16emu.extras.walk import Harness, Walk
+from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import Kinematics, rotations
+from vlp16emu.motion.static import StaticMotion
+from vlp16emu.world import Hall
+from vlp16emu.world.hall import HallWorld
 
 START_NS = 1_780_000_000 * 10**9
 
@@ -21,7 +24,6 @@ class Circle:
     run_time_s, moves = np.inf, True
 
     def kinematics_at(self, t_ns):
-        """Pose and derivatives at instants (n,)."""
         n, angle = len(t_ns), 0.15 * (t_ns - START_NS) / 1e9
         turns = rotations(angle, 0.0, 0.0)
         rate = np.broadcast_to([0.0, 0.0, 0.15], (n, 3))
@@ -120,16 +122,8 @@ def test_bias_is_constant_and_differs_by_axis_and_seed(unit):
 def test_one_who_stands_reads_gravity_alone(unit):
     """While the person stands before the first step, gait and straps are at rest: no turn, and 1 g along one axis."""
     walk = Walk(kind="walk", way_points_m=[[0, 0], [30, 0]], stand_s=4.0, harness=Harness())
-    motion, _ = make_carrier(
-        walk,
-        lambda x_m, _: 0.0 * x_m,
-        "flat",
-        origin_m=(0.0, 0.0, 0.0),
-        gps=Gps(),
-        reach_m=50.0,
-        start_ns=START_NS,
-        seed=3,
-    )
+    site = HallWorld(Hall(kind="hall", length_m=50.0, width_m=50.0, height_m=5.0))
+    motion, _ = walk.carrier(site, gps=Gps(), reach_m=50.0, start_ns=START_NS, seed=3)
     read = unit(motion=motion)
     standing, walking = read.read(0, 800), read.read(900, 800)
     np.testing.assert_allclose(standing.angular_rate_rad_s, 0.0, atol=1e-12)  # straps are solved to rounding

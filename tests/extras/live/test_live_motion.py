@@ -34,7 +34,6 @@ class Bench:
         self.put = self.motion.poses.put
 
     def sleep(self, seconds):
-        """Let time pass."""
         self.now_ns += max(round(seconds * 1e9), 1)
 
     def fly(self, pose_of, duration_s, *, rate_hz=100, silent=(9e9, 9e9)):

@@ -47,23 +47,18 @@ def test_the_table_reads_golden_poses(name):
 
 
 @pytest.mark.parametrize(
-    ("at", "byte", "message"),
+    ("at", "content", "message"),
     [
         (0, b"p", "pose packet: found 70 4f 53 45 01; expected 50 4f 53 45 01 at its beginning"),
         (4, b"\x02", "found 50 4f 53 45 02"),
         (5, b"\x02", "found 02 00 00 at byte 5; expected 00 or 01, 00 00"),
         (7, b"\x01", "found 01 00 01 at byte 5"),
+        (0, b"", "found 71 bytes; expected 72"),
+        (0, b"PP", "found 73 bytes; expected 72"),
     ],
 )
-def test_what_is_no_pose_packet_is_refused(at, byte, message):
-    """Another magic, version or flag, and reserved bytes that are not zero, are named in one line."""
+def test_what_is_no_pose_packet_is_refused(at, content, message):
+    """Another magic, version, flag or length, and reserved bytes that are not zero, are named in one line."""
     payload, _ = golden("pose")
     with pytest.raises(PacketError, match=message):
-        unpack_pose(payload[:at] + byte + payload[at + 1 :])
-
-
-@pytest.mark.parametrize("size", [0, 71, 73])
-def test_another_length_is_refused(size):
-    """A datagram of another length is none."""
-    with pytest.raises(PacketError, match=f"found {size} bytes; expected 72"):
-        unpack_pose(bytes(size))
+        unpack_pose(payload[:at] + content + payload[at + 1 :])

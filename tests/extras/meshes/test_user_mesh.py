@@ -241,17 +241,8 @@ def tree_of(*places, one_thing=True, parts=(LEAVES,)):
     """Stem and leaves about a centre 2 m over the file's origin and 1 m east of it."""
     meshes = (PartMesh("leaves", TRIANGLE), PartMesh("stem", TRIANGLE))
     mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0)
-    section = MeshFile(
-        file="tree.obj",
-        unit="m",
-        up="z",
-        semantic="tree",
-        part="stem",
-        reflectance=0.4,
-        one_thing=one_thing,
-        parts=[*parts],
-        places=[*places],
-    )
+    kind = {"semantic": "tree", "part": "stem", "reflectance": 0.4, "one_thing": one_thing}
+    section = MeshFile(file="tree.obj", unit="m", up="z", parts=[*parts], places=[*places], **kind)
     return Furniture(section, mesh)
 
 
@@ -259,7 +250,6 @@ class Slope(HallWorld):
     """A hall whose floor rises to the east, for those who ask for its height."""
 
     def height_m(self, x_m, y_m):
-        """One in ten."""
         return 0.1 * x_m + 0.0 * y_m
 
 

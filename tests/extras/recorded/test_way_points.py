@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.extras.recorded.way_points import read_way_points
+from vlp16emu.extras.walk.way_points import read_way_points
 from vlp16emu.motion import Gps
 from vlp16emu.motion.gnss import to_geodetic
 

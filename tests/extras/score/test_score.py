@@ -57,7 +57,6 @@ def truth(tmp_path):
 
 
 def scored(capsys, *arguments):
-    """Exit code, and the JSON of a score."""
     code = app.run(["score", *map(str, arguments), "--json"])
     return code, json.loads(capsys.readouterr().out)
 

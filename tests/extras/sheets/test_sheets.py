@@ -92,7 +92,6 @@ def trees():
 
 
 def ring(tree, above_m, angle_deg, radius_m=0.2):
-    """Places around a tree's axis."""
     axis_m = np.tan(np.radians(tree["lean_deg"])) * above_m
     angle = np.radians(angle_deg)
     x_m = tree["x_m"] + axis_m + radius_m * np.cos(angle)
@@ -166,7 +165,6 @@ class Wall:
         self.into_m = into_m
 
     def cast(self, firings, near_m, far_m):
-        """Cast as casters do."""
         _, into_m = SECTION.coordinates(firings.origin_m[..., :2].reshape(-1, 2))
         range_m = self.into_m - into_m.reshape(firings.t_ns.shape)
         z_m = firings.origin_m[..., 2]
@@ -264,7 +262,6 @@ def sheet(of):
 
 
 def share(picture, colour, tolerance=14):
-    """Share of the pixels that have nearly a colour."""
     return (np.abs(np.asarray(picture.convert("RGB"), int) - colour).max(axis=2) <= tolerance).mean()
 
 

@@ -83,8 +83,6 @@ def points(change=lambda made: made, **fields):
 
 
 def column(name, change):
-    """Damage of a column of all clouds."""
-
     def damage(made):
         made[name] = change(made[name])
         return made
@@ -93,7 +91,6 @@ def column(name, change):
 
 
 def samples(**fields):
-    """Damage of all samples: functions of a message that return its new fields."""
     return on("/imu/data", lambda message: replace(message, **{name: of(message) for name, of in fields.items()}))
 
 

@@ -1,7 +1,7 @@
 """A folder of truth."""
 
-import subprocess
-import sys
+import resource
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -50,36 +50,33 @@ def test_files_of_somebody_else_stay(tmp_path, scenario):
     assert (tmp_path / "imu.csv").read_text() == "mine"
 
 
+@contextmanager
+def files_of_at_most(size):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
 def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
     """Where half a line finds room it is cut off, and nothing is written behind it; a JSON file is whole or not there."""
-    program = (
-        "import resource, sys\n"
-        "from pathlib import Path\n"
-        "from vlp16emu.errors import RunError\n"
-        "from vlp16emu.extras.truth.folder import TruthFolder\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (25, 25))\n"
-        "with TruthFolder(Path(sys.argv[1]) / 'one') as folder:\n"
-        "    folder.append('imu.csv', 'one two\\n')\n"
-        "    for _ in range(2):\n"
-        "        try:\n"
-        "            folder.append('imu.csv', 'three four\\nfive six\\n')\n"
-        "        except RunError as error:\n"
-        "            print(error)\n"
-        "with TruthFolder(Path(sys.argv[1]) / 'more') as folder:\n"
-        "    try:\n"
-        "        folder.write_json('rig.json', {'key': 'of more than 25 letters'})\n"
-        "    except RunError as error:\n"
-        "        print(error)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
+    with TruthFolder(tmp_path / "one") as folder:
+        folder.append("imu.csv", "one two\n")
+        for _ in range(2):
+            with (
+                pytest.raises(RunError, match=r"imu\.csv: File too large; it ends with a whole line"),
+                files_of_at_most(25),
+            ):
+                folder.append("imu.csv", "three four\nfive six\n")
     (left,) = tmp_path.glob("one.*.part")
-    line = f"{left}/imu.csv: File too large; it ends with a whole line\n"
-    first, second, third = done.stdout.splitlines(keepends=True)
-    assert first + second == 2 * line
-    assert third.endswith("/rig.json: File too large; no file is written\n")
     assert (left / "imu.csv").read_text() == "one two\nthree four\n"
-    assert list((tmp_path / "more").iterdir()) == []
     assert not (tmp_path / "one").exists()
+    whole_or_none = pytest.raises(RunError, match=r"/rig\.json: File too large; no file is written")
+    with TruthFolder(tmp_path / "more") as folder, whole_or_none, files_of_at_most(25):
+        folder.write_json("rig.json", {"key": "of more than 25 letters"})
+    assert list((tmp_path / "more").iterdir()) == []
 
 
 def test_two_runs_into_one_folder_are_refused(tmp_path):

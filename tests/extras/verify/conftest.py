@@ -56,12 +56,10 @@ class Traffic:
         return f"${body}*{checksum:02X}\r\n".encode()
 
     def drop(self, indices):
-        """Lose frames."""
         for i in sorted(indices, reverse=True):
             del self.frames[i], self.stamps_us[i]
 
     def save(self, path):
-        """Write a capture."""
         out = [bytes.fromhex("d4c3b2a1020004000000000000000000ffff000001000000")]
         for stamp_us, frame in zip(self.stamps_us, self.frames, strict=True):
             seconds, rest_us = divmod(stamp_us, 1_000_000)
@@ -70,7 +68,6 @@ class Traffic:
         return path
 
     def verified(self, **how):
-        """Check a capture of it."""
         return verify(self.save(self.folder / "made.pcap"), **how)
 
 
@@ -122,8 +119,6 @@ def clean(seconds, rpm, *, dual):
 
 @pytest.fixture
 def traffic(tmp_path):
-    """Give a maker of traffic that nobody has damaged yet."""
-
     def make(seconds=2.2, rpm=600, *, dual=False):
         pairs = clean(seconds, rpm, dual=dual)
         return Traffic([stamp_us for stamp_us, _ in pairs], [bytearray(frame) for _, frame in pairs], tmp_path)

@@ -23,13 +23,11 @@ DARK = {"kind": "setting", "at_s": 0.0, "laser": False}
 
 
 def emulator(*events, duration_s=1.5, **tables):
-    """A sensor on a tripod in a hall."""
     return Emulator(load({**TABLES, "duration_s": duration_s, "events": list(events), **tables}), threads=1)
 
 
 @lru_cache
 def clean():
-    """Packets of a run to which nothing happens."""
     return tuple(emulator().packets())
 
 

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import socket
 import subprocess
 import sys
 import tomllib
@@ -20,9 +19,6 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not 
 CHROMIUM = shutil.which("chromium")
 pytestmark = [pytest.mark.skipif(CHROMIUM is None, reason="no chromium"), pytest.mark.usefixtures("kept_woods")]
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-SIZE = {"width": 900, "height": 700}
-SMALL = {"width": 450, "height": 350}
-"""Software draws a quarter of the pixels in a quarter of the time."""
 WAIT_MS = 120_000
 
 SCENE = """# mine
@@ -44,7 +40,7 @@ species = [{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.
 
 
 @contextmanager
-def page_of(*words, size=SIZE):
+def page_of(*words):
     """Page of a command when the first points are drawn."""
     command = [sys.executable, "-m", "vlp16emu", *map(str, words)]
     with (
@@ -53,7 +49,7 @@ def page_of(*words, size=SIZE):
         playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as browser,
     ):
         try:
-            page = browser.new_page(viewport=size)
+            page = browser.new_page(viewport={"width": 900, "height": 700})
             page.goto(re.search(r"http\S+", program.stdout.readline())[0])
             page.get_by_text(re.compile("points (by|in)")).wait_for(timeout=WAIT_MS)
             yield page
@@ -76,23 +72,15 @@ def seen_by(page, is_there, least=20):
 
 
 def arrow(r, g, b):
-    """Pixels of arrows of way points that go along y."""
     return (r < 130) & (g > 200) & (abs(b - 140) < 30)
 
 
 def leaf(r, g, b):
-    """Pixels of points on leaves."""
     return (g > r) & (r > b + 60) & (g > 120)
 
 
 def stem(r, g, b):
-    """Pixels of stems."""
     return (abs(r - b) < 12) & (abs(g - r) < 12) & (r > 90) & (r < 190)
-
-
-def near(r, g, b):
-    """Pixels of points that are near, by their range."""
-    return (b > g + 40) & (r < 110) & (b > 80)
 
 
 def test_a_way_point_is_dragged_and_saved(tmp_path):
@@ -125,21 +113,3 @@ def test_a_way_point_is_dragged_and_saved(tmp_path):
     walked = Emulator(out)
     start_m = walked.world_T_sensor(np.array([walked.scenario.start_ns]))[0, :2, 3]
     np.testing.assert_allclose(start_m, [x_m, y_m], atol=0.3)
-
-
-def test_a_stream_is_looked_on(tmp_path):
-    """While packets leave, the page shows points in the colours of their range, and the stand."""
-    scene = tmp_path / "mine.toml"
-    scene.write_text(SCENE)
-    listening = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    for one in listening:
-        one.bind(("127.0.0.1", 0))
-    data, position = (one.getsockname()[1] for one in listening)
-    ports = "--data-port", data, "--position-port", position
-    to_and_fro = "duration_s=300", "motion.back_and_forth=true", "motion.laps=40"
-    settings = [word for setting in to_and_fro for word in ("--set", setting)]
-    with page_of("stream", scene, "--view", *settings, *ports, size=SMALL) as page:
-        seen_by(page, near, 5)
-        seen_by(page, stem, 250)
-    for one in listening:
-        one.close()

@@ -11,7 +11,7 @@ from vlp16emu.types import Mesh
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from vlp16emu.extras.viewer.stand import fewer_faces, lump, slim_stem
+from vlp16emu.extras.viewer.stand import fewer_faces, slim_stem
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps
 
 
@@ -80,15 +80,3 @@ def test_a_slim_stem_stands_where_the_stem_stands():
     np.testing.assert_allclose(np.hypot(*foot_m[:, :2].T), 0.151, atol=1e-3)
     corners = set(map(tuple, stem.vertices_m.tolist()))
     assert set(map(tuple, slim.vertices_m.tolist())) <= corners
-
-
-def test_a_lump_has_the_box_of_the_thing():
-    """Of a ball of many faces at most 52 are left, and it is nearly as large as before."""
-    ball = tube(24, 20)
-    up = np.linspace(-1.0, 1.0, 20).repeat(24)
-    turn = np.tile(np.arange(24) * 2 * np.pi / 24, 20)
-    flat = np.sqrt(1 - up**2)
-    place_m = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up]).astype(np.float32)
-    few = lump(Mesh(place_m, ball.faces))
-    assert 10 < len(few.faces) <= 52
-    assert (np.ptp(few.vertices_m, axis=0) > 1.7).all()

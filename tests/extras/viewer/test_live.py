@@ -5,29 +5,22 @@ import os
 import signal
 import socket
 import urllib.request
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from listening import MemorySink, opened, port_of
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.extras.viewer.live import Glimpse, WatchedSink, backdrop_of, offer, take, watching
+from vlp16emu.extras.viewer.guard import guarded_server
+from vlp16emu.extras.viewer.live import Glimpse, LivePage, WatchedSink, backdrop_of, offer, take, watching
 from vlp16emu.packets import DATA_BYTES
-from vlp16emu.sinks import Pacer, PacketSink
+from vlp16emu.sinks import Pacer
 from vlp16emu.types import PacketKind
-
-
-class Listed(PacketSink):
-    """Keeps packets."""
-
-    def __init__(self):
-        self.packets = []
-
-    def send(self, packet):
-        """Keep one."""
-        self.packets.append(packet)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +49,6 @@ def test_a_reader_that_hangs_costs_messages_and_no_time(ends):
 
 
 def until_the_end(end):
-    """Take all messages."""
     with suppress(EOFError):
         while True:
             yield take(end)
@@ -66,7 +58,7 @@ def test_packets_pass_as_they_are(emulator, ends):
     """With somebody who looks on, the same packets come in the same order; glimpses hold data packets and their poses."""
     ours, theirs = ends
     plain = list(emulator.packets())
-    listed = Listed()
+    listed = MemorySink()
     watched = WatchedSink(listed, Pacer(1.0), emulator, ours)
     for packet in plain:
         watched.send(packet)
@@ -83,39 +75,51 @@ def test_packets_pass_as_they_are(emulator, ends):
     assert glimpses[0].since_ns[0] == 0
 
 
-def test_the_page_is_served_and_ends_with_the_stream(emulator, ends):
-    """It answers while the context is open, nothing waits when its process is killed, and no process is left."""
-    with watching(emulator, backdrop_of(emulator, 0.3)) as watch:
-        with urllib.request.urlopen(watch.url) as answer:
-            assert answer.status == 200
-        page = next(one for one in multiprocessing.active_children() if one.name == "page")
-        page.kill()
-        page.join()
-        listed, packets = Listed(), list(emulator.packets())
-        sink = watch.sink(listed, Pacer(1.0))
-        for packet in packets:
-            sink.send(packet)
-        assert len(listed.packets) == len(packets) > 200
-    assert "page" not in [one.name for one in multiprocessing.active_children()]
+def test_points_are_drawn_by_their_range_above_the_stand(emulator, ends, monkeypatch):
+    """Once somebody looks on, the page has the hall, and the points of the last turn in the colours of their range."""
+    ours, theirs = ends
+    watched = WatchedSink(MemorySink(), Pacer(1.0), emulator, ours)
+    for packet in emulator.packets():
+        watched.send(packet)
+    ours.close()
+    camera = SimpleNamespace(position=np.zeros(3), look_at=np.ones(3))
+    with guarded_server("127.0.0.1", 0, "test") as server:
+        client = SimpleNamespace(camera=camera, atomic=nullcontext)
+        monkeypatch.setattr(server, "get_clients", lambda: {0: client})
+        monkeypatch.setattr("vlp16emu.extras.viewer.live._DRAW_S", 1e-3)
+        LivePage(server, backdrop_of(emulator, 0.3)).run(theirs)
+        drawn = server.scene._handle_from_node_name
+        assert any(name.startswith("/stand/") for name in drawn)
+        points = drawn["/sweep"]
+        assert len(points.points) > 5_000
+        assert len(np.unique(points.colors, axis=0)) > 20
+    np.testing.assert_allclose(
+        camera.look_at, emulator.world_T_sensor(np.array([emulator.scenario.start_ns]))[0, :3, 3]
+    )
 
 
-def test_a_page_that_is_stopped_costs_no_packet():
-    """While the process of the page is stopped (SIGSTOP), every packet of a stream leaves, and the stream ends."""
+def test_a_page_that_is_stopped_or_killed_costs_no_packet():
+    """The page answers; while its process is stopped, and once it is killed, every packet leaves, and the stream ends."""
     with ExitStack() as stack:
-        settings = {"duration_s": 0.6}
-        for key in ("sensor.data_port", "sensor.position_port"):
-            one = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
-            one.bind(("127.0.0.1", 0))
-            settings[key] = one.getsockname()[1]
-        emulator = Emulator("static_bench", settings)
+        data, position = (port_of(stack.enter_context(opened())) for _ in range(2))
+        ports = {"sensor.data_port": data, "sensor.position_port": position}
+        emulator = Emulator("static_bench", {"duration_s": 0.6} | ports)
+        packets = list(emulator.packets())
         with watching(emulator, backdrop_of(emulator, 0.6)) as watch:
+            with urllib.request.urlopen(watch.url) as answer:
+                assert answer.status == 200
             page = next(one for one in multiprocessing.active_children() if one.name == "page")
             os.kill(page.pid, signal.SIGSTOP)
             streamed = emulator.stream(watched=watch.sink)
-        assert not page.is_alive()
-    assert streamed.packets == sum(packet.kind is PacketKind.DATA for packet in emulator.packets())
+            page.kill()
+            page.join()
+            sink = watch.sink(listed := MemorySink(), Pacer(1.0))
+            for packet in packets:
+                sink.send(packet)
+        assert "page" not in [one.name for one in multiprocessing.active_children()]
+    assert streamed.packets == sum(packet.kind is PacketKind.DATA for packet in packets)
     assert not streamed.interrupted
+    assert len(listed.packets) == len(packets) > 400
 
 
 def test_without_the_extra_one_line_names_it(capsys, monkeypatch):

@@ -24,7 +24,7 @@ FLAG = 42 + 100
 def run(tmp_path_factory):
     """Folder with a capture of half a second of a walk, and its truth; and the emulator."""
     folder = tmp_path_factory.mktemp("capture")
-    settings = {"world.stems_per_ha": 150, "seed": 5, "sensor.max_range_m": 20.0, "beam.model": "none"}
+    settings = {"world.stems_per_ha": 150, "seed": 5, "sensor.max_range_m": 12.0, "beam.model": "none"}
     emulator = Emulator("birch_walk", settings)
     truth = TruthTo(folder / "truth", per_return=True)
     emulator.record(folder / "walk.pcap", start_s=4.0, duration_s=0.5, truth=truth)
@@ -32,13 +32,11 @@ def run(tmp_path_factory):
 
 
 def frames_of(path):
-    """Time stamps and frames."""
     with path.open("rb") as file:
         return list(dpkt.pcap.Reader(file))
 
 
 def written(path, frames):
-    """Write a capture."""
     with path.open("wb") as file:
         writer = dpkt.pcap.Writer(file, nano=True)
         for stamp, frame in frames:

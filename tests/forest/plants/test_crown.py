@@ -99,21 +99,6 @@ def test_branches_are_together_as_thick_as_their_species_says():
         assert 0.7 < (radius**2).sum() / (area * stem**2) < 1.05, name
 
 
-def test_tubes_show_their_outside():
-    """Faces of a branch are turned outwards: it encloses a volume between a thin cone and a cylinder."""
-    for key in (BIRCH, BEECH, SPRUCE):
-        first = grown(key)[0]
-        vertices, faces = first.vertices_m[:49].astype(np.float64), first.faces[:90]
-        assert (faces < 49).all(), key.species
-        assert (first.faces[90:] >= 49).all(), key.species
-        # About the middle of the open end the missing lid has no volume.
-        a, b, c = np.moveaxis((vertices - vertices[:6].mean(axis=0))[faces], 1, 0)
-        radius = np.linalg.norm(vertices[0] - vertices[:6].mean(axis=0))
-        length = np.linalg.norm(vertices[48] - vertices[0])
-        volume = (a * np.cross(b, c)).sum() / 6
-        assert 0.2 * np.pi * radius**2 * length < volume < np.pi * radius**2 * length, key.species
-
-
 def bole(name, key=None, stem_m=(0.08, 0.12)):
     """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, or another one, and twigs of the dead ones."""
     habit, key = species_table()[name].crown, key or KEYS[name]

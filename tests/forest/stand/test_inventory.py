@@ -150,12 +150,6 @@ def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
         assert rows["top_m"][i] >= tree["height_m"] - 1e-5
 
 
-def test_leaves_rise_above_the_tip(rows):
-    """The crowns of broad trees, an oak and a maple, end 0.1 m to 1.5 m above their stems' tips."""
-    over_m = (rows["top_m"] - rows["height_m"])[2:4]
-    assert ((over_m > 0.1) & (over_m < 1.5)).all()
-
-
 STANDS = ((20.0, 19.0, 900.0), (30.0, 25.0, 500.0), (45.0, 31.0, 280.0), (60.0, 35.0, 160.0))
 """Mean DBH in cm, height in m and stems per ha of closed stands."""
 

@@ -111,7 +111,11 @@ def test_shrub_heights_are_those_of_their_kind():
 
 
 def test_plants_keep_away_from_path_and_trunks():
-    """Neither crown nor bush reaches nearer to the path than 0.8 m, and no foot is in a trunk."""
+    """Neither crown nor bush reaches nearer to the path than 0.8 m, and no foot is in a trunk.
+
+    From its bark a sapling is 0.15 of its height, half a metre at most, away; near it there are fewer for it.
+    """
+    nearest_m = []
     for kind in (saplings(*YOUNG), shrubs(*BUSHES)):
         for tile in placed(kind):
             xy = tile.world_T_shape[:, :2, 3]
@@ -119,34 +123,12 @@ def test_plants_keep_away_from_path_and_trunks():
             keys = [tile.keys[i] for i in tile.shape]
             width = scale * [key.height_m / 2 if isinstance(key, SaplingKey) else key.width_m for key in keys]
             assert (distance_m(xy, PATH) - width / 2).min(initial=0.8) >= 0.8 - 1e-9
-            assert np.hypot(*(xy - (10, 50)).T).min(initial=3.0) >= 3.0
-
-
-def test_saplings_leave_room_to_trees():
-    """From the bark of a trunk a sapling is 0.15 of its height, half a metre at most, away; near one there are fewer for it."""
-    nearest_m = []
-    for tile in placed(saplings(*YOUNG)):
-        gap_m = np.hypot(*(tile.world_T_shape[:, :2, 3] - (10, 50)).T) - 3.0
-        room_m = np.minimum(0.15 * tile.trees["height_m"], 0.5)
-        assert (gap_m >= room_m).all()
-        nearest_m += gap_m.tolist()
+            gap_m = np.hypot(*(xy - (10, 50)).T) - 3.0
+            assert gap_m.min(initial=0.0) >= 0.0
+            if len(tile.trees):
+                assert (gap_m >= np.minimum(0.15 * tile.trees["height_m"], 0.5)).all()
+                nearest_m += gap_m.tolist()
     assert min(nearest_m) < 1.5
-
-
-@pytest.mark.parametrize(
-    ("kind", "semantic", "parts"),
-    [(saplings(*YOUNG), Semantic.TREE, SAPLING_PARTS), (shrubs(*BUSHES), Semantic.SHRUB, SHRUB_PARTS)],
-)
-def test_labels_name_class_parts_and_species(kind, semantic, parts):
-    """Rows have the parts in order, and leaf and bark of a plant have reflectances near those of its species."""
-    for tile in placed(kind):
-        assert (tile.surfaces["semantic"] == semantic).all()
-        assert (tile.surfaces["part"] == parts).all()
-        for i, rows in zip(tile.shape, tile.surfaces, strict=True):
-            plant = {**species_table(), **flora().shrubs}[tile.keys[i].species]
-            assert (rows["species"] == plant.number).all()
-            middle = np.where(rows["part"] == PlantPart.LEAF, plant.leaf_reflectance, plant.bark_reflectance)
-            assert np.abs(rows["reflectance"] - middle).max() < 0.08 + 1e-6
 
 
 def test_unknown_plants_are_named():
@@ -212,10 +194,10 @@ def size_m(world_T):
 
 
 def test_stones_cover_the_share_that_was_asked_for():
-    """One in twenty vertical rays on 2.6 hectares of flat ground meets a stone, within 6 %, three sigma."""
-    at_m = np.random.default_rng(2).uniform(2, 158, (50_000, 2))
+    """One in twenty vertical rays on 0.6 hectares of flat ground meets a stone, within 12 %, three sigma."""
+    at_m = np.random.default_rng(2).uniform(2, [38, 158], (20_000, 2))
     tree, rays = KDTree(at_m), {}
-    for tile in TILES:
+    for tile in TILES[:16]:
         placed = STONES.place(plot(*tile, height_m=lambda x, y: np.zeros(np.shape(x))))
         for shape, T in zip(placed.shape, placed.world_T_shape, strict=True):
             number = np.array(tree.query_ball_point(T[:2, 3], np.linalg.norm(T[:2, 0])), int)
@@ -228,7 +210,7 @@ def test_stones_cover_the_share_that_was_asked_for():
         origin = np.column_stack([x, y, np.full(len(x), 2.0)])
         places, ray, _ = mesh.ray.intersects_location(origin, [[0, 0, -1]] * len(x), multiple_hits=False)
         met |= set(number[ray[places[:, 2] > ground_z[ray]]])
-    assert len(met) / len(at_m) == pytest.approx(0.05, rel=0.06)
+    assert len(met) / len(at_m) == pytest.approx(0.05, rel=0.12)
 
 
 def test_stone_lengths_are_log_normal_between_their_limits():
@@ -298,7 +280,7 @@ def test_grass_grows_beside_the_path_alone():
 )
 def test_plants_cover_the_share_that_was_asked_for(section, reach_m):
     """Outlines cover the share of the scene of the ground beside the path, up to their reach, within 10 %; heights are even in their range."""
-    at_m = np.random.default_rng(1).uniform(2, 158, (30_000, 2))
+    at_m = np.random.default_rng(1).uniform(2, 158, (12_000, 2))
     away = distance_m(at_m, NEAR)
     at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
     for seed in range(6, 12):
@@ -385,35 +367,30 @@ def test_nothing_lies_in_a_trunk(layer):
 
 
 @pytest.mark.parametrize(
-    ("layer", "semantic", "part", "species"),
+    ("layer", "semantic", "parts", "species"),
     [
-        (STONES, Semantic.STONE, PlantPart.NONE, {0}),
-        (LOGS, Semantic.DEADWOOD, PlantPart.STEM, {2, 4}),
-        (STUMPS, Semantic.DEADWOOD, PlantPart.STEM, {1}),
-        (GRASS, Semantic.GRASS, PlantPart.LEAF, {0}),
-        (FERNS, Semantic.GRASS, PlantPart.LEAF, {0}),
+        (saplings(*YOUNG), Semantic.TREE, SAPLING_PARTS, YOUNG),
+        (shrubs(*BUSHES), Semantic.SHRUB, SHRUB_PARTS, BUSHES),
+        (STONES, Semantic.STONE, [PlantPart.NONE], []),
+        (LOGS, Semantic.DEADWOOD, [PlantPart.STEM], ["norway_spruce", "european_beech"]),
+        (STUMPS, Semantic.DEADWOOD, [PlantPart.STEM], ["silver_birch"]),
+        (GRASS, Semantic.GRASS, [PlantPart.LEAF], []),
+        (FERNS, Semantic.GRASS, [PlantPart.LEAF], []),
     ],
 )
-def test_labels_say_what_it_is(layer, semantic, part, species):
-    """Each kind has its semantic class, part and species, and a reflectance within 0.08 of its material's."""
+def test_labels_say_what_it_is(layer, semantic, parts, species):
+    """Each kind has its semantic class, parts and species, and reflectances even within 0.08 of those of its plant or material."""
+    plants = {one.number: one for one in (*species_table().values(), *flora().shrubs.values())}
     rows = np.concatenate([layer.place(plot(*tile, path=NEAR)).surfaces for tile in TILES])
-    assert set(rows["semantic"].ravel()) == {semantic}
-    assert set(rows["part"].ravel()) == {part}
-    assert set(rows["species"].ravel()) == species
-    middle = {Semantic.STONE: 0.30, Semantic.DEADWOOD: 0.40, Semantic.GRASS: 0.45}[semantic]
-    assert stats.kstest(rows["reflectance"].ravel(), stats.uniform(middle - 0.08, 0.16).cdf).pvalue > 0.01
-
-
-def test_large_stones_have_more_faces():
-    """Stones of 40 cm and more have four times the faces of smaller ones; of either there are some."""
-    found = set()
-    for tile in TILES[:8]:
-        placed = STONES.place(plot(*tile))
-        faces = [len(floor_meshes(6, key)[0].faces) for key in placed.keys]
-        for shape, length_m in zip(placed.shape, size_m(placed.world_T_shape)[:, 0], strict=True):
-            assert faces[shape] == (1280 if length_m >= 0.4 else 320)
-            found.add(faces[shape])
-    assert len(found) == 2
+    assert (rows["semantic"] == semantic).all()
+    assert (rows["part"] == parts).all()
+    assert sorted(plants[n].name if n else "" for n in np.unique(rows["species"])) == sorted(species or [""])
+    materials = {Semantic.STONE: 0.30, Semantic.DEADWOOD: 0.40, Semantic.GRASS: 0.45}
+    first, last = rows[:, 0], rows[:, -1]
+    middle = materials.get(semantic) or np.array([plants[n].bark_reflectance for n in first["species"]])
+    assert stats.kstest(first["reflectance"] - middle, stats.uniform(-0.08, 0.16).cdf).pvalue > 0.01
+    if len(parts) > 1:
+        assert np.abs(last["reflectance"] - [plants[n].leaf_reflectance for n in last["species"]]).max() < 0.08
 
 
 def test_shares_are_those_that_were_asked_for():

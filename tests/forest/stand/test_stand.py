@@ -137,19 +137,6 @@ def test_neighbours_shorten_crowns(spruces):
     assert stats.spearmanr(near[inner], rest[inner])[0] < -0.15
 
 
-def test_crown_prototypes_are_scaled_little(trees):
-    """No crown is twice as wide as its prototype or half as wide; few are a third longer or shorter, or begin deep in the ground."""
-    stand = make_stand()
-    keys = [stand.crown(*kind) for kind in trees[["cohort", "crown_class", "crown_variant"]][:400].tolist()]
-    ratio = trees["crown_width_m"][:400] / [key.crown_width_m for key in keys]
-    assert 1 / 2 < ratio.min() < 0.95
-    assert 1.05 < ratio.max() < 2
-    longer = (trees["height_m"] - trees["crown_base_m"])[:400] / [key.crown_length_m for key in keys]
-    assert np.quantile(np.abs(np.log(longer)), 0.9) < np.log(1.3)
-    feet_m = trees["crown_base_m"][:400] - longer * [key.crown_base_m - 0.3 for key in keys]
-    assert np.quantile(feet_m, [0.1, 0.5, 0.9]) == pytest.approx([-1.0, 0.5, 2.0], abs=1.0)
-
-
 def leaf_area_m2(stand, trees):
     """Leaf area that crowns have by their prototypes, scaled by crown projection."""
     crown = cache(stand.crown)

@@ -73,12 +73,12 @@ def test_gusts_part_across_the_wind():
 def test_trees_follow_as_a_general_solver_has_it(hz, damping):
     """From any state on, once that is forgotten, scipy's lsim of the same oscillator gives the same swing to 0.02 %."""
     lines, omega = gust_lines(KAIMAL, 4, ALONG), 2 * np.pi * hz
-    t_s = np.arange(0.0, 10.0 / (damping * omega) + 30.0, 0.005)
+    t_s = np.arange(0.0, 10.0 / (damping * omega) + 15.0, 0.005)
     u_m_s = gusts(lines, SPEED_M_S, 3.0, 2.0, t_s)
     system = ([omega**2], [1.0, 2 * damping * omega, omega**2])
     _, solved, _ = lsim(system, u_m_s, t_s)
     tree = Trees(np.array([omega]), damping, np.array([3.0]), np.array([2.0]))
-    late = t_s > t_s[-1] - 25.0
+    late = t_s > t_s[-1] - 15.0
     ours = swings(lines, SPEED_M_S, tree, t_s[late])[:, 0]
     assert np.abs(ours - solved[late]).max() < 2e-4 * INTENSITY * SPEED_M_S + 1e-4
 
@@ -142,28 +142,20 @@ def test_stiffness_is_that_of_the_mass_at_its_frequency():
 
 def test_stems_of_their_own_are_the_stems_of_the_tile(full_forest, loose, track_m):
     """Loose stems have the meshes, places, surfaces and numbers that they have in the shapes of tiles."""
-    rooted, window = full_forest.window(track_m), loose.window(track_m)
-    meshes, places = {}, {}
-    for i, which in enumerate(window.shape):
-        if isinstance(key := window.shapes[which], StemKey):
-            rows = window.surfaces[window.first_surface[i] :][:2]
-            meshes[int(rows["instance"][0])] = rows.tobytes(), loose.shape(key)
-            places[int(rows["instance"][0])] = window.world_T_shape[i].tobytes()
-    tiles = [i for i, which in enumerate(rooted.shape) if isinstance(rooted.shapes[which], TileKey)]
-    count = 0
-    for i in tiles:
-        _, *stems = full_forest.shape(rooted.shapes[rooted.shape[i]])
-        rows = rooted.surfaces[rooted.first_surface[i] + 1 :][: len(stems)]
-        for n in range(0, len(stems), 2):
-            number = int(rows["instance"][n])
-            own_rows, own = meshes[number]
-            assert own_rows == rows[n : n + 2].tobytes()
-            assert places[number] == rooted.world_T_shape[i].tobytes()
-            for a, b in zip(own, stems[n : n + 2], strict=True):
-                assert a.vertices_m.tobytes() == b.vertices_m.tobytes()
-                assert (a.faces == b.faces).all()
-            count += 1
-    assert count == len(meshes) > 100
+    found = []
+    for forest, kind, first in ((loose, StemKey, 0), (full_forest, TileKey, 1)):
+        window, stems = forest.window(track_m), {}
+        for i, which in enumerate(window.shape):
+            if isinstance(key := window.shapes[which], kind):
+                meshes = forest.shape(key)[first:]
+                rows = window.surfaces[window.first_surface[i] + first :][: len(meshes)]
+                for n in range(0, len(meshes), 2):
+                    own = [mesh.vertices_m.tobytes() + mesh.faces.tobytes() for mesh in meshes[n : n + 2]]
+                    place = window.world_T_shape[i].tobytes()
+                    stems[int(rows["instance"][n])] = place, rows[n : n + 2].tobytes(), own
+        found.append(stems)
+    assert found[0] == found[1]
+    assert len(found[0]) > 50
 
 
 def test_wind_moves_stems_and_crowns_and_nothing_else(make_wind, loose, track_m):
@@ -202,7 +194,7 @@ def test_a_tree_is_at_one_place_whatever_window_it_is_in(make_wind, loose, track
         for w in (first, second)
     )
     both = own.keys() & other.keys()
-    assert len(both) > 100
+    assert len(both) > 50
     for number in both:
         common = own[number][shift:]
         assert common.tobytes() == other[number][: len(common)].tobytes()

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.way_points import WayPoints, around
 from vlp16emu.foliage.polyline import distance_m
-from vlp16emu.forest.stand.way_around import around
-from vlp16emu.motion.path import Path
-from vlp16emu.motion.way_points import WayPoints
 
 
 def way(*xy_m):
@@ -48,6 +47,6 @@ def test_stops_stay_with_their_waypoints():
 
 def test_where_there_is_no_way_it_is_named(monkeypatch):
     """A waypoint of the user that is itself too near cannot be led around, however often it is tried."""
-    monkeypatch.setattr("vlp16emu.forest.stand.way_around._TRIES", 20)
+    monkeypatch.setattr("vlp16emu.extras.walk.way_points._TRIES", 20)
     with pytest.raises(TrajectoryError, match=r"no way found around what is at \(10, 0.2\) m; expected another path"):
         around(way([0, 0], [10, 0], [20, 0]), np.array([[10.0, 0.2]]), np.array([1.0]))

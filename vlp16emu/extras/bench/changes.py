@@ -19,7 +19,7 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Spin
-from vlp16emu.sensor.settings import FreeSensor, Sensor
+from vlp16emu.sensor.settings import Lidar
 from vlp16emu.types import F8, I8, Firings, GnssFix, Hits, PpsState, ReturnMode, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -257,9 +257,7 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
     )
 
 
-def clock_spans(
-    section: Sensor | FreeSensor, events: Sequence[Event], gps: DisturbedGps, start_ns: int
-) -> tuple[ClockSpan, ...]:
+def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, start_ns: int) -> tuple[ClockSpan, ...]:
     """Find how the clock runs: locked to GPS if it can be, otherwise free from its last reading, or from power-up.
 
     Pulses without sentences pull the part below a second to their edge (63-9243 Rev D, appendix G).
@@ -356,7 +354,7 @@ def _angle_deg(spin: Spin, t_ns: int) -> float:
     return float(spin.at(np.array([t_ns]))[0])
 
 
-def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stretch, ...]:
+def spans_of(sensor: Lidar, events: Sequence[Event]) -> tuple[Stretch, ...]:
     """Cut a run where return mode, field of view or laser change; without spans in which nothing is sent.
 
     A change takes effect with the next packet of single return, and begins a packet.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, Uni
 
 from pydantic import Field, TypeAdapter, create_model, model_validator
 
-from vlp16emu.sensor.settings import FreeSensor, Sensor
+from vlp16emu.sensor.settings import Lidar, Sensor
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
 from vlp16emu.units import seconds_to_ns
 
@@ -71,7 +71,7 @@ class InForce:
     phase_lock_deg: float | Literal["off"] = "off"
 
     @classmethod
-    def of(cls, section: Sensor | FreeSensor) -> Self:
+    def of(cls, section: Lidar) -> Self:
         """Return the settings at power-up."""
         phase_deg = section.phase_lock_deg if isinstance(section, Sensor) else None
         return cls(section.rpm, section.return_mode, phase_lock_deg="off" if phase_deg is None else phase_deg)
@@ -159,8 +159,8 @@ def checked(given: object, scene: dict[str, Any]) -> list[Event]:
     for place, event in enumerate(events):
         if rig is not None and event.unit > len(rig) + 1:
             raise ValueError(f"events[{place}].unit of at most {len(rig) + 1}, the units of the scene")
-        if isinstance(sensor, FreeSensor) and event.effect != "optics":
-            raise ValueError(f'no {event.kind} (events[{place}]) beside sensor.model = "free"')
+        if sensor is not None and not isinstance(sensor, Sensor) and event.effect != "optics":
+            raise ValueError(f'no {event.kind} (events[{place}]) beside sensor.model = "{sensor.model}"')
         if gps is not None and not gps.connected and event.effect == "gps":
             raise ValueError(f"gps.connected = true beside {event.kind} (events[{place}])")
     return events

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.place import place
+from vlp16emu.extras.displace import offset_tangents
 from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
@@ -26,7 +27,6 @@ from vlp16emu.packets import (
     packet_clock,
     scan_starts,
 )
-from vlp16emu.raycast.displace import offset_tangents
 from vlp16emu.types import F4, F8, I8, SURFACE, Labels, ReturnMode, Returns, Scan
 from vlp16emu.units import seconds_to_ns
 

@@ -1,5 +1,6 @@
 """A body that moves as was recorded."""
 
+import logging
 import math
 
 import numpy as np
@@ -8,11 +9,14 @@ from vlp16emu.elementary import acos, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.recorded.files import RecordedPoses
 from vlp16emu.extras.recorded.settings import Recorded
+from vlp16emu.extras.splines import interpolant
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.motion.splines import interpolant
 from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
+from vlp16emu.world.settings import Site
+
+_log = logging.getLogger(__name__)
 
 _MOST_TURN_DEG = 90.0  # between one pose and the next: half of what would leave the sense of the turn open
 _LEAST_NORM = 0.5
@@ -101,6 +105,24 @@ def _check_steps(poses: RecordedPoses, knots_ns: IntArray, quaternion: Array, ma
     turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
     expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
     _refuse(poses, turn_deg, _MOST_TURN_DEG + 1e-6, "turns by {:.1f} degrees from the pose before", expected)
+
+
+def check_places(position_m: Array, site: Site, reach_m: float) -> None:
+    """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
+    plan_m = position_m[:, :2]
+    above_m = position_m[:, 2] - site.height_m(*plan_m.T)
+    if (norm(plan_m - site.origin_m[:2]) < norm(plan_m)).all():  # the origin as maps have it is nearer than (0, 0)
+        _log.warning(
+            "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
+            " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",
+            *(*position_m[0], *(-value for value in site.origin_m)),
+        )
+    elif above_m.min() < 0 or above_m.min() > reach_m:
+        _log.warning(
+            "motion: recorded poses lie from %.1f to %.1f m above the ground; expected above it and in sight of it"
+            " (motion.z_m moves them)",
+            *(above_m.min(), above_m.max()),
+        )
 
 
 def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[Array, Array]:

@@ -9,7 +9,8 @@ from vlp16emu.settings import Angle, Place, Positive, SceneFile
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.motion.pose import Motion
-    from vlp16emu.types import Array, HeightField
+    from vlp16emu.types import Array
+    from vlp16emu.world.settings import Site
 
 
 class Recorded(MotionSection):
@@ -46,10 +47,11 @@ class Recorded(MotionSection):
             raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")
         return self
 
-    def carrier(self, height_m: "HeightField", start_ns: int) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
-        """Return the recorded motion and the places (n, 2) of its poses."""
+    def carrier(self, site: "Site", *, reach_m: float, start_ns: int, **_: object) -> "tuple[Motion, Array]":
+        """Return the recorded motion and the places (n, 2) of its poses; it flies over any ground."""
         from vlp16emu.extras.recorded.files import read_poses
-        from vlp16emu.extras.recorded.motion import RecordedMotion
+        from vlp16emu.extras.recorded.motion import RecordedMotion, check_places
 
         motion = RecordedMotion(self, read_poses(self), start_ns=start_ns)
+        check_places(motion.position_m, site, reach_m)
         return motion, motion.position_m[:, :2].copy()

@@ -12,14 +12,14 @@ import viser
 
 from vlp16emu.errors import InputError, OutputError, Vlp16emuError
 from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.extras.walk import Walk
+from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.route import Route
+from vlp16emu.extras.walk.way_points import way_points
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.stand import foot_discs, path_gap_m
-from vlp16emu.motion.path import Path
-from vlp16emu.motion.route import Route
-from vlp16emu.motion.settings import Walk
-from vlp16emu.motion.way_points import way_points
 from vlp16emu.output import OutputFile
 from vlp16emu.scenario import Scenario, find, load, named_files
 from vlp16emu.types import F8

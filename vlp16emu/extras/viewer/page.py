@@ -18,8 +18,8 @@ from vlp16emu.extras.viewer.editor import Draft, Editor
 from vlp16emu.extras.viewer.layers import boxed, coloured, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import Piece, pieces_of
 from vlp16emu.extras.viewer.sweeps import SceneSweeps, Sweep, Sweeps
+from vlp16emu.extras.walk import Walk
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.motion.settings import Walk
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.types import F8
 

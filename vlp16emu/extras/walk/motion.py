@@ -1,20 +1,26 @@
 """A sensor on the back of a person."""
 
+import logging
 from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 
+from vlp16emu.extras.walk.gait import AXES, Trunk
+from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack
+from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.route import Route
+from vlp16emu.extras.walk.settings import Gait, Mast, Walk
+from vlp16emu.extras.walk.way_points import around, way_points
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.motion.gait import AXES, Trunk
-from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack
+from vlp16emu.motion import Gps
 from vlp16emu.motion.pose import Kinematics, body_rate, fill_rotation, rotate
-from vlp16emu.motion.route import Route
-from vlp16emu.motion.settings import Mast, Walk
 from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
+from vlp16emu.world.settings import Site
 
+_log = logging.getLogger(__name__)
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
 _TOGETHER = 128  # instants of a millisecond whose poses are found together: what is between fits into the nearest cache
@@ -109,6 +115,30 @@ class WalkMotion:
         if self._pack is not None:
             _sit(self._pack.nodes(second), nodes)
         return _hermite(nodes)
+
+
+def walk_over(walk: Walk, site: Site, gps: Gps, *, start_ns: int, seed: int) -> tuple[WalkMotion, Array]:
+    """Return the motion of a walk and points (n, 2) of its path, around what is in the way; other parameters as of `Walk.carrier`.
+
+    Raises TrajectoryError if a person cannot walk so.
+    """
+    _check_gait(walk.gait, walk.sensor_height_m)
+    points = way_points(walk, gps, site.origin_m[:2])
+    if site.obstacles is not None:
+        points = around(points, *site.obstacles)
+    path = Path(points.xy_m, site.height_m, site.name)
+    return WalkMotion(walk, Route(path, walk, points.pause_s), start_ns=start_ns, seed=seed), path.xy_m
+
+
+def _check_gait(gait: Gait, sensor_height_m: float) -> None:
+    """Warn of a gait that lowers the sensor below the ground, from where nothing of the world is seen."""
+    # The lowest point of a step that is one sigma deeper than others.
+    dip_m = (1.0 + gait.variation) * (gait.vertical_m + gait.second_harmonic_m + gait.heel_strike_m)
+    if dip_m >= sensor_height_m:
+        _log.warning(
+            "motion.gait: lowers the sensor by %.2f m, into the ground; expected less than sensor_height_m = %g m",
+            *(dip_m, sensor_height_m),
+        )
 
 
 @numba.njit(cache=True, nogil=True)

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.gait import AXES
-from vlp16emu.motion.path import Path, limit_slope
-from vlp16emu.motion.settings import Walk
-from vlp16emu.motion.splines import Spline, powers
+from vlp16emu.extras.splines import Spline, powers
+from vlp16emu.extras.walk.gait import AXES
+from vlp16emu.extras.walk.path import Path, limit_slope
+from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.types import Array
 
 Stops = Sequence[tuple[float, float]]

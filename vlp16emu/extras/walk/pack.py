@@ -15,9 +15,9 @@ import numpy as np
 
 from vlp16emu.elementary import matmul, matvec
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.extras.walk.gait import AXES
+from vlp16emu.extras.walk.settings import Harness, Mast
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.motion.gait import AXES
-from vlp16emu.motion.settings import Harness, Mast
 from vlp16emu.types import Array
 
 KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre

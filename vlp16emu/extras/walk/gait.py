@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from vlp16emu.elementary import exp, power
+from vlp16emu.extras.walk.settings import Gait
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.motion.settings import Gait
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Array

@@ -8,8 +8,8 @@ import numpy as np
 
 from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.extras.splines import Spline, interpolant, polynomial
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.motion.splines import Spline, interpolant, polynomial
 from vlp16emu.store import recalled
 from vlp16emu.types import Array, HeightField, IntArray
 

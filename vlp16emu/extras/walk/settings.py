@@ -1,0 +1,229 @@
+"""The table `[motion]` of a scene in which a person walks.
+
+No kernel is in this file, so that a scene is read without the compiler.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from vlp16emu.motion.settings import Gps, MotionSection
+from vlp16emu.settings import Angle, Fraction, NonNegative, Preset, SceneFile, Section, Seed, Size
+
+if TYPE_CHECKING:  # scenes are read without numpy
+    from vlp16emu.extras.walk.motion import WalkMotion
+    from vlp16emu.motion.pose import Motion
+    from vlp16emu.types import Array
+    from vlp16emu.world.settings import Site
+
+_Amplitude = Annotated[float, Field(ge=0, le=1)]
+_Frequency = Annotated[float, Field(ge=0.5, le=1e9)]
+_Point = Annotated[tuple[float, float], Field(strict=False)]
+_Swing = Annotated[float, Field(ge=0, le=45)]
+
+
+class LawnMower(Section):
+    """Parallel lines to and fro over a rectangle, joined by rounded turns inside it."""
+
+    corner_m: _Point = (0.0, 0.0)
+    """x and y of the corner at which both edges begin."""
+    length_m: Size
+    """Length of the edge along the lines."""
+    width_m: Annotated[float, Field(ge=0, le=1e4)]
+    """Length of the edge across them, to the left of the first."""
+    azimuth_deg: Angle = 0.0
+    """Direction of the lines, counter-clockwise from east."""
+    line_spacing_m: Annotated[float, Field(ge=0.1, le=1e4)] = 10.0
+    """Distance between lines."""
+    turn_radius_m: Annotated[float, Field(ge=0.05, le=1e4)] = 1.0
+    """Radius of both quarter turns between one line and the next."""
+
+
+class Stop(Section):
+    """A halt; needs exactly one of `way_point` and `at_m`."""
+
+    way_point: Annotated[int, Field(ge=1)] | None = None
+    """Number of the waypoint; the first is 1."""
+    at_m: NonNegative | None = None
+    """Distance along the path."""
+    pause_s: NonNegative
+    """Duration of the halt."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.way_point is None) == (self.at_m is None):
+            raise ValueError("exactly one of way_point and at_m in it")
+        return self
+
+
+_STRONG_GAIT = {  # a heavy pack on rough ground: about twice the natural, an assumption
+    "vertical_m": 0.04,
+    "second_harmonic_m": 0.006,
+    "heel_strike_m": 0.003,
+    "sideways_m": 0.045,
+    "fore_aft_m": 0.02,
+    "roll_deg": 4.0,
+    "pitch_deg": 4.5,
+    "yaw_deg": 7.0,
+    "variation": 0.08,
+}
+
+
+class Gait(Preset):
+    """Amplitudes of the trunk's motion at walking speed; they fade as the person slows down.
+
+    Defaults are those of `natural`.
+    """
+
+    presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
+        "none": dict.fromkeys(_STRONG_GAIT, 0.0),
+        # Two plain sines (Lu et al., LiDAR-Forest, module 4).
+        "paper": {**dict.fromkeys(_STRONG_GAIT, 0.0), "step_hz": 1.8, "vertical_m": 0.025, "sideways_m": 0.02},
+        "natural": {},
+        "strong": _STRONG_GAIT,
+    }
+
+    preset: Literal["none", "paper", "natural", "strong"] = "natural"
+    """Values of the keys that are not given beside it; `natural` is their defaults."""
+    step_hz: Annotated[float, Field(gt=0, le=5)] | None = None
+    """Steps per second; from the walking speed where it is left out."""
+    vertical_m: _Amplitude = 0.023
+    """Rise and fall, once per step; 4.6 cm from end to end (assumption)."""
+    second_harmonic_m: _Amplitude = 0.0015
+    """Rise and fall, twice per step (assumption)."""
+    heel_strike_m: _Amplitude = 0.0007
+    """Depth of the dip of 40 ms at each heel strike, 0.2 g at the trunk (assumption)."""
+    sideways_m: _Amplitude = 0.022
+    """Sway, once per stride; 4.4 cm from end to end (assumption)."""
+    fore_aft_m: _Amplitude = 0.01
+    """Lead and lag, once per step (assumption)."""
+    roll_deg: _Swing = 1.65
+    """Once per stride; range 3.3 degrees (Chung et al., J NeuroEng Rehabil 7:9, 2010, global obliquity)."""
+    pitch_deg: _Swing = 2.0
+    """Once per step; range 4.0 degrees (Chung et al., 2010, global tilt)."""
+    yaw_deg: _Swing = 3.45
+    """Once per stride; range 6.9 degrees (Chung et al., 2010, global rotation)."""
+    variation: Fraction = 0.04
+    """Standard deviation of stride times, and of amplitudes, as a share of them; a healthy walker's stride times
+    varied by 4 % in nine minutes (PhysioNet, Fractal mechanisms in neural control, figure 9)."""
+
+    @property
+    def moves(self) -> bool:
+        """True if any amplitude is above zero."""
+        return any(getattr(self, name) for name in _STRONG_GAIT if name != "variation")
+
+
+class Harness(Section):
+    """Straps; without this table the pack is strapped tight.
+
+    The defaults are those of a loose pack (assumption): the suspended packs that people have measured swing
+    at 1.9 to 2.3 Hz under 5 kg (690 to 1050 N/m; J Biomech Eng 144, 051001, 2022).
+    """
+
+    fore_aft_hz: _Frequency = 3.0
+    """Undamped natural frequency, forwards and backwards."""
+    sideways_hz: _Frequency = 3.0
+    """The same to the sides."""
+    vertical_hz: _Frequency = 2.1
+    """The same up and down."""
+    roll_hz: _Frequency = 3.0
+    """The same about the forward axis."""
+    pitch_hz: _Frequency = 3.0
+    """The same about the axis to the left."""
+    yaw_hz: _Frequency = 3.0
+    """The same about the vertical axis."""
+    damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.25
+    """Share of critical damping, on all axes."""
+
+    @property
+    def frequency_hz(self) -> tuple[float, ...]:
+        """Frequencies (6,) in the order of `motion.gait.AXES`."""
+        return self.fore_aft_hz, self.sideways_hz, self.vertical_hz, self.roll_hz, self.pitch_hz, self.yaw_hz
+
+
+class Mast(Section):
+    """Mast that carries the sensors over the pack and the inertial unit, and bends with each step.
+
+    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at some 8 Hz and hardly along itself; at
+    walking pace it then leans by a tenth of a degree (assumption).
+    """
+
+    bending_hz: _Frequency = 8.0
+    """Undamped natural frequency of its bending, forwards and to the sides."""
+    damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.05
+    """Share of critical damping, on all axes."""
+
+    @property
+    def frequency_hz(self) -> tuple[float, ...]:
+        """Frequencies (6,) in the order of `motion.gait.AXES`: up and down at 50 Hz, about itself at 15 Hz (assumptions)."""
+        return self.bending_hz, self.bending_hz, 50.0, self.bending_hz, self.bending_hz, 15.0
+
+
+class Walk(MotionSection):
+    """A person with the sensor on the back."""
+
+    either_or: ClassVar[frozenset[str]] = frozenset({"speed_m_s", "run_time_s"})
+    one_of: ClassVar[tuple[str, ...]] = ("way_points_m", "way_points_file", "lawn_mower")
+    """Keys; exactly one of them is needed."""
+
+    way_points_m: Annotated[list[_Point], Field(min_length=2)] | None = None
+    """x and y in the world; the path is a smooth curve through them in this order."""
+    way_points_file: SceneFile | None = None
+    """CSV with the columns x_m, y_m (or x, y) and, if wanted, stop_s; or GPX with one track or route."""
+    lawn_mower: LawnMower | None = None
+    """A pattern over a plot."""
+    laps: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Number of laps, where the last waypoint is the first: such a path closes smoothly. Of another one with
+    `back_and_forth`."""
+    back_and_forth: bool = False
+    """Whether a lap is the way there and back, with a small loop behind each end: the person turns round, and goes on."""
+    speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
+    """Speed along the path, where nothing slows the person down."""
+    run_time_s: Annotated[float, Field(gt=0, le=7 * 86400)] | None = None
+    """Time from first motion to last, instead of a speed."""
+    acceleration_m_s2: Annotated[float, Field(gt=0, le=10)] = 1.0
+    """Greatest change of speed; at 1 m/s^2 a person is at walking speed after two paces (assumption)."""
+    yaw_rate_deg_s: Annotated[float, Field(gt=0, le=720)] = 60.0
+    """Greatest turn rate: a right angle takes 1.5 s (assumption). In tighter turns the person slows down."""
+    stops: list[Stop] = Field(default_factory=list)
+    """Halts on each lap."""
+    stand_s: Annotated[float, Field(ge=0, le=86_400)] = 0.0
+    """How long the person stands still before the first step, as programs that begin with gravity and biases want; not
+    part of `run_time_s`."""
+    kind: Literal["walk"]
+    """Selects a walking person."""
+    seed: Seed | None = None
+    """Seed of how the steps vary: scenes that share it, and the ground, walk one walk; the scene's seed if not set."""
+    sensor_height_m: Size = 2.0
+    """Height of the pack's origin over the ground under it; the origin is the sensor's centre unless it is mounted
+    elsewhere."""
+    gait: Gait = Gait()
+    """How the trunk of the person moves."""
+    harness: Harness | None = None
+    """How the pack hangs on the person; strapped tight without it."""
+    mast: Mast | None = None
+    """How the sensors bend on the pack, whose inertial unit does not; rigid without it."""
+
+    @model_validator(mode="after")
+    def _given_once(self) -> Self:
+        if sum(getattr(self, source) is not None for source in self.one_of) != 1:
+            raise ValueError("exactly one of way_points_m, way_points_file and lawn_mower in it")
+        if self.either_or <= self.model_fields_set:
+            raise ValueError("one of speed_m_s and run_time_s in it, not both")
+        if self.lawn_mower is not None and any(stop.way_point is not None for stop in self.stops):
+            raise ValueError("stops given by at_m where lawn_mower makes the waypoints")
+        return self
+
+    def carrier(self, site: "Site", *, gps: Gps, start_ns: int, seed: int, **_: object) -> "tuple[WalkMotion, Array]":
+        """Return the motion of the pack, and points (n, 2) of its path on the map; errors as of `WalkMotion` and `way_points`."""
+        from vlp16emu.extras.walk.motion import walk_over
+
+        return walk_over(self, site, gps, start_ns=start_ns, seed=seed)
+
+    def under_sensors(self, carrier: "Motion") -> "Motion":
+        """Return the motion of the top of the mast; the carrier's without one."""
+        if self.mast is None:
+            return carrier
+        bent: Motion = carrier.bent(self.mast)  # type: ignore[attr-defined]  # `WalkMotion`, which this file does not load
+        return bent
