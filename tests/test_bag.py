@@ -296,6 +296,14 @@ def test_a_run_goes_straight_into_a_bag(bag, tmp_path):
     assert [one.name for one in tmp_path.iterdir()] == [name]
 
 
+def test_a_capture_shorter_than_a_revolution_is_named(tmp_path, caplog):
+    """A bag without messages is written, with a line that says why."""
+    capture, out = tmp_path / "short.pcap", tmp_path / "short.mcap"
+    Emulator("static_bench").record(capture, duration_s=0.02)
+    assert write_bag(capture, out)["messages"] == {}
+    assert "no revolution is whole" in caplog.text
+
+
 def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):
     """Velocity and angular rate in a bag of a run are those of the motion at the same instant, in the sensor's axes."""
     walk = {"motion": {"kind": "walk", "way_points_m": [[-8, 0], [4, 0], [4, 3]]}, "duration_s": 2.0}
