@@ -43,14 +43,6 @@ def data_of(packets, number):
     return [row[1:] for row in of_unit(packets, number) if row[0] is PacketKind.DATA]
 
 
-def test_packets_leave_in_order_and_tell_their_unit(rig):
-    """Packets of both units are merged by time; a unit in dual return sends twice as many."""
-    _, packets = rig
-    assert [packet.due_ns for packet in packets] == sorted(packet.due_ns for packet in packets)
-    data = [packet.unit for packet in packets if packet.kind is PacketKind.DATA]
-    assert data.count(1) == pytest.approx(2 * data.count(0), abs=2)
-
-
 def test_a_unit_sends_what_it_would_send_alone(rig):
     """Each unit's packets are those of a scene with that sensor only: the others change nothing."""
     _, packets = rig

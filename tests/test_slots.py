@@ -175,7 +175,7 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
         "noise.preset=ideal",
         "world.near_m=inf",
         "sensor.max_range_m=8",
-        "world.stems_per_ha=250",
+        "world.stems_per_ha=120",
     ]
     settings.append("duration_s=0.5")
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)

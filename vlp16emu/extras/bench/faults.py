@@ -152,7 +152,7 @@ class Wire:
             if fault.unit.number != packet.unit:
                 continue
             hit = fault.befalls(packet, number)
-            # The first of `_ORDER`, so of one packet.
+            # The first of `_ORDER`: of one packet.
             if fault.event.kind == "jitter" and packet.kind in kinds_of(fault.event):
                 key = fault.number, packet.unit, packet.kind
                 due_ns = out[0].due_ns + (fault.jitter_ns(out[0], number) if hit else 0)

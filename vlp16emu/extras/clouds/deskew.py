@@ -152,14 +152,10 @@ def write_deskewed(
                 if stop.is_set():
                     break
             if without_pose and not points:
-                found, (first_s, end_s) = (
-                    "poses from {:.3f} to {:.3f} s".format(*way.span_s),
-                    (start_ns / S_NS, (start_ns + last_ns) / S_NS),
-                )
+                found, ends = "poses from {:.3f} to {:.3f} s".format(*way.span_s), (start_ns, start_ns + last_ns)
+                pulses = "from {:.3f} to {:.3f} s".format(*(t_ns / S_NS for t_ns in ends))
                 by = f"by the {stamped.clock} clock (see --clock and --time-offset)"
-                raise TrajectoryError(
-                    str(way.path), found, f"poses at the pulses, from {first_s:.3f} to {end_s:.3f} s {by}"
-                )
+                raise TrajectoryError(str(way.path), found, f"poses at the pulses, {pulses} {by}")
     return {
         "file": str(path),
         "capture": str(capture),
