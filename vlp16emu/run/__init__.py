@@ -1,1 +1,1 @@
-"""Runs of an engine: into a capture, over UDP, and again from a capture."""
+"""Runs of an engine: into a capture, and over UDP."""

@@ -138,7 +138,7 @@ class Harness(Section):
 
     @property
     def frequency_hz(self) -> tuple[float, ...]:
-        """Frequencies (6,) in the order of `motion.gait.AXES`."""
+        """Frequencies (6,) in the order of `walk.gait.AXES`."""
         return self.fore_aft_hz, self.sideways_hz, self.vertical_hz, self.roll_hz, self.pitch_hz, self.yaw_hz
 
 
@@ -156,7 +156,7 @@ class Mast(Section):
 
     @property
     def frequency_hz(self) -> tuple[float, ...]:
-        """Frequencies (6,) in the order of `motion.gait.AXES`: up and down at 50 Hz, about itself at 15 Hz (assumptions)."""
+        """Frequencies (6,) in the order of `walk.gait.AXES`: up and down at 50 Hz, about itself at 15 Hz (assumptions)."""
         return self.bending_hz, self.bending_hz, 50.0, self.bending_hz, self.bending_hz, 15.0
 
 
