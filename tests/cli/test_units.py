@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from vlp16emu.packets import capture
+from vlp16emu.captures import capture
 
 RIG = "rig=[{mount={pitch_deg=-35.0}}, {return_mode='dual', address='10.0.0.7', data_port=2368, position_port=8308}]"
 
