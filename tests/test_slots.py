@@ -164,7 +164,7 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
     assert command(["forest", "spruce_walk", *options, "--radius", "8", "--glb", str(tmp_path / "twin.glb")]) == 0
     table = parquet.read_table(tmp_path / "t" / "returns.parquet")
     rows = table.filter(compute.less(table["range_m"], 6.5))
-    rows = rows.take(np.random.default_rng(1).choice(len(rows), 120, replace=False))
+    rows = rows.take(np.random.default_rng(1).choice(len(rows), 150, replace=False))
     points = np.column_stack([rows[f"world_{axis}_m"].to_numpy() for axis in "xyz"])
     own = list(zip(*(rows[name].to_pylist() for name in ("semantic", "part", "instance", "species")), strict=True))
     nearest = [{} for _ in own]
