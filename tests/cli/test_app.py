@@ -210,20 +210,14 @@ def test_what_a_terminal_cannot_show_is_reported_all_the_same(main_here, tmp_pat
     assert "f\\xf6n.pcap" in (tmp_path / "said").read_text()
 
 
-def test_scenes_are_listed_with_title_and_duration(cli):
-    """Each scene that can be called by name has a line with its title."""
-    lines = cli("scenes").out.splitlines()
+def test_scenes_are_listed(cli):
+    """Each scene that can be called by name has a line with its duration and title; the JSON list has its kinds and the path of its file."""
+    lines, rows = cli("scenes").out.splitlines(), cli("scenes", "--json").tree["scenes"]
     assert lines[0] == "scenes"
     assert [line.split()[0] for line in lines[1:]] == list(scene_files())
     assert lines[1].endswith("60 s  A walk through a stand of silver birch")
-
-
-def test_scenes_as_json_lead_to_their_files(cli):
-    """The JSON list has name, kinds and the path of the file."""
-    rows = cli("scenes", "--json").tree["scenes"]
     assert {row["name"]: row["file"] for row in rows} == {n: str(p) for n, p in scene_files().items()}
-    assert rows[0]["motion"] == "walk"
-    assert rows[0]["world"] == "forest"
+    assert (rows[0]["motion"], rows[0]["world"]) == ("walk", "forest")
 
 
 def test_the_schema_is_printed_whole(cli):
