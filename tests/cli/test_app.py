@@ -110,6 +110,8 @@ BAD = [
                 "--truth-packets or --truth-returns: found beside --http",
             ),
             ("--gps-in {tmp}/ttyUSB9", "--gps-in {tmp}/ttyUSB9: No such file"),
+            ("--gps-in {tmp}/ttyUSB9 --now", "--gps-in: found beside --now"),
+            ("--interface sensor9", "interface sensor9: No such device; expected one of "),
             ("--gps-out loop://", "gps.connected: found false; expected true"),
             ("--imu-out udp://127.0.0.1:9", "imu: no such table in the scene; expected [imu]"),
             (
