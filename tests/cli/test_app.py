@@ -149,6 +149,7 @@ BAD = [
     ),
     ("stream birch_walk --as-sensor", 2, "192.168.1.201:"),  # before any forest is grown
     ("stream static_bench --to nobody.invalid", 2, ""),  # RFC 6761, section 6.4: never exists
+    ("verify /dev/zero", 2, "/dev/zero: no capture, it begins with 00 00 00 00"),
     ("decode /dev/null", 2, "/dev/null: no capture, it begins with nothing; expected a pcap or pcapng file"),
     *(
         (f"{verb} {{tmp}}/x", 2, "{tmp}/x: No such file or directory; expected a pcap or pcapng file")
