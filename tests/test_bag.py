@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
+from vlp16emu.captures import CaptureReader
 from vlp16emu.cli.app import run
 from vlp16emu.extras.bag import write_bag
-from vlp16emu.packets import CaptureReader
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from rosbags.highlevel import AnyReader
@@ -294,6 +294,14 @@ def test_a_run_goes_straight_into_a_bag(bag, tmp_path):
             numbers = [list(map(float, NUMBER.findall(repr(message)))) for message in (one, other)]
             np.testing.assert_allclose(*numbers, atol=1e-9)
     assert [one.name for one in tmp_path.iterdir()] == [name]
+
+
+def test_a_capture_shorter_than_a_revolution_is_named(tmp_path, caplog):
+    """A bag without messages is written, with a line that says why."""
+    capture, out = tmp_path / "short.pcap", tmp_path / "short.mcap"
+    Emulator("static_bench").record(capture, duration_s=0.02)
+    assert write_bag(capture, out)["messages"] == {}
+    assert "no revolution is whole" in caplog.text
 
 
 def test_odometry_of_a_run_has_the_rates_of_its_motion(tmp_path):

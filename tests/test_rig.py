@@ -8,8 +8,9 @@ import pytest
 import velodyne_decoder
 
 from vlp16emu import Emulator
+from vlp16emu.captures import Capture
 from vlp16emu.extras.replay import packets_of
-from vlp16emu.packets import Capture, decode_data
+from vlp16emu.packets import decode_data
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import PacketKind

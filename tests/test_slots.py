@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 from woods import THIN
 
 from vlp16emu import Emulator
+from vlp16emu.captures import Capture
 from vlp16emu.cli.app import run as command
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import write_truth
-from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, Capture
+from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD
 from vlp16emu.run.options import TruthTo
 from vlp16emu.types import PacketKind
 

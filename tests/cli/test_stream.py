@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from listening import Listener
 
+from vlp16emu.captures import Capture
 from vlp16emu.cli.stream import behind_line
-from vlp16emu.packets import Capture
 from vlp16emu.packets.position import STAMP_LEAD_NS
 from vlp16emu.scenario import load
 from vlp16emu.sinks import FellBehind, Late

@@ -1,5 +1,6 @@
 """Packets in real time."""
 
+import concurrent.futures
 import itertools
 import os
 import sys
@@ -141,8 +142,11 @@ def test_what_is_made_anew_follows_what_is_sent_without_a_gap(cuts, capacity):
     assert min(generations[max(cuts) :]) > 0
 
 
-def test_error_of_the_engine_comes_after_the_packets_before_it():
-    """What the engine raises is raised to the caller, once all earlier packets have been sent."""
+def test_errors_and_ctrl_c_end_a_stream():
+    """What the engine raises comes after the packets before it, and a sink that fails ends the stream and its endless engine.
+
+    Ctrl-C ends it with a report of what was sent, and no packets are a factor of 0.
+    """
 
     def failing():
         yield from make_packets(20)
@@ -153,10 +157,6 @@ def test_error_of_the_engine_comes_after_the_packets_before_it():
         stream(failing(), sink, Pacer(FAST))
     assert sink.packets == make_packets(20)
     assert threads() == 0
-
-
-def test_errors_and_ctrl_c_end_a_stream():
-    """A sink that fails ends the stream and its endless engine; Ctrl-C ends it with a report of what was sent, and no packets are a factor of 0."""
     with pytest.raises(RunError, match="link is down"):
         stream(endless([]), BreakingSink(5, RunError("link is down")), Pacer(FAST))
     assert threads() == 0
@@ -182,6 +182,18 @@ def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():
     report = stream(stuck(), MemorySink(), Pacer(1.0), stop=stop)
     assert report.interrupted
     assert threads() == 0
+
+
+def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world():
+    """A stream that is stopped before its first packet, while what begins beside it waits for a world, has a report."""
+    stop, sink = threading.Event(), MemorySink()
+
+    def begun(_):
+        stop.set()
+        raise concurrent.futures.CancelledError
+
+    assert stream(make_packets(3), sink, Pacer(1.0), stop=stop, begun=begun).interrupted
+    assert sink.packets == []
 
 
 def test_stop_event_and_switch_interval_are_left_as_they_were():
