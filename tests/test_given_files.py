@@ -1,7 +1,6 @@
 """Files that the user names: what is no file, has no end, or is something else."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -128,11 +127,3 @@ def test_what_is_found_is_shown_in_a_line(tmp_path, read, name, text):
         read(path)
     assert 20 < str(caught.value).count("x") < 130
     assert str(caught.value).count("\n") == 0
-
-
-def test_a_capture_may_be_a_pipe_of_any_length(tmp_path):
-    """A device without end is no capture by its first bytes, and nothing more of it is read."""
-    from vlp16emu import verify
-
-    with pytest.raises(InputError, match=r"/dev/zero: no capture, it begins with 00 00 00 00"):
-        verify(Path("/dev/zero"))

@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -160,19 +161,15 @@ def test_ports_that_are_held_are_not_given_again():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         with free_ports(1) as (port,):
             taken.bind(("127.0.0.1", port))
-        found, done = [], threading.Barrier(9)
+        all_are_held = threading.Barrier(8)
 
-        def search():
+        def search(_):
             with free_ports(40) as ports:
-                found.extend(ports)
-                done.wait()
+                all_are_held.wait()
+                return ports
 
-        threads = [threading.Thread(target=search) for _ in range(8)]
-        for thread in threads:
-            thread.start()
-        done.wait()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(8) as pool:
+            found = [one for ports in pool.map(search, range(8)) for one in ports]
     assert len(set(found)) == len(found) == 320
     assert port not in found
 

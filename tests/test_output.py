@@ -261,20 +261,3 @@ def test_a_report_replaces_reports_and_nothing_else(tmp_path):
     with pytest.raises(OutputError, match=r"report: x\.html is there, and no earlier report; expected another folder"):
         written(folder, "vlp16emu 3", "of vlp16emu")
     assert {path.name: path.read_text() for path in folder.iterdir()} == {"x.json": "vlp16emu 2", "x.html": "mine"}
-
-
-def _written_in_part(folder):
-    with report(folder, ("x.json", "x.html")) as files:
-        files[0].write(b"vlp16emu 2")
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def test_a_report_is_whole_or_as_before(tmp_path):
-    """If the disk is full for one of the files of a report, none of them takes its name."""
-    written(tmp_path, "vlp16emu 1", "of vlp16emu")
-    with pytest.raises(RunError, match="No space left on device; no file is written"):
-        _written_in_part(tmp_path)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
-        "x.json": "vlp16emu 1",
-        "x.html": "of vlp16emu",
-    }

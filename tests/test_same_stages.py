@@ -5,8 +5,6 @@ import subprocess
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import embree
-
 
 @pytest.fixture(scope="module")
 def same_bytes(tool_named):
@@ -85,12 +83,3 @@ def test_a_worker_that_fails_is_shown(check):
     code, out = check(fail, "--only", "one thread")
     assert code == 1
     assert "**failed**: Illegal instruction" in out
-
-
-def test_embree_takes_the_configuration_of_the_environment(monkeypatch, capfd):
-    """`VLP16EMU_EMBREE` limits the instruction set of a device."""
-    monkeypatch.setenv("VLP16EMU_EMBREE", "isa=sse4.2,verbose=1")
-    embree._new_device.__wrapped__()
-    chosen = capfd.readouterr().out.partition("Config\n")[2].partition("Features")[0]
-    assert "SSE4.2" in chosen.split("(supported)")[0]
-    assert "AVX" not in chosen.split("(supported)")[0]

@@ -110,6 +110,8 @@ BAD = [
                 "--truth-packets or --truth-returns: found beside --http",
             ),
             ("--gps-in {tmp}/ttyUSB9", "--gps-in {tmp}/ttyUSB9: No such file"),
+            ("--gps-in {tmp}/ttyUSB9 --now", "--gps-in: found beside --now"),
+            ("--interface sensor9", "interface sensor9: No such device; expected one of "),
             ("--gps-out loop://", "gps.connected: found false; expected true"),
             ("--imu-out udp://127.0.0.1:9", "imu: no such table in the scene; expected [imu]"),
             (
@@ -147,6 +149,7 @@ BAD = [
     ),
     ("stream birch_walk --as-sensor", 2, "192.168.1.201:"),  # before any forest is grown
     ("stream static_bench --to nobody.invalid", 2, ""),  # RFC 6761, section 6.4: never exists
+    ("verify /dev/zero", 2, "/dev/zero: no capture, it begins with 00 00 00 00"),
     ("decode /dev/null", 2, "/dev/null: no capture, it begins with nothing; expected a pcap or pcapng file"),
     *(
         (f"{verb} {{tmp}}/x", 2, "{tmp}/x: No such file or directory; expected a pcap or pcapng file")
@@ -210,20 +213,14 @@ def test_what_a_terminal_cannot_show_is_reported_all_the_same(main_here, tmp_pat
     assert "f\\xf6n.pcap" in (tmp_path / "said").read_text()
 
 
-def test_scenes_are_listed_with_title_and_duration(cli):
-    """Each scene that can be called by name has a line with its title."""
-    lines = cli("scenes").out.splitlines()
+def test_scenes_are_listed(cli):
+    """Each scene that can be called by name has a line with its duration and title; the JSON list has its kinds and the path of its file."""
+    lines, rows = cli("scenes").out.splitlines(), cli("scenes", "--json").tree["scenes"]
     assert lines[0] == "scenes"
     assert [line.split()[0] for line in lines[1:]] == list(scene_files())
     assert lines[1].endswith("60 s  A walk through a stand of silver birch")
-
-
-def test_scenes_as_json_lead_to_their_files(cli):
-    """The JSON list has name, kinds and the path of the file."""
-    rows = cli("scenes", "--json").tree["scenes"]
     assert {row["name"]: row["file"] for row in rows} == {n: str(p) for n, p in scene_files().items()}
-    assert rows[0]["motion"] == "walk"
-    assert rows[0]["world"] == "forest"
+    assert (rows[0]["motion"], rows[0]["world"]) == ("walk", "forest")
 
 
 def test_the_schema_is_printed_whole(cli):

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import struct
 import sys
 
 import numpy as np
@@ -97,19 +96,6 @@ def test_the_ground_lies_where_trees_stand(written, rows):
     row = np.round((grid.north_m - feet_m[:, 1]) / grid.cell_m).astype(int)
     assert len(feet_m) > 10
     assert np.median(np.abs(grid.heights_m[row, column] - feet_m[:, 2])) < 0.02
-
-
-def test_the_twin_holds_the_trees_of_the_inventory(written, rows):
-    """Each tree of the twin is a line of the inventory, of the same species."""
-    data = (written[0] / "twin.glb").read_bytes()
-    assert data[:4] == b"glTF"
-    assert struct.unpack_from("<I", data, 8)[0] == len(data)
-    names = [node["name"] for node in json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["nodes"]]
-    species = {f"tree_{int(row['id']):06d}": row["species"] for row in rows}
-    stems = [name.split("/") for name in names if name.startswith("tree_") and name.endswith("/root_flare")]
-    assert len(stems) == written[1]["trees"][-1]["stems"]
-    assert all(species[tree] == kind for tree, kind, _ in stems)
-    assert sum(name.startswith("stone_") for name in names) == written[1]["things"]["stone"]["count"]
 
 
 def test_tops_are_those_of_the_twin(written, rows):

@@ -10,7 +10,7 @@ import pytest
 from listening import opened, port_of, waiting
 
 from vlp16emu import Emulator
-from vlp16emu.errors import InputError, OutputError
+from vlp16emu.errors import OutputError
 from vlp16emu.extras.bench.options import GpsIn
 from vlp16emu.packets import decode_position
 from vlp16emu.packets.nmea import rmc
@@ -80,9 +80,3 @@ def test_a_line_that_is_not_there_is_refused(wire, listening):
     emulator = Emulator("static_bench", listening[1])
     with pytest.raises(OutputError, match=r"no line CD; expected --gps-in-pulse sentence"):
         emulator.stream(duration_s=0.1, gps_in=GpsIn(wire[1], "cd"))
-
-
-def test_time_comes_from_one_of_both(wire, listening):
-    """A receiver and the present of the host exclude each other."""
-    with pytest.raises(InputError, match="--gps-in: found beside --now"):
-        Emulator("static_bench", listening[1]).stream(duration_s=0.1, now=True, gps_in=GpsIn(wire[1]))

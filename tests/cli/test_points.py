@@ -1,10 +1,7 @@
 """Scenes as points."""
 
-import csv
-
 import numpy as np
 import pytest
-import trimesh
 from woods import LINES, WORDS
 
 from vlp16emu import Emulator
@@ -136,25 +133,6 @@ def test_pieces_make_the_whole(points):
     pieces = [points("--start", start, duration=length)[0] for start, length in ((0, 0.1), (0.1, 0.13))]
     for name in ("t_ns", "world_m", "distance_m"):
         np.testing.assert_array_equal(whole[name], np.concatenate([piece[name] for piece in pieces]))
-
-
-def test_ply_and_csv_say_the_same(cli, tmp_path, points):
-    """All three formats hold the same points, each to its number of digits."""
-    own, _ = points("--truth", duration=0.02)
-    ply, text = tmp_path / "x.ply", tmp_path / "x.csv"
-    for path in (ply, text):
-        assert cli("points", "static_bench", path, "--duration", "0.02", "--truth").code == 0
-    cloud = trimesh.load(ply)
-    np.testing.assert_array_equal(cloud.vertices, own["world_m"])
-    data = cloud.metadata["_ply_raw"]["vertex"]["data"]
-    np.testing.assert_array_equal(data["instance"], own["instance"])
-    np.testing.assert_allclose(data["time"], own["t_ns"] / 1e9, rtol=0, atol=3e-7)
-    with text.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["t_utc_s"].replace(".", "")) for row in rows] == own["t_ns"].tolist()
-    columns = {"world_x_m": own["world_m"][:, 0], "z_m": own["sensor_m"][:, 2], "elevation_deg": own["elevation_deg"]}
-    for column, values in columns.items():
-        np.testing.assert_allclose([float(row[column]) for row in rows], values, rtol=0, atol=0.51e-4)
 
 
 def test_a_ply_says_what_its_labels_mean(cli, tmp_path):

@@ -56,26 +56,6 @@ def test_ctrl_c_ends_the_truth_alone(cli, signal_at, tmp_path):
     assert abs(len(rows(tmp_path / "t" / "trajectory.tum")) - 200 * outcome.tree["simulated_s"]) <= 3
 
 
-def test_truth_does_not_replace_the_poses_that_it_tells(cli, tmp_path):
-    """A folder with the recorded poses of the scene is refused by one line, and stays as it is."""
-    folder = tmp_path / "t"
-    first = cli("record", "static_bench", tmp_path / "a.pcap", "--duration", "0.2", "--truth", folder)
-    assert first.code == 0
-    scene = tmp_path / "again.toml"
-    scene.write_text(
-        'schema = 1\ntitle = "Again"\nduration_s = 0.1\n[world]\nkind = "hall"\nlength_m = 20\nwidth_m = 20\nheight_m = 5\n'
-        '[motion]\nkind = "recorded"\nformat = "tum"\nfile = "t/trajectory.tum"\n'
-    )
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    outcome = cli("record", scene, tmp_path / "b.pcap", "--truth", folder)
-    line = (
-        f"error: {folder / 'trajectory.tum'}: is read by this run, and would be written over; expected another place\n"
-    )
-    assert (outcome.code, outcome.err) == (2, line)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert not (tmp_path / "b.pcap").exists()
-
-
 @pytest.mark.parametrize("verb", ["record", "stream"])
 def test_truth_does_not_replace_its_own_scene(cli, tmp_path, verb):
     """A scenario.json of an earlier run is not recorded or streamed with its truth into its own folder."""

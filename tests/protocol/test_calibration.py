@@ -11,23 +11,10 @@ SENSORS = {"vlp-16": "VLP-16", "puck-hi-res": "Puck-Hi-Res"}
 sensors = pytest.mark.parametrize("model", SENSORS)
 
 
-def ros_calibration(path):
-    """Read a file as velodyne_pointcloud does, ROS 1 and ROS 2: all these keys, numbers only."""
-    document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    assert isinstance(document["num_lasers"], int)
-    assert isinstance(document["distance_resolution"], float)
-    lasers = {}
-    for laser in document["lasers"][: document["num_lasers"]]:
-        required = (
-            *("rot_correction", "vert_correction", "dist_correction", "dist_correction_x", "dist_correction_y"),
-            *("vert_offset_correction", "focal_distance", "focal_slope"),
-        )
-        optional = {"horiz_offset_correction": 0.0, "max_intensity": 255.0, "min_intensity": 0.0}
-        assert isinstance(laser["laser_id"], int)
-        lasers[laser["laser_id"]] = {key: float(laser[key]) for key in required} | {
-            key: float(laser.get(key, default)) for key, default in optional.items()
-        }
-    return document["distance_resolution"], lasers
+ZERO = (
+    *("rot_correction", "dist_correction", "dist_correction_x", "dist_correction_y", "horiz_offset_correction"),
+    *("min_intensity", "focal_distance", "focal_slope"),
+)
 
 
 def veloview_calibration(path):
@@ -52,17 +39,21 @@ def veloview_calibration(path):
 
 @sensors
 def test_ros_file(protocol, timing, data_packet, model):
-    """The YAML file holds the stated elevations (rad), vertical corrections (m) and distance scale, else zeros."""
-    scale_m, lasers = ros_calibration(protocol / "calibration" / f"{SENSORS[model]}.yaml")
+    """The YAML file has all keys that velodyne_pointcloud reads: elevations (rad), vertical corrections (m), the scale, else zeros."""
+    document = yaml.safe_load((protocol / "calibration" / f"{SENSORS[model]}.yaml").read_text(encoding="utf-8"))
+    scale_m = next(row for row in data_packet["record"] if row["name"] == "distance")["scale"]
+    assert (document["num_lasers"], document["distance_resolution"]) == (16, scale_m)
     table = timing["beams"][model]
-    assert scale_m == next(row for row in data_packet["record"] if row["name"] == "distance")["scale"]
-    assert sorted(lasers) == timing["firing"]["order"]
-    for laser, values in lasers.items():
-        assert values.pop("vert_correction") == math.radians(table["elevation_deg"][laser])
-        correction_m = table["vertical_correction_mm"][laser] / 1000
-        assert values.pop("vert_offset_correction") == pytest.approx(correction_m, abs=1e-12)
-        assert values.pop("max_intensity") == 255
-        assert set(values.values()) == {0.0}
+    assert document["lasers"] == [
+        dict.fromkeys(ZERO, 0.0)
+        | {
+            "laser_id": laser,
+            "vert_correction": math.radians(table["elevation_deg"][laser]),
+            "vert_offset_correction": pytest.approx(table["vertical_correction_mm"][laser] / 1000, abs=1e-12),
+            "max_intensity": 255,
+        }
+        for laser in timing["firing"]["order"]
+    ]
 
 
 @sensors

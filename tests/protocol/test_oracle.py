@@ -21,13 +21,6 @@ def golden(name):
     return payload, tomllib.loads((GOLDEN / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def test_there_are_golden_packets():
-    """Both kinds of packet have golden ones, each with its meaning."""
-    assert DATA_NAMES
-    assert POSITION_NAMES
-    assert {path.stem for path in GOLDEN.glob("*.toml")} == set(NAMES)
-
-
 @pytest.mark.parametrize("name", DATA_NAMES)
 def test_golden_data(oracle, name):
     """Read by the tables alone, a golden data packet holds what its meaning says, and no other return."""
