@@ -80,5 +80,5 @@ def full_forest(make_forest):
 
 @pytest.fixture(scope="session")
 def track_m():
-    """Sensor positions along the first ten metres."""
-    return np.column_stack([np.linspace(0, 10, 11), np.linspace(0, 2, 11), np.full(11, 2.0)])
+    """Sensor positions along the first four metres."""
+    return np.column_stack([np.linspace(0, 4, 5), np.linspace(0, 0.9, 5), np.full(5, 2.0)])
