@@ -113,9 +113,9 @@ def test_light_meets_pieces_as_it_meets_the_whole(workers):
     place[:, :, 3] = lab.UTM_M + [[8.0, 0.0, -1.0], [4.0, -12.0, -1.0]]
     surfaces = np.zeros(2 * len(meshes), SURFACE)
     window = Window(lab.UTM_M, ("all",), np.zeros(2, "i4"), place, np.array([0, 5], "u4"), surfaces)
-    direction = np.random.default_rng(7).normal(0, [1, 1, 0.2], (1024, 3))
+    direction = np.random.default_rng(7).normal(0, [1, 1, 0.2], (2048, 3))
     firings = lab.rays(
-        np.tile(lab.UTM_M + [0, 0, 0.1], (1024, 1)), direction / np.linalg.norm(direction, axis=1)[:, None]
+        np.tile(lab.UTM_M + [0, 0, 0.1], (2048, 1)), direction / np.linalg.norm(direction, axis=1)[:, None]
     )
     scenes = lab.opened(workers, window, lambda _: meshes), ReferenceScene(window, lambda _: meshes)
     fast, slow = (scene.cast(firings, np.zeros(1), lab.FAR_M) for scene in scenes)
