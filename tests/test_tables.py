@@ -68,7 +68,7 @@ HEADER = "x,dbh_cm,remark\n"
     [
         ("x;dbh_cm\n412281,69;28\n5.412.584,02;28\n", "line 3, column x: found '5.412.584,02'; expected one decimal mark, and none between"),
         ("x;dbh_cm\n412281,69;28\n412.283;28\n", "line 3, column x: found '412.283'; expected one decimal mark"),
-        ('x,dbh_cm\n"4,5",28\n', "line 2, column x: found '4,5'; expected one decimal mark"),
+        ('x,dbh_cm\n"4,5",28\n', "line 2, column x: found '4,5'; expected a decimal point; decimal commas need ; or"),
         ("x,dbh_cm\n4,5,28,4\n", "line 2: found 4 cells; expected 2, as in line 1; decimal commas need ; or a tab between"),
         (HEADER + "4,20,\n-3\n", "line 3: found 1 cells; expected 3, as in line 1"),
         (HEADER + "4,20 cm,\n", "line 2, column dbh_cm: found '20 cm'; expected a number from 1 to 500 without a unit"),

@@ -127,6 +127,9 @@ class Table:
     def _pointed(self, row: int, column: str, cell: str) -> str:
         """Write a number with a decimal point; a table has one decimal mark, for the other one may group thousands."""
         marks = {mark for mark in ".," if mark in cell} | {*self._decimal}
+        if self._has_commas and marks == {","}:
+            expected = "a decimal point; decimal commas need ; or a tab between columns"
+            raise self.error(self.where(row, column), f"found {cell!r}", expected)
         if len(marks) > 1 or (self._has_commas and "," in marks):
             raise self.error(self.where(row, column), f"found {cell!r}", "one decimal mark, and none between thousands")
         self._decimal = "".join(marks)

@@ -13,7 +13,7 @@ from vlp16emu.foliage.stems import see_stems, seen, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES
 from vlp16emu.forest.tiles import TileKey, ground_mesh
-from vlp16emu.motion.static import StaticMotion
+from vlp16emu.motion.pose import StaticMotion
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.settings import Beam

@@ -63,9 +63,12 @@ def test_a_file_is_read_as_it_is_meant(tmp_path):
     ],
 )
 def test_a_setting_takes_the_place_of_what_it_rules_out(settings, own_keys):
-    """A path or pace given by `--set` takes the place of the scene's own."""
+    """A path or pace given by `--set` takes the place of the scene's own, and so does a rotor's phase."""
     motion = load("reference_forest", settings).motion
     assert motion.model_fields_set == own_keys | {"kind"}
+    phase = "gps.connected=true", "sensor.start_azimuth_deg=10", "sensor.phase_lock_deg=90"
+    sensor = load("static_bench", phase).sensor
+    assert (sensor.start_azimuth_deg, sensor.phase_lock_deg) == (None, 90.0)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import threading
 import pytest
 from sinks.kit import make_packets
 
+from vlp16emu.captures.capture import Capture
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.packets.capture import Capture
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind

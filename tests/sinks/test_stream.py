@@ -1,5 +1,6 @@
 """Packets in real time."""
 
+import concurrent.futures
 import itertools
 import os
 import sys
@@ -181,6 +182,18 @@ def test_stop_event_ends_even_a_stream_that_waits_for_its_engine():
     report = stream(stuck(), MemorySink(), Pacer(1.0), stop=stop)
     assert report.interrupted
     assert threads() == 0
+
+
+def test_stop_event_ends_a_stream_whose_receivers_wait_for_a_world():
+    """A stream that is stopped before its first packet, while what begins beside it waits for a world, has a report."""
+    stop, sink = threading.Event(), MemorySink()
+
+    def begun(_):
+        stop.set()
+        raise concurrent.futures.CancelledError
+
+    assert stream(make_packets(3), sink, Pacer(1.0), stop=stop, begun=begun).interrupted
+    assert sink.packets == []
 
 
 def test_stop_event_and_switch_interval_are_left_as_they_were():

@@ -6,6 +6,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -288,7 +289,7 @@ def stream(
                     left = FirstPacket(packet.due_ns, present.began_ns if present else None, time.time_ns())
                 had_to_wait = ahead.first is None  # asked before the wait, which would hide it
             interrupted = stop.is_set()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, CancelledError):  # the latter where `begun` waits for a world and `stop` is set
         interrupted = True
     return sender.report(interrupted=interrupted, moved_s=present.moved_s if present else 0, first=left)
 

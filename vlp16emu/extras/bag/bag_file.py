@@ -1,6 +1,7 @@
 """Messages of ROS 1 and ROS 2 into a bag, without ROS."""
 
 import heapq
+import logging
 import shutil
 import sqlite3
 import tempfile
@@ -14,6 +15,8 @@ from typing import Any, Self
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.output import final_name
 from vlp16emu.units import S_NS
+
+_log = logging.getLogger(__name__)
 
 _SUFFIXES = (".mcap", ".bag", "")
 """MCAP of ROS 2, bag of ROS 1, and a folder with SQLite of ROS 2, which every ROS 2 reads without a plugin."""
@@ -103,6 +106,11 @@ class BagFile:
             if error is None:
                 is_mcap = self.path.suffix.lower() == ".mcap"
                 (self._made / f"{self._made.name}.mcap" if is_mcap else self._made).replace(self._final)
+                if not self.counts:
+                    _log.warning(
+                        "%s: a bag without messages: no revolution is whole from the first packet to the last",
+                        self.path,
+                    )
         except _FAILURES as failed:
             raise self._failed(failed) from failed
         finally:

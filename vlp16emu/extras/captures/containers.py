@@ -15,8 +15,8 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, no_capture, pcap_frames, read
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets.capture import EXPECTED, PCAP, Frame, no_capture, pcap_frames, read
 from vlp16emu.units import S_NS, US_NS
 
 _SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6
@@ -26,6 +26,7 @@ _OPTION_RESOLUTION, _OPTION_OFFSET = 9, 14
 _LONGEST_BLOCK_BYTES = 16 << 20  # a longer block means damage (MAX_BLOCK_SIZE of Wireshark)
 _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
 _ZSTD = b"\x28\xb5\x2f\xfd"
+_TAR_AT = 257  # of the magic number of POSIX tar (IEEE 1003.1, ustar)
 _OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
 
 Frames = Iterator[Frame | None]  # frames of a file; the last is None if the file ends in the middle of a record
@@ -41,7 +42,10 @@ def frames(path: Path, file: Any) -> Frames:
     try:
         unpacked = _unpacked(path, file)
         with suppress(EOFError):  # of an archive that is cut in its first bytes
-            head = unpacked.peek(4)[:4]
+            head = unpacked.peek(_TAR_AT + 5)
+        if head[_TAR_AT : _TAR_AT + 5] == b"ustar":
+            raise CaptureError(str(path), "a tar archive", f"{EXPECTED}: `tar xOf {path.name} > some.pcap`")
+        head = head[:4]
         if head in PCAP:
             yield from pcap_frames(path, unpacked)
         elif int.from_bytes(head) == _SECTION:

@@ -158,9 +158,9 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
         card.scores |= measures.leaf_wood_scores(labels, np.where(is_tree, true["leaf_wood"], 0))
     if "instance" in found:
         trees = np.where(is_tree, true["instance"], 0)
-        card.scores |= measures.instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
-        if "semantic" in found:
+        if "semantic" in found:  # ours number shrubs and stones too
             found = {**found, "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0)}
+        card.scores |= measures.instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
         boxes, counts = measures.boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
         card.scores |= measures.box_scores(boxes, counts, measures.boxes_of(true["xyz"], trees, LEAST_POINTS)[0])
     card.notes["labels"] = (

@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from motion.kit import START_NS, STILL, Circle, at, gait, straps, walking
+from extras.walk.kit import START_NS, STILL, Circle, at, gait, straps, walking
 
 from vlp16emu.extras.walk import Harness
 from vlp16emu.extras.walk.motion import _sit
-from vlp16emu.motion.pose import rotations
-from vlp16emu.motion.static import StaticMotion
+from vlp16emu.motion.pose import StaticMotion, rotations
 
 STRAPS = Harness(vertical_hz=2.0, damping_ratio=0.2)
 SLACK, STIFF = (straps(hz, 0.1) for hz in (0.5, 30.0))

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vlp16emu.captures import units_in
+from vlp16emu.captures.capture import Capture, is_capture_name
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets import units_in
-from vlp16emu.packets.capture import Capture, is_capture_name
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 
 CAPTURE = Path(__file__).parents[2] / ".." / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
@@ -288,6 +288,10 @@ def test_empty_capture_is_a_capture(tmp_path, empty):
         (b"", "some.pcap: no capture, it begins with nothing; expected a pcap or pcapng file"),
         (b"\xd4\xc3\xb2\xa1\x02", "some.pcap: no capture, it begins with d4 c3 b2 a1; expected a pcap or"),
         (b"PK\x03\x04" + bytes(40), "some.pcap: a zip archive; expected .* `unzip -p some.pcap > some.pcap`"),
+        (
+            gzip.compress(bytes(257) + b"ustar" + bytes(300)),
+            "some.pcap: a tar archive; expected .* `tar xOf some.pcap > some.pcap`",
+        ),
         (pcap() + struct.pack("<IIII", 0, 0, 2**31, 9), "packet 1: a length of 2147483648 bytes; expected at most"),
         (pcapng() + struct.pack("<II", 6, 13), "block 3: a length of 13 bytes; expected 12 to 16777216, in steps of 4"),
         (b"\x1f\x8b\x08\0" + bytes(40), r"some\.pcap: "),

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from motion.kit import gait, straps
+from extras.walk.kit import gait, straps
 from scipy import stats
 from scipy.linalg import expm
 
