@@ -197,7 +197,7 @@ def with_wall(window, x_m):
 @pytest.mark.parametrize("beam", [{}, {"model": "fixed", "rays": 8}])
 def test_a_users_wall_in_the_wood_is_hit_exactly(workers, beam):
     """At 40 m a wall is met at its range to 0.02 mm, hides what is behind it, and changes nothing before it or beside it."""
-    world = lab.Tiles(10.0, across=3)
+    world = lab.Tiles(10.0, across=2)
     bare, at_m = world.window(AT_M), AT_M[0] + [0.0, 0.0, 4.0]
     window, wall = with_wall(bare, 50.0)
     grown = world.shape
@@ -221,7 +221,7 @@ def test_a_users_wall_in_the_wood_is_hit_exactly(workers, beam):
 
 def test_what_is_low_is_met_near_by_only(workers):
     """A thing that is said to be low is met at its range where light has not come to the medium, and passed by beyond."""
-    world = lab.Tiles(10.0, across=3)
+    world = lab.Tiles(10.0)
     bare, at_m = world.window(AT_M), AT_M[0] + [0.0, 0.0, 4.0]
     rays, grown = around(8000, at_m, low_deg=-8.0, high_deg=8.0), world.shape
     for x_m, is_met in ((15.0, True), (25.0, False)):

@@ -22,7 +22,7 @@ AGAIN = 390_625
 @pytest.fixture(scope="module")
 def forest():
     """Parts of a thin birch stand with a sensor that stands still, without noise."""
-    settings = [STATIC, "seed=5", "world.stems_per_ha=300", f"sensor.max_range_m={REACH_M}"]
+    settings = [STATIC, "seed=5", "world.stems_per_ha=200", f"sensor.max_range_m={REACH_M}"]
     return assemble(load("birch_walk", settings, ideal=True))
 
 

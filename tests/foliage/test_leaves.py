@@ -12,6 +12,7 @@ from raycast import lab
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
 from vlp16emu.foliage.lanes import lanes
+from vlp16emu.foliage.stems import seen
 from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
 from vlp16emu.types import NO_SURFACE, PlantPart
 
@@ -45,11 +46,14 @@ def one_voxel(empty, code, cell=(2, 1, 3), corner=(40, -7, 11)):
     )
 
 
+LANES, NO_STEMS = lanes(), seen(lab.no_medium().stems)  # made once: thousands of rays go through them
+
+
 def met_m(medium, origin_m, direction, far_m=60.0):
     """Range of one ray, inf where it meets nothing."""
-    L = lanes()
+    L = LANES
     L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = origin_m, direction, far_m, NO_SURFACE
-    lab.march_through(medium, L, 1, [*origin_m, *direction], far_m)
+    lab.march_through(medium, L, 1, [*origin_m, *direction], far_m, ahead=NO_STEMS)
     return float(L.range_m[0]) if L.surface[0] != NO_SURFACE else np.inf
 
 

@@ -287,7 +287,7 @@ def test_pulses_meet_the_stems_of_their_sector_as_those_of_the_whole_window(stan
 def test_what_is_hit_before_hides_what_is_behind(stand):
     """Light that is given up before a hit meets nothing, and light that is given up behind it meets the same."""
     world, _, medium = stand
-    origin_m, direction = some_rays(world, "x", 400)
+    origin_m, direction = some_rays(world, "x", 200)
     for o, d in zip(origin_m, direction, strict=True):
         (range_m,), (surface,), _ = marched(medium, [o], [d])
         if surface == NO_SURFACE:

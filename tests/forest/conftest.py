@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from forest.kit import REACH_M
 
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest import settings
@@ -10,7 +11,6 @@ from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import Stand
 
-REACH_M = 15.0
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 BIRCH = settings.SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)
 SPRUCE = settings.SpeciesShare(species="norway_spruce", share=0.6, dbh_cm=24.0, height_m=21.0)
@@ -61,12 +61,6 @@ def make_forest(terrain):
 
 
 @pytest.fixture(scope="session")
-def reach_m():
-    """How far about a track windows of these forests reach."""
-    return REACH_M
-
-
-@pytest.fixture(scope="session")
 def forest(make_forest):
     """Trees alone."""
     return make_forest()
@@ -80,5 +74,5 @@ def full_forest(make_forest):
 
 @pytest.fixture(scope="session")
 def track_m():
-    """Sensor positions along the first ten metres."""
-    return np.column_stack([np.linspace(0, 10, 11), np.linspace(0, 2, 11), np.full(11, 2.0)])
+    """Sensor positions along the first four metres."""
+    return np.column_stack([np.linspace(0, 4, 5), np.linspace(0, 0.9, 5), np.full(5, 2.0)])

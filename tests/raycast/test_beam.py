@@ -63,14 +63,6 @@ def test_support_points_are_turned_and_mirrored():
     assert 0.46 < (turn > 0).mean() < 0.54
 
 
-def test_beyond_64_an_adaptive_beam_goes_on_with_r2():
-    """Sub-rays 65 to 96 of an adaptive beam are those of a fixed one, bit by bit; the 64 before are others."""
-    many, fixed = (unit_points(50, 96, model=model) for model in ("adaptive", "fixed"))
-    assert (many[:, 64:] == fixed[:, 64:]).all()
-    assert (many[:, :64] != fixed[:, :64]).any(axis=2).all()
-    assert len(np.unique(many[0], axis=0)) == 96
-
-
 @pytest.mark.parametrize("distance_m", [0.0, 10.0, 50.0])
 def test_the_beam_is_as_wide_as_said(distance_m):
     """Four standard deviations are spot + divergence * distance, across and up, and directions have unit length."""

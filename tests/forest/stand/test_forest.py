@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from forest.kit import feet_m
+from forest.kit import REACH_M, feet_m
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import distance_m
@@ -112,13 +112,13 @@ def test_everything_is_the_same_from_either_end(make_forest, with_layers):
             )
 
 
-def test_trees_have_numbers_of_their_own_and_a_window_holds_all_in_reach(forest, track_m, reach_m):
+def test_trees_have_numbers_of_their_own_and_a_window_holds_all_in_reach(forest, track_m):
     """Along the path no two trees share a number, none has 0, and those with their foot within reach of a track are in its window."""
     everything = forest.trees(np.column_stack([np.linspace(-8, 60, 30), np.zeros(30), np.zeros(30)]))
     assert len(np.unique(everything["id"])) == len(everything) > 200
     assert everything["id"].min() > 0
     gap = np.hypot(everything["x_m"] - track_m[:, :1], everything["y_m"] - track_m[:, 1:2]).min(axis=0)
-    assert set(everything["id"][gap < reach_m]) <= set(forest.trees(track_m)["id"])
+    assert set(everything["id"][gap < REACH_M]) <= set(forest.trees(track_m)["id"])
 
 
 def is_low(key):

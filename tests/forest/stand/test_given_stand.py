@@ -1,5 +1,7 @@
 """Lists of measured stems, and a stand of them."""
 
+import csv
+
 import numpy as np
 import pytest
 
@@ -58,14 +60,18 @@ def test_diameters_in_millimetres_are_refused(tmp_path):
 
 
 def test_an_inventory_is_a_stem_list(tmp_path):
-    """The inventory that we write of some trees is read back as the same trees, to half its last decimal."""
+    """The inventory that we write of some trees is read back as the same trees, to half its last decimal; what is unknown is empty."""
     trees = np.zeros(2, INVENTORY)
     for name in INVENTORY.names:
         trees[name] = [1.25, 2.5]
     trees["species"] = [species_table()[name].number for name in ("european_beech", "scots_pine")]
     trees["height_m"], trees["lean_towards_deg"] = [20.0, 30.0], [200.0, 45.0]
+    trees["list_line"], trees["biomass_kg"] = 0, np.nan
     with (tmp_path / "inventory.csv").open("wb") as file:
         write_csv(file, trees)
+    with (tmp_path / "inventory.csv").open(encoding="utf-8", newline="") as file:
+        for line in csv.DictReader(file):
+            assert (line["list_line"], line["biomass_kg"]) == ("", "")
     back = read_stem_list(tmp_path / "inventory.csv", species_table(), NO_ORIGIN)
     for name in set(INVENTORY.names) & set(TREE.names) - {"id", "z_m", "list_line"}:
         assert back[name] == pytest.approx(trees[name], abs=1e-4)

@@ -1,7 +1,5 @@
 """The inventory of trees against the meshes that are scanned."""
 
-import csv
-
 import numpy as np
 import pytest
 import trimesh
@@ -13,7 +11,7 @@ from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_meshe
 from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.plants.stem import axis_m, lean_rotation, stem_forms, stem_meshes
 from vlp16emu.forest.settings import Forest, SpeciesShare
-from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
+from vlp16emu.forest.stand.inventory import INVENTORY, inventory
 from vlp16emu.forest.stand.stand import TREE, Stand
 from vlp16emu.types import PlantPart
 
@@ -176,19 +174,3 @@ def test_records_are_copied_and_biomass_follows_the_species(rows, trees):
         assert np.array_equal(rows[name], trees[name])
     assert rows["biomass_kg"][3] == pytest.approx(np.exp(-2.0127 + 2.4342 * np.log(25.0)))
     assert np.isnan(rows["biomass_kg"]).tolist() == [False] * 4 + [True]
-
-
-def test_the_file_has_a_header_and_a_line_for_each_tree(rows, tmp_path):
-    """Columns carry the table's names; species are named, and an unknown mass is an empty field."""
-    path = tmp_path / "trees.csv"
-    with path.open("wb") as file:
-        write_csv(file, rows)
-    with path.open(encoding="utf-8", newline="") as file:
-        lines = list(csv.DictReader(file))
-    assert list(lines[0]) == list(INVENTORY.names)
-    assert [line["species"] for line in lines] == NAMES
-    assert [int(line["id"]) for line in lines] == [40, 41, 42, 43, 44]
-    for name in INVENTORY.names[2:-2]:
-        assert [float(line[name]) for line in lines] == pytest.approx(rows[name].tolist(), abs=6e-5)
-    assert lines[4]["biomass_kg"] == ""
-    assert {line["list_line"] for line in lines} == {""}

@@ -16,7 +16,7 @@ from vlp16emu.forest.stand.twin import cut_out, things_near, write_glb
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
 
-RADIUS_M = 7.0
+RADIUS_M = 9.0
 
 
 @pytest.fixture(scope="module")
