@@ -203,3 +203,14 @@ def test_a_run_that_fails_leaves_no_file(cli, tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.png"]
     assert (tmp_path / "x.csv").read_text().startswith("id,species,")
     assert (tmp_path / "x.png").read_bytes() == b"earlier"
+
+
+def test_files_take_their_names_together(cli, tmp_path):
+    """A full disk for the last of several files leaves all earlier ones as they were, and nothing beside them."""
+    (tmp_path / "trees.csv").write_text("earlier")
+    (tmp_path / "sheet.asc").symlink_to("/dev/full")
+    outcome = cli("forest", "static_bench", "--inventory", tmp_path / "trees.csv", "--ground", tmp_path / "sheet.asc")
+    assert outcome.code == 1
+    assert "sheet.asc: No space left on device" in outcome.err
+    assert (tmp_path / "trees.csv").read_text() == "earlier"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sheet.asc", "trees.csv"]
