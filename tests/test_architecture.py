@@ -23,7 +23,7 @@ FLOORS = (
     {"scenario"},
     {"forest"},
     {"foliage"},
-    {"raycast", "returns", "sinks"},
+    {"captures", "raycast", "returns", "sinks"},
     {"packets"},
     {"motion", "sensor", "world"},
     {

@@ -1,22 +1,19 @@
 """Bags, read back by software of others."""
 
-import errno
 import hashlib
 import json
 import re
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
 
 from vlp16emu import Emulator
+from vlp16emu.captures import CaptureReader
 from vlp16emu.cli.app import run
-from vlp16emu.errors import RunError
 from vlp16emu.extras.bag import write_bag
-from vlp16emu.packets import CaptureReader
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from rosbags.highlevel import AnyReader
@@ -31,10 +28,10 @@ NUMBER = re.compile(r"-?\d+\.\d*(?:e[-+]?\d+)?")
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
-    """Folder with a capture of 1 s, its truth, and a bag of each kind."""
+    """Folder with a capture of 0.5 s, its truth, and a bag of each kind."""
     folder = tmp_path_factory.mktemp("bags")
     emulator = Emulator("static_bench", SETTINGS)
-    emulator.record(folder / "walk.pcap", duration_s=1.0, truth=folder / "truth")
+    emulator.record(folder / "walk.pcap", duration_s=0.5, truth=folder / "truth")
     for name in KINDS:
         write_bag(folder / "walk.pcap", folder / name, folder / "truth")
     return folder
@@ -104,7 +101,7 @@ def test_truth_is_in_the_bag(walk, bag):
     poses = np.loadtxt(truth / "trajectory.tum")[:, 1:]
     odometry = [one.pose.pose for one in found["/ground_truth/odom"]]
     said = [[*values(one.position, "xyz"), *values(one.orientation, "xyzw")] for one in odometry]
-    assert len(said) >= 200
+    assert len(said) >= 100
     assert np.array_equal(said, poses[-len(said) :])
     moved = [one.transforms[0] for one in found["/tf"]]
     assert {(one.header.frame_id, one.child_frame_id) for one in moved} == {("map", "base_link_truth")}
@@ -287,7 +284,7 @@ def test_a_run_goes_straight_into_a_bag(bag, tmp_path):
     """`record` with the name of a bag writes what `bag` makes of the capture and truth of the same run, and nothing beside it."""
     name, theirs = bag
     out = f"{tmp_path}/{name}" + "/" * (name == "walk")
-    assert run(["record", "static_bench", out, "--duration", "1", *WORDS, "--json"]) == 0
+    assert run(["record", "static_bench", out, "--duration", "0.5", *WORDS, "--json"]) == 0
     ours = messages(tmp_path / name)
     assert ours.keys() == theirs.keys()
     for topic, found in ours.items():
@@ -327,29 +324,6 @@ def test_a_bag_of_a_run_has_its_size_and_digest(tmp_path):
     data = (tmp_path / "a.mcap").read_bytes()
     assert (result.bytes, result.sha256) == (len(data), hashlib.sha256(data).hexdigest())
     assert result.messages["/velodyne_packets"] == len(messages(tmp_path / "a.mcap")["/velodyne_packets"])
-
-
-def test_a_stop_leaves_a_bag_of_what_was_recorded(tmp_path):
-    """A run that is stopped at 0.4 of 5 s gives a bag of 0.4 s."""
-    stop = Event()
-    emulator = Emulator("static_bench", SETTINGS)
-    result = emulator.record(
-        tmp_path / "a.mcap", duration_s=5.0, stop=stop, progress=lambda s: stop.set() if s > 0.4 else None
-    )
-    assert result.interrupted
-    assert 2 <= len(messages(tmp_path / "a.mcap")["/velodyne_points"]) <= 6
-
-
-def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch):
-    """Where the bag cannot be written to its end the line says so, and no part of it is left."""
-
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
-    with pytest.raises(RunError, match="No space left on device; no bag is written"):
-        Emulator("static_bench", SETTINGS).record(tmp_path / "a.mcap", duration_s=0.1)
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

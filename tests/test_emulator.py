@@ -59,14 +59,6 @@ def test_packets_leave_in_order_at_the_manuals_rate(mode):
     assert 65 <= len(position) <= 81
 
 
-def test_first_packet_begins_with_the_first_pulse():
-    """The first packet is due one period after the start and shows the clock's zero."""
-    scenario = hall()
-    first = next(p for p in Emulator(scenario).packets(0, 0.1) if p.kind is PacketKind.DATA)
-    assert first.due_ns == scenario.start_ns + 1_327_104
-    assert np.frombuffer(first.payload, DATA_PAYLOAD)["timestamp_us"] == 0
-
-
 def test_wire_agrees_with_the_cast_truth():
     """Every distance on the wire is the cast one to half a step of the 2 mm grid."""
     emulator = Emulator(hall())
@@ -76,21 +68,6 @@ def test_wire_agrees_with_the_cast_truth():
     cast_m = np.concatenate([returns.distance_m[..., 0] for returns in emulator.returns(0, BLOCK_S)])
     assert (sent_m > 0).all()
     assert np.abs(sent_m - cast_m[: len(sent_m)]).max() <= 0.001 + 1e-5
-
-
-def test_wire_time_is_the_hour_of_a_locked_clock():
-    """With GPS the time stamps pass the hour of UTC in mid-run, and position packets with them."""
-    scenario = load("static_bench", ["gps.connected=true", "start_utc=2026-12-31T23:59:59.9Z"])
-    stamps = [
-        int(np.frombuffer(p.payload, DATA_PAYLOAD)["timestamp_us"][0])
-        for p in Emulator(scenario).packets(0, 0.2)
-        if p.kind is PacketKind.DATA
-    ]
-    steps = np.diff(stamps)
-    assert stamps[0] == 3_599_900_000
-    assert (steps < 0).sum() == 1
-    assert set(steps[steps > 0]) <= {1327, 1328}
-    assert steps.min() + 3_600_000_000 in {1327, 1328}
 
 
 def test_walk_ends_where_its_path_ends(birch):

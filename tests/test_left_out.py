@@ -174,9 +174,9 @@ def test_still_air_moves_nothing():
 def test_a_medium_out_of_sight_is_not_made(monkeypatch):
     """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they are."""
     forbid(monkeypatch, (Far, "medium"))
-    next(Emulator(birch("world.near_m=15"), threads=1).returns(0.0, SPAN_S))
+    next(Emulator(birch("sensor.max_range_m=8", "world.near_m=8"), threads=1).returns(0.0, SPAN_S))
     with pytest.raises(TouchedError):
-        next(Emulator(birch("world.near_m=14.9"), threads=1).returns(0.0, SPAN_S))
+        next(Emulator(birch("sensor.max_range_m=8", "world.near_m=7.9"), threads=1).returns(0.0, SPAN_S))
 
 
 STEPS = """
@@ -202,7 +202,7 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     sets = (
         "sensor.max_range_m=6",
         "world.near_m=5",
-        "world.stems_per_ha=50",
+        "world.stems_per_ha=15",
         "world.stones.cover=0.01",
         "gps.connected=false",
     )

@@ -127,26 +127,6 @@ def test_lost_poses_are_reported_and_survived(flown):
     assert 0 < flown.streamed.sent.simulated_s <= RUN_S
 
 
-def test_poses_come_by_a_call_too():
-    """A live stream begins with the first pose that `put_pose` brings, and ends after the duration that is asked for."""
-    emulator, stop = (
-        Emulator("static_bench", [LIVE, "sensor.data_port=9", "sensor.position_port=10"]),
-        threading.Event(),
-    )
-
-    lines = []
-
-    def bring(line):
-        lines.append(line)
-        if len(lines) == 1:  # a slow machine reports that no more poses came
-            assert emulator.put_pose((0.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))
-
-    streamed = emulator.stream(duration_s=0.2, poses=PosesIn(news=bring), stop=stop)
-    assert lines[0] == "waiting for poses"
-    assert streamed.live.poses == 1
-    assert streamed.packets > 0
-
-
 def test_a_flight_is_put_into_the_present():
     """With `now` the stamp of a packet is the clock of the system when its first pulse was fired."""
     data = Listener()
@@ -160,14 +140,6 @@ def test_a_flight_is_put_into_the_present():
     assert abs(first.sensor_ns - first.truth_ns - streamed.sent.moved_s * S_NS) < US_NS  # stamps are whole us
     age_us = (time.time_ns() // US_NS - int.from_bytes(data.payloads[0][1200:1204], "little")) % 3_600_000_000
     assert 0 <= age_us < 60_000_000
-
-
-def test_a_stream_that_waits_for_poses_can_be_stopped():
-    """Before the first pose, the stop event ends the stream; nothing was sent."""
-    emulator, stop = Emulator("static_bench", [LIVE]), threading.Event()
-    streamed = emulator.stream(poses=PosesIn(news=lambda _: stop.set()), stop=stop)
-    assert streamed.interrupted
-    assert streamed.packets == 0
 
 
 def test_a_live_scene_is_not_recorded(tmp_path):

@@ -155,18 +155,6 @@ def test_a_file_system_without_locks_is_reported(tmp_path, monkeypatch, caplog):
     assert caplog.messages == [line]
 
 
-@pytest.mark.parametrize("make", [lambda path: path.write_bytes(b"mine"), os.mkfifo, os.mkdir])
-@pytest.mark.parametrize("name", ["x.part", "x.0123abcd.part"])
-def test_what_others_named_like_our_parts_stays(tmp_path, make, name):
-    """A file, a pipe or a folder whose name looks like that of an unfinished file is neither opened for writing nor lost."""
-    make(tmp_path / name)
-    before = (tmp_path / name).lstat()
-    write(tmp_path / "x")
-    after = (tmp_path / name).lstat()
-    assert (after.st_ino, after.st_mode, after.st_size) == (before.st_ino, before.st_mode, before.st_size)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["x", name])
-
-
 @pytest.mark.parametrize("link", [os.symlink, os.link])
 def test_an_input_is_never_written_over(tmp_path, link):
     """An output that is an input by device and inode is refused, by whatever name."""
@@ -255,13 +243,6 @@ def test_a_folder_that_became_somebody_elses_stays(tmp_path):
         meanwhile()
     (left,) = tmp_path.glob("x.*.part")
     assert ([*map(str, place.iterdir())], [path.name for path in left.iterdir()]) == ([f"{place}/mine"], ["a"])
-
-
-def test_an_error_leaves_no_new_folder(tmp_path):
-    """A folder whose block ends with an error is removed."""
-    with pytest.raises(ValueError), OutputFolder(tmp_path / "x"):  # noqa: PT011
-        raise ValueError
-    assert list(tmp_path.iterdir()) == []
 
 
 def written(folder, *texts):

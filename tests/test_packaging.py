@@ -7,7 +7,6 @@ import tomllib
 import zipfile
 from configparser import ConfigParser
 from email.parser import Parser
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -69,25 +68,6 @@ def test_a_wheel_has_the_command_and_the_licence(wheel):
     assert f"{info}/licenses/LICENSE" in wheel.namelist()
     versions = {name.rpartition(" ")[2] for name in metadata.get_all("Classifier") if "Python :: " in name}
     assert versions == {"3.11", "3.12", "3.13"}
-
-
-def test_the_lock_file_names_every_requirement_and_no_place():
-    """The lock file pins each requirement of the project with hashes, and holds no index, host or path."""
-    lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
-    for line, after in pairwise(lines):
-        assert line.startswith((" ", "#")) or (line.endswith(" \\") and "--hash=sha256:" in after), line
-    pinned = {line.partition("==")[0] for line in lines if "==" in line and not line.startswith((" ", "#"))}
-    extras = PROJECT["optional-dependencies"]
-    wanted = {
-        requirement.partition(">=")[0].partition("[")[0]
-        for requirement in [
-            *PROJECT["dependencies"],
-            *BUILD,
-            *(requirement for extra in extras.values() for requirement in extra),
-        ]
-    }
-    assert wanted - {"vlp16emu"} <= pinned
-    assert not [line for line in lines if "://" in line or "index" in line or line.startswith(("-", "/"))]
 
 
 @pytest.fixture

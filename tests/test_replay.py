@@ -7,10 +7,10 @@ import pytest
 from listening import opened, port_of, waiting
 
 from vlp16emu import Emulator, replay
+from vlp16emu.captures import Capture
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.bench.retime import stamp_ns
 from vlp16emu.extras.replay import Replay
-from vlp16emu.packets import Capture
 from vlp16emu.types import PacketKind
 
 S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000

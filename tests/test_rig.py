@@ -8,8 +8,9 @@ import pytest
 import velodyne_decoder
 
 from vlp16emu import Emulator
+from vlp16emu.captures import Capture
 from vlp16emu.extras.replay import packets_of
-from vlp16emu.packets import Capture, decode_data
+from vlp16emu.packets import decode_data
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import PacketKind
@@ -40,14 +41,6 @@ def of_unit(packets, number):
 def data_of(packets, number):
     """Time and payload of the data packets of a unit."""
     return [row[1:] for row in of_unit(packets, number) if row[0] is PacketKind.DATA]
-
-
-def test_packets_leave_in_order_and_tell_their_unit(rig):
-    """Packets of both units are merged by time; a unit in dual return sends twice as many."""
-    _, packets = rig
-    assert [packet.due_ns for packet in packets] == sorted(packet.due_ns for packet in packets)
-    data = [packet.unit for packet in packets if packet.kind is PacketKind.DATA]
-    assert data.count(1) == pytest.approx(2 * data.count(0), abs=2)
 
 
 def test_a_unit_sends_what_it_would_send_alone(rig):

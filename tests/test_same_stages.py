@@ -5,7 +5,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import build, embree
+from vlp16emu.raycast import embree
 
 
 @pytest.fixture(scope="module")
@@ -85,22 +85,6 @@ def test_a_worker_that_fails_is_shown(check):
     code, out = check(fail, "--only", "one thread")
     assert code == 1
     assert "**failed**: Illegal instruction" in out
-
-
-def test_disturbed_triangles_are_a_little_off(same_bytes, monkeypatch):
-    """`--disturbed` moves every coordinate of what Embree is given by up to 1 um, and in every process alike."""
-    arguments = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32)
-    true, given = build.widened(*arguments), []
-    for _ in range(2):
-        with monkeypatch.context() as patch:
-            patch.setattr(build, "widened", build.widened)  # so that it is put back
-            same_bytes.disturb()
-            given.append(build.widened(*arguments))
-    off_m = np.abs(given[0] - true)
-    assert given[0].dtype == true.dtype
-    assert (off_m > 0.0).any()
-    assert 0.5e-6 < off_m.max() < 1.2e-6
-    assert given[0].tobytes() == given[1].tobytes()
 
 
 def test_embree_takes_the_configuration_of_the_environment(monkeypatch, capfd):

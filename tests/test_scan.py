@@ -147,7 +147,7 @@ def test_chunks_leave_no_trace(hall, tmp_path, monkeypatch):
     """Read packet by packet the scans are those of the file read at once."""
     hall(rpm=1200).record(tmp_path / "x.pcap", duration_s=0.16)
     whole = list(decode(tmp_path / "x.pcap"))
-    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 3)
+    monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", 3)
     for one, other in zip(whole, decode(tmp_path / "x.pcap"), strict=True):
         np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
         np.testing.assert_array_equal(one.t_ns, other.t_ns)

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import pytest
-
 SKIPS = """
 import pytest
 
@@ -26,12 +24,3 @@ def test_a_skip_fails_with_ci_unless_it_is_on_the_list(pytester, monkeypatch):
     monkeypatch.setenv("CI", "true")
     done = pytester.runpytest_inprocess("-p", "no:cacheprovider")
     done.assert_outcomes(failed=1, skipped=1, xfailed=1)
-
-
-@pytest.mark.parametrize(("ci", "outcome"), [("true", "failed"), ("", "skipped")])
-def test_without_ci_a_skip_stays_one(request, monkeypatch, ci, outcome):
-    """Where programs of others are not installed, their tests are skipped."""
-    (conftest,) = (one for one in request.config.pluginmanager.get_plugins() if hasattr(one, "ALLOWED_SKIPS"))
-    monkeypatch.setenv("CI", ci)
-    report = pytest.TestReport("test", ("", 0, ""), {}, "skipped", ("", 0, "no such program"), "call")
-    assert conftest._without_skip(report).outcome == outcome

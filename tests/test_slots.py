@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 from woods import THIN
 
 from vlp16emu import Emulator
+from vlp16emu.captures import Capture
 from vlp16emu.cli.app import run as command
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import write_truth
-from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, Capture
+from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD
 from vlp16emu.run.options import TruthTo
 from vlp16emu.types import PacketKind
 
@@ -174,7 +175,7 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
         "noise.preset=ideal",
         "world.near_m=inf",
         "sensor.max_range_m=8",
-        "world.stems_per_ha=250",
+        "world.stems_per_ha=120",
     ]
     settings.append("duration_s=0.5")
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)

@@ -209,10 +209,11 @@ def use(monkeypatch):
 SMALL = (
     "sensor.max_range_m=6",
     "world.near_m=5",
-    "world.stems_per_ha=100",
+    "world.stems_per_ha=30",
     "world.species=[{species='scots_pine',share=1,dbh_cm=28,height_m=22}]",
     "world.regeneration.species=['scots_pine']",
-    "world.shrubs.species=['hazel']",
+    "world.regeneration.stems_per_ha=200",
+    "world.shrubs={species=['hazel'],per_ha=100}",
     "beam.model=none",
 )
 """Each kind of shape, of one species, and a medium."""

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu.captures import Capture, CaptureReader
 from vlp16emu.errors import CaptureError, PacketError
-from vlp16emu.packets import Capture, CaptureReader, data_fields, decode_data
+from vlp16emu.packets import data_fields, decode_data
 
 NAMES = "xyz_m", "distance_m", "azimuth_deg", "reflectivity", "ring", "laser"
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
@@ -78,7 +79,7 @@ def test_dual_return_counts_both_records(cli, dual):
 @pytest.mark.parametrize("size", [1, 2, 5, 2_000])
 def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
     """The time of points rises over the hour, where the sensor's own clock falls back to 0."""
-    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", size)
+    monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", size)
     with CaptureReader(dual) as reader:
         clock_ns = np.concatenate([clock_ns for _, clock_ns, *_ in reader.points()])
     stamps_us = data_fields(payloads(dual))["timestamp_us"]
@@ -200,7 +201,7 @@ def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
 def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suffix):
     """Ctrl-C in the fourth chunk of 7 packets ends decoding after it: 28 packets are told and can be read."""
-    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 7)
+    monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", 7)
     blocks = CaptureReader.points
 
     def interrupted(reader):
@@ -220,7 +221,7 @@ def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suff
 @pytest.mark.parametrize("size", [7, 2_000])
 def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, size):
     """A Puck Hi-Res from the eighth packet on is refused, whether or not a chunk ends before it."""
-    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", size)
+    monkeypatch.setattr("vlp16emu.captures.reading._CHUNK", size)
     mixed = changed(bench, tmp_path / "mixed.pcap", 1205, 0x24, slice(7, None))
     with CaptureReader(mixed) as reader, pytest.raises(PacketError, match="0x24; expected the first packet's"):
         for _ in reader.points():

@@ -168,19 +168,6 @@ def test_a_ply_says_what_its_labels_mean(cli, tmp_path):
     assert "comment leaf_wood: 0 neither, 1 wood, 2 leaf" in lines
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
-def test_a_scene_without_a_return_makes_a_file_without_points(cli, tmp_path, suffix):
-    """Nothing within reach is no error: the file opens and is empty."""
-    path = tmp_path / f"x{suffix}"
-    tree = cli("points", "static_bench", path, "--duration", "0.01", "--set", "sensor.max_range_m=0.6", "--json").tree
-    assert tree["points"] == 0
-    if suffix == ".npz":
-        with np.load(path) as arrays:
-            assert arrays["world_m"].shape == (0, 3)
-    else:
-        assert path.read_text().splitlines()[-1] == ("end_header" if suffix == ".ply" else path.read_text().strip())
-
-
 def test_points_have_the_truth_of_their_run(cli, tmp_path):
     """`--truth-folder` writes beside the points what `truth` writes over the same span, also for a free sensor."""
     for free in ([], FREE):

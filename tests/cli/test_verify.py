@@ -48,12 +48,6 @@ def test_a_broken_rule_is_named_with_its_packet(cli, bench, tmp_path):
     assert f"{damaged}: not what a VLP-16 sends\n" in text
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the captures of real sensors are not here")
-def test_a_real_capture_is_clean(cli):
-    """The lint accepts what a real unit sent."""
-    assert cli("verify", CAPTURES / "mrpt_vlp16_gps.pcap").code == 0
-
-
 def test_a_pipe_is_refused(cli, tmp_path):
     """What can be read once only is told as such, and not called an empty file."""
     os.mkfifo(tmp_path / "pipe")

@@ -23,14 +23,10 @@ def windows(*, per_segment=4, threads=2, opened=None):
     return Windows(open_segment, batching, moves=per_segment is not None, threads=threads)
 
 
-def prefetch(work, of, *, blocks, threads, together):
-    """Work on runs of blocks in order."""
+def run(work, blocks, of=None, *, threads=2, together=1, **own):
+    """Work on runs of blocks in order, with windows of their own if none are given."""
+    of = of or windows(threads=threads, **own)
     return in_order(work, of.runs(blocks, together, threads), of, threads=threads, stop=blocks.stop)
-
-
-def run(work, blocks, *, per_segment=4, threads=2, opened=None, together=1):
-    of = windows(per_segment=per_segment, threads=threads, opened=opened)
-    return prefetch(work, of, blocks=blocks, threads=threads, together=together)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -58,9 +54,8 @@ def test_with_any_number_of_threads_windows_are_opened_once(threads):
     """Neither workers far ahead nor who looks back 1.4 s, for the sky, make a window be opened again."""
     opened = []
     of = windows(per_segment=64, threads=threads, opened=opened)
-    results = prefetch(lambda run, _scene: run, of, blocks=range(640), threads=threads, together=8)
-    for run in results:
-        of.at_time(100 * (run.start - 13)).result()
+    for blocks in run(lambda blocks, _scene: blocks, range(640), of, threads=threads, together=8):
+        of.at_time(100 * (blocks.start - 13)).result()
     assert opened == list(range(10))
 
 
@@ -112,6 +107,9 @@ def test_a_wire_sensor_is_cut_as_ever():
     assert (parts.block, parts.block % 24) == (96, 0)
     assert parts.segment == 20 * whole.segment
     assert (parts.edges_ns(3) == whole.edges_ns(3)).all()
+    # Blocks of a span begin no later and end no earlier; a segment's edges are its blocks' beginnings.
+    assert list(whole.blocks(3 * whole.block_ns + 1, 5 * whole.block_ns)) == [3, 4]
+    assert (whole.edges_ns(2) == (2 * SEGMENT + np.arange(SEGMENT + 1)) * whole.block_ns).all()
 
 
 @pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
@@ -124,23 +122,12 @@ def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
     assert 6.5e9 < batching.segment * batching.block_ns <= 6.8e9
 
 
-def test_blocks_hold_the_span_and_edges_the_blocks():
-    """The blocks of a span begin no later and end no earlier, and a segment's edges are its blocks' beginnings."""
-    batching = Batching(64, 55_556)
-    blocks = batching.blocks(3 * batching.block_ns + 1, 5 * batching.block_ns)
-    assert list(blocks) == [3, 4]
-    edges_ns = batching.edges_ns(2)
-    assert len(edges_ns) == batching.segment + 1
-    assert (edges_ns == (2 * batching.segment + np.arange(batching.segment + 1)) * batching.block_ns).all()
-
-
 def test_each_window_is_opened_once_while_it_is_in_use():
     """A window that blocks use is not opened again for a time in it, nor the other way; two are kept, so one is opened again after two others."""
     opened = []
     of = windows(opened=opened)
     assert of.at_time(399).result() == "segment 0"
-    results = prefetch(lambda _run, scene: scene.result(), of, blocks=range(8), threads=1, together=1)
-    for block, scene in enumerate(results):
+    for block, scene in enumerate(run(lambda _run, scene: scene.result(), range(8), of, threads=1)):
         assert of.at_time(100 * block).result() == scene
     assert opened == [0, 1]
     opened = []
@@ -175,7 +162,7 @@ def test_a_stop_ends_the_wait_for_a_window():
     grown, stop = threading.Event(), threading.Event()
     batching = SimpleNamespace(block_ns=100, segment=4, parts=1)
     of = Windows(lambda _segment: grown.wait(), batching, moves=True, threads=2)
-    results = prefetch(lambda _run, scene: scene.result(), of, blocks=range(8), threads=2, together=1)
+    results = run(lambda _run, scene: scene.result(), range(8), of)
     threading.Timer(0.0, stop.set).start()
     with of.stopped_by(stop), pytest.raises(CancelledError):
         next(results)

@@ -27,7 +27,6 @@ def around(count, at_m, *, low_deg=-15.0, high_deg=15.0, seed=2):
 
 
 def cast(scene, origin_m, direction, far_m=60.0, **beam):
-    """Hits of rays (n, 3)."""
     light = [lab.beam(**beam)] if beam else []
     return scene.cast(lab.rays(origin_m, direction), np.zeros(1), far_m, *light)
 
@@ -248,23 +247,7 @@ def test_things_that_sway_are_faces_at_any_range(workers):
     foot_z_m = window.world_T_shape[crowns, 2, 3] - 5.0
     swaying = replace(window, far=still, sway=Sway(0, 1_000_000_000, crowns, foot_z_m, shear))
 
-    class Bare(type(far)):
-        """The same, but crowns are in no tile's medium."""
-
-        def far_tile(self, ix, iy):
-            tile = super().far_tile(ix, iy)
-            own = tile.shape == 1
-            return replace(
-                tile,
-                keys=("stone",),
-                shape=np.zeros(int(own.sum()), np.int64),
-                world_T_shape=tile.world_T_shape[own],
-                first_surface=tile.first_surface[own],
-                first_part=np.array([0, 1]),
-                part=np.array([PlantPart.NONE], "u1"),
-            )
-
-    scenes = FarCaster(Bare(8.0), workers).open(swaying), FarCaster(near, workers).open(swaying)
+    scenes = FarCaster(lab.Tiles(8.0, crowns_far=False), workers).open(swaying), FarCaster(near, workers).open(swaying)
     origin_m, direction = around(16_000, AT_M[0], low_deg=0.0, high_deg=40.0)
     firings = lab.rays(origin_m, direction)
     for t_ns in (0, 500_000_000, 1_000_000_000):

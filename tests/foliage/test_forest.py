@@ -14,7 +14,7 @@ from vlp16emu.types import NO_SURFACE, PlantPart
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
 STATIC = "motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}"
-REACH_M = 35.0
+REACH_M = 27.0
 AGAIN = 390_625
 """Firing sequences after which a rotor at 600 rpm stands where it stood: 216 revolutions, 21.6 s."""
 
@@ -26,6 +26,15 @@ def forest():
     return assemble(load("birch_walk", settings, ideal=True))
 
 
+@pytest.fixture(scope="module")
+def stood(forest, workers):
+    """Firings of the sensor, its window and its scene."""
+    unit = forest.units[0]
+    firings = unit.head.aim(0, 960, unit.motion.poses_at, beam_axis=True)
+    window = forest.world.window(firings.origin_m[:1, 0])
+    return firings, window, caster(forest.world, workers).open(window)
+
+
 def met(window, hits):
     """Instance of each surface, and its part; 0 and 255 where nothing was met."""
     miss = hits.surface == NO_SURFACE
@@ -33,13 +42,11 @@ def met(window, hits):
     return np.where(miss, 0, row["instance"]), np.where(miss, 255, row["part"])
 
 
-def test_a_static_sensor_sees_the_same_in_every_revolution(forest, workers):
+def test_a_static_sensor_sees_the_same_in_every_revolution(forest, stood):
     """Pulses that go where others went before, in another revolution, meet the same, bit by bit."""
-    unit = forest.units[0]
-    first, again = (unit.head.aim(n, 1920, unit.motion.poses_at, beam_axis=True) for n in (0, AGAIN))
+    unit, (first, window, scene) = forest.units[0], stood
+    again = unit.head.aim(AGAIN, 960, unit.motion.poses_at, beam_axis=True)
     assert np.abs(first.direction - again.direction).max() < 1e-12
-    window = forest.world.window(first.origin_m[:1, 0])
-    scene = caster(forest.world, workers).open(window)
     ours, other = (scene.cast(f, unit.head.beams.near_m, REACH_M) for f in (first, again))
     alike = (first.direction.astype("f4") == again.direction.astype("f4")).all(axis=-1).reshape(-1)
     assert alike.mean() > 0.99
@@ -50,10 +57,9 @@ def test_a_static_sensor_sees_the_same_in_every_revolution(forest, workers):
     assert {PlantPart.STEM, PlantPart.LEAF} <= set(part[beyond].tolist())
 
 
-def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
-    """From windows 4 m apart, of two casters, what is met up to 35 m is the same thing at the same range to 0.1 mm."""
-    unit = forest.units[0]
-    firings = unit.head.aim(0, 1920, unit.motion.poses_at, beam_axis=True)
+def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, stood, workers):
+    """From windows 4 m apart, of two casters, what is met up to 27 m is the same thing at the same range to 0.1 mm."""
+    unit, (firings, _, _) = forest.units[0], stood
     at_m = firings.origin_m[:1, 0]
     tracks = [np.concatenate([at_m, at_m + [[dx, 1.0, 0.0]]]) for dx in (8.0, -8.0)]
     windows = [forest.world.window(track) for track in tracks]
@@ -64,20 +70,18 @@ def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
     same = (ours == other) & (np.isfinite(hits[0].range_m) == np.isfinite(hits[1].range_m))
     same[hit] &= np.abs(hits[0].range_m[hit] - hits[1].range_m[hit]) < 1e-4
     beyond = hit & (hits[0].range_m > forest.world.near_m)
-    assert beyond.sum() > 1000
-    assert (part[beyond] == PlantPart.LEAF).sum() > 300
+    assert beyond.sum() > 300
+    assert (part[beyond] == PlantPart.LEAF).sum() > 100
     # What differs is met within rounding of an edge: float32 has another place for it in each window.
     assert same.mean() > 0.998
     assert same[beyond].mean() > 0.995
 
 
-def test_a_far_hit_shows_what_stands_there(forest, workers):
+def test_a_far_hit_shows_what_stands_there(forest, stood):
     """Of hits beyond `near_m` a face that shows their own surface is within 1 m; of surfaces dealt anew it mostly is not."""
-    unit, world = forest.units[0], forest.world
-    firings = unit.head.aim(0, 128, unit.motion.poses_at, beam_axis=True)
-    window = world.window(firings.origin_m[:1, 0])
-    hits = caster(world, workers).open(window).cast(firings, unit.head.beams.near_m, REACH_M)
-    far = np.flatnonzero((hits.range_m > world.near_m) & np.isfinite(hits.range_m))
+    world, (firings, window, scene) = forest.world, stood
+    hits = scene.cast(firings, forest.units[0].head.beams.near_m, REACH_M)
+    far = np.flatnonzero((hits.range_m > world.near_m) & np.isfinite(hits.range_m))[::10]
     place_m = firings.origin_m.reshape(-1, 3) + hits.range_m[:, None] * firings.direction.reshape(-1, 3)
     first, shape = window.first_surface.astype(np.int64), cache(world.shape)
 
@@ -98,6 +102,6 @@ def test_a_far_hit_shows_what_stands_there(forest, workers):
         pairs = zip(surfaces.tolist(), place_m[far], strict=True)
         return np.array([shown(surface).query(place)[0] for surface, place in pairs])
 
-    assert len(far) > 100
+    assert len(far) > 50
     assert off_m(hits.surface[far]).max() <= 1.0
     assert (off_m(hits.surface[far][::-1]) > 1.0).mean() > 0.5

@@ -2,8 +2,8 @@
 
 import itertools
 import math
-from dataclasses import replace
 from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -96,36 +96,20 @@ def slab(lad, leaf_m=0.06, size_m=(16.0, 16.0, 8.0)):
 class Slab(lab.Tiles):
     """A tile with such a box 4 m over its level ground, and bare ones around it."""
 
-    place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
+    parts = MappingProxyType({"slab": (PlantPart.LEAF,)})
 
     def __init__(self, lad):
         super().__init__(NEAR_M, per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y, seed=3)
         self._shapes["slab"] = (slab(lad),)
 
-    def far_tile(self, ix, iy):
+    def tile(self, ix, iy):
         """Describe the tile, or a bare one."""
-        tile = super().far_tile(ix, iy)
+        stems, placed, first, surfaces = super().tile(ix, iy)
         if (ix, iy) != (0, 0):
-            return tile
-        one, part = np.ones(1, np.int64), np.array([PlantPart.LEAF], "u1")
-        ends = {"first_surface": one, "first_part": np.array([0, 1]), "part": part}
-        return replace(tile, keys=("slab",), shape=0 * one, world_T_shape=self.place, **ends)
-
-    def window(self, track_m):
-        """One tile."""
-        bare = super().window(track_m, tiles=[(0, 0)])
-        surfaces = np.concatenate([bare.surfaces, bare.surfaces])
+            return stems, placed, first, surfaces
+        surfaces = np.concatenate([surfaces, surfaces])
         surfaces["part"][1] = PlantPart.LEAF
-        return replace(
-            bare,
-            shapes=(*bare.shapes, "slab"),
-            shape=np.array([0, 1], "i4"),
-            world_T_shape=np.concatenate([bare.world_T_shape, self.place]),
-            first_surface=np.array([0, 1], "u4"),
-            surfaces=surfaces,
-            far=np.ones(2, np.bool_),
-            low=np.zeros(2, np.bool_),
-        )
+        return stems, [("slab", np.column_stack([np.eye(3), [2.0, 2.0, 4.0]]))], np.ones(1, np.int64), surfaces
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +119,7 @@ def leaves(workers):
     @cache
     def of(lad):
         world = Slab(lad)
-        far, window = Far(world, workers), world.window(np.zeros((1, 3)))
+        far, window = Far(world, workers), world.window(np.zeros((1, 3)), tiles=[(0, 0)])
         return far.medium(window, far.tiles(window))
 
     return of

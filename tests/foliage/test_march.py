@@ -9,7 +9,7 @@ from raycast import lab
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
 from vlp16emu.foliage.lanes import lanes
-from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
+from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
 FAR_M = 60.0
@@ -295,30 +295,3 @@ def test_what_is_hit_before_hides_what_is_behind(stand):
         assert marched(medium, [o], [d], far_m=range_m * 0.9999)[1][0] == NO_SURFACE
         beyond = marched(medium, [o], [d], far_m=range_m * 1.001)
         assert (beyond[0][0], beyond[1][0]) == (range_m, surface)
-
-
-def test_cosines_of_the_ground_and_of_stems_are_those_of_their_normals(stand):
-    """Incidence on ground and stems is that of numerical normals, to 0.03 for 99 % of rays."""
-    world, window, medium = stand
-    stems = {}
-    for n, (flare, upper) in enumerate(medium.stems.surface.tolist()):
-        stems[flare] = stems[upper] = n
-    off = []
-    for towards in DIRECTIONS:
-        for o, d in zip(*some_rays(world, towards, 300, seed=8), strict=True):
-            (range_m,), (surface,), (cosine,) = marched(medium, [o], [d])
-            at_m = o.astype(float) + range_m * d
-            if int(surface) in stems:
-                line = medium.stems.line[stems[int(surface)]]
-                out = at_m - line[:3]
-                out -= (out @ line[3:6]) * line[3:6]
-                off.append(abs(out @ d) / np.linalg.norm(out) - cosine)
-            elif surface != NO_SURFACE and window.surfaces["semantic"][surface] == 1:
-                x, y = at_m[:2] + 10.0
-                e = 0.25
-                normal = np.array([world.height_m(x - e, y) - world.height_m(x + e, y), 0.0, 2 * e])
-                normal[1] = world.height_m(x, y - e) - world.height_m(x, y + e)
-                off.append(abs(normal @ d) / np.linalg.norm(normal) - cosine)
-    assert len(off) > 300
-    assert np.quantile(np.abs(off), 0.99) < 0.03
-    assert (medium.record & GROUND).any()

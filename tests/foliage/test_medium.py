@@ -1,7 +1,8 @@
-"""What shapes become in voxels: area, owners, and leaves that have one place in space."""
+"""What shapes become in voxels: area, owners, and blocks that windows share."""
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from raycast import lab
 
 from vlp16emu.foliage import cloud as clouds_room
 from vlp16emu.foliage.cloud import Library, cloud_of, kept_share
-from vlp16emu.foliage.medium import block_of
+from vlp16emu.foliage.medium import Block, Shelf, block_of
 from vlp16emu.foliage.voxel import COLUMNS, KNOTS, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
 from vlp16emu.types import Mesh, PlantPart
 
@@ -31,11 +32,17 @@ def normals(mesh):
     return first if corners.shape[1] == 3 else np.concatenate([first, np.cross(c - a, corners[:, 3] - a) / 2])
 
 
-@pytest.mark.parametrize("knot", range(3))
-def test_the_projected_area_of_a_cloud_is_that_of_its_faces(knot):
-    """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and leaves each."""
+@pytest.fixture(scope="module")
+def crown():
+    """Meshes of branches and leaves, and their cloud."""
     meshes = lab.Tiles().shape("crown")
-    cloud = cloud_of(meshes, PARTS)
+    return meshes, cloud_of(meshes, PARTS)
+
+
+@pytest.mark.parametrize("knot", range(3))
+def test_the_projected_area_of_a_cloud_is_that_of_its_faces(crown, knot):
+    """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and leaves each."""
+    meshes, cloud = crown
     for number, (mesh, share) in enumerate(zip(meshes, (0.5, 1.0), strict=True)):
         true_m2 = share * np.abs(normals(mesh) @ towards(KNOTS[knot]).T).sum(axis=0).mean()
         # The area itself is more or less where faces hide each other otherwise than at random.
@@ -44,10 +51,9 @@ def test_the_projected_area_of_a_cloud_is_that_of_its_faces(knot):
 
 
 @pytest.mark.parametrize("knot", range(3))
-def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(knot):
+def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(crown, knot):
     """Quantiles of the cosine of incidence equal those of all faces, weighted by projected area, to 0.02."""
-    meshes = lab.Tiles().shape("crown")
-    cloud = cloud_of(meshes, PARTS)
+    meshes, cloud = crown
     for number, mesh in enumerate(meshes):
         own = normals(mesh)
         area_m2 = np.linalg.norm(own, axis=1)
@@ -165,3 +171,74 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
     again = block_of(library, {"crown": 0, "stone": 1}, more, 0, 0)
     for name in ("mask", "first", "record", "first_owner", "owner"):
         assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()
+
+
+def block(number, records, owners):
+    """Make a block whose numbers are its own; each record but the first has one owner, and that has the rest."""
+    return Block(
+        bottom=number,
+        mask=np.full((10, 10, 1), number, np.uint64),
+        first=np.arange(100, dtype=np.uint32).reshape(10, 10, 1) % np.uint32(records),
+        record=np.full(records, number, np.uint32),
+        first_owner=np.arange(records, dtype=np.uint32),
+        owner=np.arange(owners, dtype=np.uint64) + np.uint64(1000 * number),
+    )
+
+
+class User:
+    """Somebody who uses blocks."""
+
+
+def found(shelf, name, arrays):
+    """Read a block from arrays of a shelf."""
+    laid, (record, first_owner, owner) = shelf.blocks[name], arrays
+    shift = laid.records.start
+    return Block(
+        laid.bottom,
+        laid.mask,
+        laid.first - np.uint32(shift),
+        record[laid.records],
+        first_owner[laid.records] - np.uint32(laid.owners.start),
+        owner[laid.owners],
+    )
+
+
+def same(one, other):
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in Block.__slots__)
+
+
+def test_what_is_open_keeps_its_blocks_whatever_comes_and_goes():
+    """Blocks of the last two of many windows are as they were made, in the arrays that each window got when it opened."""
+    rng, open_windows, shelf = np.random.default_rng(3), [], Shelf()
+    for start in range(60):
+        names = [(start + i, 0) for i in range(6)]
+        shelf.clear(names)
+        for name in names:
+            if name not in shelf.blocks:
+                shelf.lay(name, block(name[0], *rng.integers(2, 400, 2).tolist()), len(names))
+        laid = {name: found(shelf, name, shelf.arrays) for name in names}
+        kept = {
+            name: replace(each, **{n: getattr(each, n).copy() for n in Block.__slots__[1:]})
+            for name, each in laid.items()
+        }
+        user = User()
+        shelf.keep(user, names)
+        open_windows = [*open_windows[-1:], (user, names, shelf.arrays, kept)]
+        for _, others, arrays, before in open_windows:
+            assert all(same(found(shelf, name, arrays), before[name]) for name in others)
+            assert all((before[name].record == name[0]).all() for name in others)
+
+
+def test_room_of_blocks_that_nobody_uses_is_used_again():
+    """A walk past 200 tiles, of which five are seen at once, takes no more room than three times those."""
+    user, shelf = None, Shelf()
+    for start in range(200):
+        names = [(start + i, 0) for i in range(5)]
+        shelf.clear(names)
+        for name in names:
+            if name not in shelf.blocks:
+                shelf.lay(name, block(name[0], 90 + 10 * (name[0] % 3), 50), len(names))
+        user = User()
+        shelf.keep(user, names)
+    assert user is not None
+    assert len(shelf.arrays[0]) <= 3 * 5 * 110

@@ -1,8 +1,9 @@
-"""Records of trees, stands grown tile by tile, and leaves of meshes as quads (n, 4, 3), as the tests of this room look at them."""
+"""Records of trees, stands grown tile by tile, solids and their sections, and leaves of meshes as quads (n, 4, 3)."""
 
 from itertools import product
 
 import numpy as np
+import trimesh
 
 from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.stand.stand import TREE
@@ -43,3 +44,21 @@ def areas_m2(quads):
 def zeniths(quads):
     """Angles (n,) of normals from the vertical, at most a right one."""
     return np.arccos(np.abs(normals(quads)[:, 2]) / areas_m2(quads) / 2)
+
+
+def solid_of(meshes):
+    """One solid of meshes, whose shared corners become one."""
+    corners = np.concatenate([mesh.vertices_m[mesh.faces] for mesh in meshes]).reshape(-1, 3)
+    unique, index = np.unique(corners, axis=0, return_inverse=True)
+    return trimesh.Trimesh(unique.astype(np.float64), index.reshape(-1, 3), process=False)
+
+
+def section_m2(solid, normal, at_m):
+    """Area of a section across a unit vector, whose outline is seen whole from its middle."""
+    lines = trimesh.intersections.mesh_plane(solid, normal, at_m)
+    lines -= lines.mean(axis=(0, 1))
+    return np.abs(np.cross(lines[:, 0], lines[:, 1]) @ normal).sum() / 2
+
+
+def section_diameter_m(solid, normal, at_m):
+    return 2 * np.sqrt(section_m2(solid, normal, at_m) / np.pi)

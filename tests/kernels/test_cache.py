@@ -22,7 +22,6 @@ from vlp16emu.kernels.compiler import KernelDispatcher
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    """An empty folder of kernels."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
     for name in ("_state", "_content", "_files_of", "_read"):
         monkeypatch.setattr(cache, name, getattr(cache, name).__wrapped__)  # what they read changes in a test
@@ -52,7 +51,6 @@ def package(tmp_path, monkeypatch):
 
 
 def named(*modules):
-    """The content of some modules of the package."""
     return cache._content(frozenset(f"vlp16emu.{module}" for module in modules))
 
 

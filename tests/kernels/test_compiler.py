@@ -67,23 +67,24 @@ def test_the_table_is_of_this_program(row):
     assert len(types) == len(inspect.signature(kernel.py_func).parameters)
 
 
-def test_what_lacks_is_compiled_once(tmp_path):
-    """Other processes compile the kernels of a group that are neither there nor gone; one that cannot be is tried once."""
+def compiled_by_a_program(tmp_path, folder):
+    """What a program of its own prints that compiles the kernels of two groups, and what it complains of."""
     (tmp_path / "table.json").write_text(json.dumps(ROWS))
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
     command = [sys.executable, "-c", PROGRAM]
     done = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
-    assert done.stdout.splitlines() == ["(0, 3) (3, 3)", "", "(0, 1) (1, 1)"]
-    assert done.stderr == ""
+    return done.stdout.splitlines(), done.stderr
+
+
+def test_what_lacks_is_compiled_once(tmp_path):
+    """Other processes compile the kernels of a group that are neither there nor gone; one that cannot be is tried once."""
+    printed = compiled_by_a_program(tmp_path, tmp_path / "kernels")
+    assert printed == (["(0, 3) (3, 3)", "", "(0, 1) (1, 1)"], "")
     assert len([*tmp_path.rglob("*.kernel")]) == 4
 
 
 def test_without_a_safe_folder_nothing_is_compiled_before(tmp_path):
     """What other processes compile must be kept: where that cannot be, the run compiles for itself."""
-    (tmp_path / "table.json").write_text(json.dumps(ROWS))
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "open")}
-    command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
-    assert done.stdout.splitlines() == ["(0, 3)", "(0, 3)", "(0, 4)"]
+    assert compiled_by_a_program(tmp_path, tmp_path / "open")[0] == ["(0, 3)", "(0, 3)", "(0, 4)"]

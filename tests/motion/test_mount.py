@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from motion.kit import START_NS, straps, walking
+from extras.walk.kit import START_NS, straps, walking
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.motion import Mount
 from vlp16emu.motion.mount import mounted
-from vlp16emu.motion.pose import rotations
-from vlp16emu.motion.static import StaticMotion
+from vlp16emu.motion.pose import StaticMotion, rotations
 
 
 def tripod():

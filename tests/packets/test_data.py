@@ -1,5 +1,6 @@
 """Packing of data packets, byte by byte against a slow twin and by its rules."""
 
+import doctest
 import struct
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from packets.kit import make_returns, random_returns
 
 from vlp16emu.errors import InputError
-from vlp16emu.packets import data_payloads, pack_data, timestamp_us
+from vlp16emu.packets import data_payloads, layout, pack_data, timestamp_us
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.types import PacketKind, ReturnMode, SensorModel
 
@@ -64,29 +65,10 @@ def test_due_after_the_last_sequence(mode, sequences):
     assert {len(packet.payload) for packet in packets} == {1206}
 
 
-@pytest.mark.parametrize(
-    ("model", "byte"), [(SensorModel.VLP_16, 0x22), (SensorModel.PUCK_LITE, 0x22), (SensorModel.PUCK_HI_RES, 0x24)]
-)
-def test_factory_byte(model, byte):
-    """The last byte names the product."""
-    assert data_payloads(make_returns(24), ReturnMode.STRONGEST, model)[0, -1] == byte
-
-
-@pytest.mark.parametrize(
-    ("clock_ns", "us"),
-    [
-        (0, 0),
-        (999, 0),
-        (1_000, 1),
-        (999_999_999, 999_999),
-        (HOUR_NS - 1, 3_599_999_999),
-        (HOUR_NS, 0),
-        (-350_000, 3_599_999_650),
-    ],
-)
-def test_time_is_floored_to_microseconds(clock_ns, us):
+def test_time_is_floored_to_microseconds():
     """Time stamps are whole microseconds, rounded down, and begin anew each hour."""
-    assert timestamp_us(np.array([clock_ns]))[0] == us
+    clock_ns = np.array([0, 999, 1_000, 999_999_999, HOUR_NS - 1, HOUR_NS, -350_000])
+    assert timestamp_us(clock_ns).tolist() == [0, 0, 1, 999_999, 3_599_999_999, 0, 3_599_999_650]
 
 
 def azimuth_codes(reading_deg):
@@ -104,54 +86,35 @@ def test_every_azimuth_code():
     assert pack_data(make_returns(0), ReturnMode.STRONGEST, VLP_16) == []
 
 
-@pytest.mark.parametrize(
-    ("distance_m", "code"),
-    [
-        (0.0, 0),
-        (0.002, 0),
-        (0.498, 0),
-        (0.5, 250),
-        (0.501, 250),
-        (0.5011, 251),
-        (1.2345, 617),
-        (99.9989, 49999),
-        (131.07, 65535),
-        (131.072, 0),
-        (500.0, 0),
-    ],
-)
-def test_distance_codes(distance_m, code):
+def test_distance_codes():
     """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return; reflectivity stays."""
-    shape = (24, 16, 3)
-    returns = make_returns(
-        24, distance_m=np.full(shape, distance_m, np.float32), reflectivity=np.full(shape, 77, np.uint8)
-    )
+    sent_m = np.array([0, 0.002, 0.498, 0.5, 0.501, 0.5011, 1.2345, 99.9989, 131.07, 131.072, 500], np.float32)
+    codes = [0, 0, 0, 250, 250, 251, 617, 49999, 65535, 0, 0]
+    distance_m = np.zeros((24, 16, 3), np.float32)
+    distance_m[0, : len(codes)] = sent_m[:, None]
+    returns = make_returns(24, distance_m=distance_m, reflectivity=np.full((24, 16, 3), 77, np.uint8))
     records = data_payloads(returns, ReturnMode.STRONGEST, VLP_16).view(DATA_PAYLOAD)["blocks"]["records"]
-    assert set(records["distance_lsb"].ravel()) == {code}
+    assert records["distance_lsb"].reshape(24, 16)[0, : len(codes)].tolist() == codes
     assert set(records["reflectivity"].ravel()) == {77}
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"sequences": 23}, "pack_data: firing sequences: 23; expected a multiple of 24 for strongest return"),
-        ({"sequences": 24, "lasers": 32}, "pack_data: lasers: 32; expected 16"),
-        (
-            {"sequences": 24, "reading_deg": np.full(24, np.nan)},
-            "pack_data: firings.reading_deg: from nan to nan; expected finite numbers from 0 upwards",
-        ),
-        (
-            {"sequences": 24, "distance_m": np.full((24, 16, 3), -1, np.float32)},
-            "pack_data: distance_m: from -1.0 to 0.0; expected finite numbers from 0 upwards",
-        ),
-        (
-            {"sequences": 24, "distance_m": np.full((24, 16, 3), np.inf, np.float32)},
-            "pack_data: distance_m: from 0.0 to inf; expected finite numbers from 0 upwards",
-        ),
+        ({"sequences": 23}, "firing sequences: 23; expected a multiple of 24 for strongest return"),
+        ({"lasers": 32}, "lasers: 32; expected 16"),
+        ({"reading_deg": np.full(24, np.nan)}, "firings.reading_deg: from nan to nan; expected finite numbers from 0 upwards"),
+        ({"distance_m": np.full((24, 16, 3), -1, np.float32)}, "distance_m: from -1.0 to 0.0; expected finite numbers from 0 upwards"),
+        ({"distance_m": np.full((24, 16, 3), np.inf, np.float32)}, "distance_m: from 0.0 to inf; expected finite numbers from 0 upwards"),
     ],
-)
+)  # fmt: skip
 def test_refuses_what_cannot_be_packed(changes, message):
     """Incomplete packets, other sensors and impossible numbers are distinguished from returns."""
     with pytest.raises(InputError) as error:
-        pack_data(make_returns(**changes), ReturnMode.STRONGEST, VLP_16)
-    assert str(error.value) == message
+        pack_data(make_returns(**{"sequences": 24, **changes}), ReturnMode.STRONGEST, VLP_16)
+    assert str(error.value) == f"pack_data: {message}"
+
+
+def test_doctest():
+    """The sizes of both packets that the docstring of the layout shows are true."""
+    assert doctest.testmod(layout) == (0, 3)

@@ -34,15 +34,6 @@ def test_data_header_is_that_of_a_real_unit_in_factory_state():
     )
 
 
-@pytest.mark.parametrize(
-    ("source", "checksum"), [("192.168.1.201", 0xB4A9), ("192.168.1.200", 0xB4AA), ("10.0.0.100", 0x6CB7)]
-)
-def test_ip_checksum_follows_the_address(source, checksum):
-    """The IP checksum has the values that were recomputed by hand for three source addresses."""
-    header = data_header(Link(b"\0" * 6, b"\xff" * 6, source, "255.255.255.255"))
-    assert int.from_bytes(header[24:26]) == checksum
-
-
 @pytest.mark.parametrize("number", [0, 1, 0x8537, 0xFFFF])
 def test_position_frame_has_valid_checksums(number):
     """Both checksums of a position frame are those of a sum made word by word, and its fields are the real ones."""

@@ -67,35 +67,3 @@ def test_second_writer_agrees(tmp_path):
     written = {path.name: path.read_text() for path in tmp_path.glob("*.hex")}
     assert written == {path.name: path.read_text() for path in GOLDEN.glob("*.hex")}
     assert len(written) == len(MEANINGS)
-
-
-def test_by_hand():
-    """Bytes worked out with pencil and paper stand where the manual says."""
-    payload = golden("strongest")
-    assert payload[0:4] == b"\xff\xee\x39\x30"  # 123.45 deg = 12345 = 0x3039
-    assert payload[4:7] == b"\xfa\x00\x00"  # 0.500 m = 250 = 0x00FA, reflectivity 0
-    assert payload[49:52] == b"\xff\xff\xff"  # laser 15: 131.070 m = 65535, reflectivity 255
-    # Sequence 11, laser 8: block 5, record 24, at 500 + 4 + 72; 12.346 m = 6173 = 0x181D, 55 = 0x37.
-    assert payload[576:579] == b"\x1d\x18\x37"
-    assert payload[1197:1200] == b"\x50\xc3\x64"  # last record: 100 m = 50000 = 0xC350, reflectivity 100
-    assert payload[1200:] == b"\xf3\x34\x83\x40\x37\x22"  # 1 082 340 595 us = 0x408334F3, 0x37, 0x22
-    dual = golden("dual")
-    assert dual[2:4] == dual[102:104] == b"\x94\x11"  # 45.00 deg = 4500 = 0x1194 in both blocks of the pair
-    assert dual[16:19] == b"\x74\x0e\x0a"  # laser 4, even block: last at 7.400 m = 3700 = 0x0E74, 10
-    assert dual[116:119] == b"\x34\x08\x3c"  # odd block: strongest at 4.200 m = 2100 = 0x0834, 60
-    assert dual[1204] == 0x39
-    assert golden("position_gps")[198:213] == b"\x71\x3a\x83\x40\x02\0\0\0$GPRMC,"  # 1 082 342 001 = 0x40833A71
-
-
-def test_coverage():
-    """Between them the golden packets use every laser, every firing sequence, every mode and every dual case."""
-    strongest, dual = MEANINGS["strongest"]["pulse"], MEANINGS["dual"]["pulse"]
-    assert {pulse["laser"] for pulse in strongest} == set(range(16))
-    assert {pulse["sequence"] for pulse in strongest} == set(range(24))
-    assert {MEANINGS[name]["return_mode"] for name in DATA} == set(ReturnMode)
-    assert {(p["strongest"] == p["last"], "second" in p) for p in dual} == {
-        (True, False),
-        (True, True),
-        (False, False),
-        (False, True),
-    }

@@ -29,21 +29,16 @@ def test_periods_are_made_of_each_other(timing):
         assert packet[name]["records_per_s"] == pytest.approx(packet[name]["rate_per_s"] * records, rel=1e-4)
 
 
-def test_periods_of_the_packets_room(timing):
-    """layout.py counts with the stated periods and numbers of sequences."""
+def test_periods_of_packets_and_sensor(timing):
+    """Packets are packed, and the head fires, with the stated periods and numbers of sequences."""
     firing = timing["firing"]
     assert (firing["lasers"], firing["sequences_per_block"]) == (layout.LASERS, layout.SEQUENCES_PER_BLOCK)
     assert firing["block_period_ns"] == layout.BLOCK_PERIOD_NS
+    assert (firing["laser_period_ns"], firing["sequence_period_ns"]) == (sensor.LASER_NS, sensor.SEQUENCE_NS)
     for mode in ReturnMode:
         packet = timing["packet"]["dual" if mode is ReturnMode.DUAL else "single"]
         assert layout.SEQUENCES_PER_PACKET[mode] == packet["sequences"]
         assert packet["blocks"] == layout.BLOCKS_PER_PACKET
-
-
-def test_periods_of_the_sensor_room(timing):
-    """The head fires with the stated periods."""
-    assert timing["firing"]["laser_period_ns"] == sensor.LASER_NS
-    assert timing["firing"]["sequence_period_ns"] == sensor.SEQUENCE_NS
 
 
 def test_beam_table(timing):

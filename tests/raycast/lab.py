@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import trimesh
@@ -13,7 +13,7 @@ from vlp16emu.foliage.stems import see_stems, seen, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES
 from vlp16emu.forest.tiles import TileKey, ground_mesh
-from vlp16emu.motion.static import StaticMotion
+from vlp16emu.motion.pose import StaticMotion
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.settings import Beam
@@ -74,7 +74,6 @@ def assert_same_bits(ours, other):
 
 
 def joined(pieces):
-    """Hits of pulses that were cast in pieces."""
     return Hits(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in Hits.__slots__))
 
 
@@ -153,16 +152,15 @@ def stem_mesh(stem, corner_m):
 CROWN_PARTS = PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF
 
 
-def crown(leaves=1500, twigs=40):
+def crown():
     """Branches and leaves in a ball of 2 m about 3 m over the origin, more faces than are taken one by one."""
-    rng = np.random.default_rng(5)
+    rng, twigs = np.random.default_rng(5), 40
 
     def ball(count):
-        """Points evenly in it."""
         at_m = rng.normal(size=(count, 3))
         return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [0, 0, 3]
 
-    leaf = square_leaves(rng, ball(leaves), 0.06)
+    leaf = square_leaves(rng, ball(1500), 0.06)
     rings_m = ball(twigs)[:, None] + [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2]]
     rings_m = rings_m[:, :, None] + 0.02 * np.column_stack([0 * ANGLES, np.cos(ANGLES), np.sin(ANGLES)])
     faces = np.concatenate([2 * SIDES * n + fan(2) for n in range(twigs)]).astype("u4")
@@ -170,7 +168,6 @@ def crown(leaves=1500, twigs=40):
 
 
 def stone():
-    """A block of 12 triangles."""
     block = trimesh.creation.box(bounds=[[-0.4, -0.3, 0.0], [0.4, 0.3, 0.5]])
     return (Mesh(block.vertices.astype("f4"), block.faces.astype("u4")),)
 
@@ -184,10 +181,13 @@ class Tiles:
     """Squares of ground with stems, crowns over some of them, and stones; a `World` that is a medium beyond `near_m`."""
 
     name = ""
+    parts = MappingProxyType({"crown": CROWN_PARTS, "stone": (PlantPart.NONE,)})
 
-    def __init__(self, near_m=2.0, across=1, *, per_tile=4, things=True, height_m=bumpy, seed=99, bow_m=0.0):
-        self.near_m, self.seed, self.height_m, self.across, self._bow_m = (near_m, seed, height_m, across, bow_m)
-        self._kept, self._per_tile, self._things = {}, per_tile, things
+    def __init__(
+        self, near_m=2.0, across=1, *, per_tile=4, things=True, crowns_far=True, height_m=bumpy, seed=99, bow_m=0.0
+    ):
+        self.near_m, self.seed, self.height_m, self.across, self._bow_m = near_m, seed, height_m, across, bow_m
+        self._kept, self._per_tile, self._things, self._crowns_far = {}, per_tile, things, crowns_far
         self._shapes = {"crown": crown(), "stone": stone()}
 
     def tile(self, ix, iy):
@@ -242,17 +242,19 @@ class Tiles:
     def far_tile(self, ix, iy):
         """Describe a tile from afar."""
         stems, placed, first, _ = self.tile(ix, iy)
-        corner_m, keys = self.corner_m(ix, iy), ("crown", "stone")
+        own = [i for i, (key, _) in enumerate(placed) if self._crowns_far or key != "crown"]
+        placed, first = [placed[i] for i in own], first[own]
+        corner_m, keys = self.corner_m(ix, iy), [*self.parts] if placed else []
         edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(corner_m[0] + edge_m, corner_m[1] + edge_m, indexing="ij")
         return FarTile(
             corner_m,
-            keys if placed else (),
+            tuple(keys),
             np.array([keys.index(key) for key, _ in placed], np.int64),
             np.array([place for _, place in placed]).reshape(-1, 3, 4),
             first,
-            np.array([0, 2, 3] if placed else [0]),
-            np.array([*CROWN_PARTS, PlantPart.NONE] if placed else [], "u1"),
+            np.cumsum([0, *(len(self.parts[key]) for key in keys)]),
+            np.array([part for key in keys for part in self.parts[key]], "u1"),
             stems,
             self.height_m(x, y),
         )

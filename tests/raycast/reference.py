@@ -1,6 +1,5 @@
 """The slow twin of the caster: all of a window as triangles in float64, rays one after the other."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -9,16 +8,13 @@ import numpy as np
 from vlp16emu.elementary import matvec
 from vlp16emu.extras.displace import displace
 from vlp16emu.raycast.adaptive import enough
-from vlp16emu.raycast.beam import LINE, ROUND, Footprint, beam_axis_of, lay, pulse_axes, turn
+from vlp16emu.raycast.beam import LINE, ROUND, beam_axis_of, lay, pulse_axes, turn
 from vlp16emu.raycast.build import relative_to_window, sheared
 from vlp16emu.raycast.pieces import faces_of
-from vlp16emu.types import F4, F8, I8, NO_SURFACE, U4, Firings, Hits, Mesh, ShapeKey, Window
-
-Met = tuple[F4, U4, F4]  # range, surface and cosine of incidence (n,) of n rays, as in `Hits`
-_Rays = tuple[F8, F8]  # origins in metres from the window's, and unit directions, (n, 3) each
+from vlp16emu.types import NO_SURFACE, Hits
 
 
-def frozen(window: Window, t_ns: int) -> Window:
+def frozen(window, t_ns):
     """Still window that a moving one is at a time, or at its first or last where that is outside."""
     if (sway := window.sway) is None:
         return window
@@ -31,7 +27,7 @@ def frozen(window: Window, t_ns: int) -> Window:
     return replace(window, world_T_shape=transforms, sway=None)
 
 
-def flatten(window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> tuple[F8, U4]:
+def flatten(window, shape):
     """Triangles (t, 3, 3) float64 in metres from the window's origin, and their surfaces (t,) uint32."""
     transforms = relative_to_window(window)
     meshes = [shape(key) for key in window.shapes]
@@ -45,17 +41,8 @@ def flatten(window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> tu
     return np.concatenate(corners), np.concatenate(surfaces)
 
 
-def sub_rays(firings: Firings, beam: Footprint, from_m: F8, first: int, count: int) -> tuple[F4, F4]:
-    """Lay sub-rays `first` to `first + count - 1` of every pulse, `first` a multiple of 8, as the kernel lays them.
-
-    Parameters
-    ----------
-    from_m : (3,) place in the world from which origins are counted
-
-    Returns
-    -------
-    Origins in metres and unit directions, (k, L, count, 3) each
-    """
+def sub_rays(firings, beam, from_m, first, count):
+    """Origins in metres from `from_m` (3,) and directions (k, L, count, 3) of sub-rays from `first` on, as the kernel lays them."""
     pulses = firings.origin_m, firings.direction, beam_axis_of(firings, beam), from_m
     rays = np.empty((*firings.t_ns.shape, -(-count // ROUND), 6, ROUND), np.float32)
     axes, laid = np.empty((4, 3), np.float32), np.empty((7, ROUND), np.float32)
@@ -73,25 +60,17 @@ def sub_rays(firings: Firings, beam: Footprint, from_m: F8, first: int, count: i
 class ReferenceScene:
     """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something moves."""
 
-    def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+    def __init__(self, window, shape):
         self._origin_m, self.surfaces = window.origin_m, window.surfaces
         self._moves = window.sway is not None
         self._at = lru_cache(1)(lambda t_ns: flatten(frozen(window, t_ns), shape))
 
-    def cast(
-        self,
-        firings: Firings,
-        near_m: F8,
-        far_m: float,
-        beam: Footprint = LINE,
-        *,
-        as_far: bool = False,  # noqa: ARG002  # all is near here
-    ) -> Hits:
+    def cast(self, firings, near_m, far_m, beam=LINE):
         """Cast pulses; the arguments are those of `EmbreeGeometry.cast`."""
         shape = firings.t_ns.shape
         near = np.broadcast_to(near_m, shape)
 
-        def cast(rays: _Rays, each: int | I8) -> Met:
+        def cast(rays, each):
             return self._rays(*rays, np.repeat(near, each), far_m, np.repeat(firings.t_ns, each))
 
         if beam.budget.adaptive:
@@ -106,19 +85,19 @@ class ReferenceScene:
             displace(range_m, beam, firings.index)
         return Hits.one_ray_each(range_m, surface, cosine)
 
-    def _sub_rays(self, firings: Firings, beam: Footprint, first: int, count: int) -> _Rays:
+    def _sub_rays(self, firings, beam, first, count):
         origin_m, direction = sub_rays(firings, beam, self._origin_m, first, count)
         return origin_m.reshape(-1, 3).astype(np.float64), direction.reshape(-1, 3).astype(np.float64)
 
-    def _by_rounds(self, cast: Callable[[_Rays, int], Met], firings: Firings, beam: Footprint) -> Hits:
+    def _by_rounds(self, cast, firings, beam):
         """Cast rounds of all pulses, and keep those that each pulse wants."""
         shape, reflectance = firings.t_ns.shape, np.ascontiguousarray(self.surfaces["reflectance"])
-        met: list[Met] = []
+        met = []
         wants, count = np.ones(shape, np.bool_), np.zeros(shape, np.uint16)
         for first in range(0, beam.rays, ROUND):
             each = min(ROUND, beam.rays - first)
             fresh = cast(self._sub_rays(firings, beam, first, each), each)
-            met.append(tuple(array.reshape(*shape, each) for array in fresh))  # type: ignore[arg-type]
+            met.append(tuple(array.reshape(*shape, each) for array in fresh))
             count[wants] += each
             so_far = [np.concatenate([part[n] for part in met], axis=-1) for n in range(3)]
             for pulse in np.argwhere(wants).tolist():
@@ -130,7 +109,7 @@ class ReferenceScene:
         kept = np.arange(so_far[0].shape[-1]) < count[..., None]
         return Hits(count, *(array[kept] for array in so_far))
 
-    def _rays(self, origin_m: F8, direction: F8, near: F8, far_m: float, t_ns: I8) -> Met:
+    def _rays(self, origin_m, direction, near, far_m, t_ns):
         """Cast rays (n, 3) from origins relative to the window's."""
         n = len(origin_m)
         range_m, cos_incidence = np.full(n, np.inf, np.float32), np.zeros(n, np.float32)
@@ -148,7 +127,7 @@ class ReferenceScene:
         return range_m, surface, cos_incidence
 
 
-def ranges_m(triangles_m: F8, origin_m: F8, direction: F8) -> F8:
+def ranges_m(triangles_m, origin_m, direction):
     """Distance along one ray to every triangle, inf where missed (Moeller and Trumbore, 1997)."""
     a, b, c = triangles_m[:, 0], triangles_m[:, 1], triangles_m[:, 2]
     ab, ac, to_ray = b - a, c - a, origin_m - a

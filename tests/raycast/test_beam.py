@@ -1,7 +1,5 @@
 """Where sub-rays go."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from raycast import lab
@@ -53,13 +51,6 @@ def test_means_over_any_first_sub_rays_are_nearer_than_random_ones(model, rays, 
     assert times_better_on_an_edge(unit_points(3000, rays, model=model)) > times
 
 
-@pytest.mark.parametrize("rays", [8, 16, 24, 32, 40, 48, 56, 64])
-def test_rounds_of_support_points_have_no_bias(rays):
-    """After every round the mean of a pulse's sub-rays is the middle of its light to 1/50 of its standard deviation."""
-    points = unit_points(500, rays, model="adaptive")
-    assert np.abs(points.mean(axis=1)).max() < (1e-4 if rays == 8 else 0.02)
-
-
 def test_support_points_are_turned_and_mirrored():
     """Pulses have one pattern at angles that are evenly spread, and each of its mirror images half of the time."""
     points = unit_points(4000, 8, model="adaptive")
@@ -80,22 +71,6 @@ def test_beyond_64_an_adaptive_beam_goes_on_with_r2():
     assert len(np.unique(many[0], axis=0)) == 96
 
 
-def test_rounds_begin_where_they_do_in_one_go():
-    """Sub-rays laid round by round are those laid in one go."""
-    whole = unit_points(20, 80, model="adaptive")
-    rounds = [unit_points(20, 8, first=first, model="adaptive") for first in range(0, 80, 8)]
-    assert (np.concatenate(rounds, axis=1) == whole).all()
-
-
-@pytest.mark.parametrize(("model", "different"), [("fixed", 490), ("adaptive", 450)])
-def test_pulses_are_turned_differently(model, different):
-    """Pulses, lasers and seeds do not share a pattern but by chance; the same pulse always has the same."""
-    points = unit_points(500, 1, model=model)[:, 0]
-    assert len(np.unique(points.round(5), axis=0)) > different
-    assert (points == unit_points(500, 1, model=model)[:, 0]).all()
-    assert (points != unit_points(500, 1, seed=8, model=model)[:, 0]).any(axis=1).mean() > 0.99
-
-
 @pytest.mark.parametrize("distance_m", [0.0, 10.0, 50.0])
 def test_the_beam_is_as_wide_as_said(distance_m):
     """Four standard deviations are spot + divergence * distance, across and up, and directions have unit length."""
@@ -109,12 +84,6 @@ def test_the_beam_is_as_wide_as_said(distance_m):
     up = np.cross(firings.direction, firings.beam_axis)
     for axis, width_m in ((firings.beam_axis, 0.0127 + 0.003 * distance_m), (up, 0.0095 + 0.0015 * distance_m)):
         assert 4 * np.einsum("klsa,kla->kls", offset_m, axis).std() == pytest.approx(width_m, rel=0.01)
-
-
-def test_firings_without_a_width_are_refused():
-    """Sub-rays of firings that were aimed as lines are a programming error and named."""
-    with pytest.raises(ValueError, match="found firings without `beam_axis`, expected them for a beam of fixed"):
-        sub_rays(replace(lab.pulses(8), beam_axis=None), lab.beam("fixed"), np.zeros(3), 0, 1)
 
 
 def test_offset_displaces_evenly_inside_the_beam():

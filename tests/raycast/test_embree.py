@@ -28,21 +28,6 @@ def test_hits_are_those_of_the_slow_twin(workers, share):
     assert np.abs(fast.cos_incidence - slow.cos_incidence).max() < 1e-5
 
 
-def test_distance_from_the_origin_of_the_world_does_not_matter(workers):
-    """The same scene at UTM coordinates, at 1e7 m and at zero gives the same distances."""
-    caster = EmbreeCaster(lab.world(lab.soup), workers)
-    ranges = [
-        caster.open(lab.placed(30, at=at)).cast(lab.pulses(320, at=at), lab.NEAR_M, lab.FAR_M).range_m
-        for at in (np.zeros(3), lab.UTM_M, np.array([1e7, -1e7, 0.0]))
-    ]
-    for other in ranges[1:]:
-        same = np.isfinite(ranges[0]) & np.isfinite(other)
-        assert (np.isfinite(ranges[0]) == np.isfinite(other)).mean() > 0.9999
-        difference_m = np.abs(ranges[0][same] - other[same])
-        assert np.median(difference_m) < 1e-6
-        assert np.quantile(difference_m, 0.999) < 1e-4
-
-
 def test_shapes_are_kept_from_window_to_window(workers):
     """A shape that an open window holds is not grown again; one that no window holds is dropped."""
     grown = []
@@ -82,13 +67,6 @@ def test_where_nothing_stands_all_is_sky(workers, count, model):
     assert (hits.count == (1 if model == "none" else 8)).all()
     assert np.isinf(hits.range_m).all()
     assert (hits.surface == NO_SURFACE).all()
-
-
-def test_a_broken_packet_is_refused(workers):
-    """Firings that do not fill packets of eight rays are a programming error and named."""
-    scene = lab.opened(workers, lab.placed(1))
-    with pytest.raises(ValueError, match="found 12 sequences, expected a multiple of 8"):
-        scene.cast(lab.pulses(12), lab.NEAR_M, lab.FAR_M)
 
 
 def test_rays_at_edges_and_corners_are_decided_in_float64(workers):

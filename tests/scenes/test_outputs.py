@@ -56,39 +56,32 @@ def test_the_columns_of_a_stem_list_are_given_with_their_limits():
 
 @pytest.mark.parametrize(("number", "columns"), [(0, SCENE_COLUMNS), (1, CAPTURE_COLUMNS)])
 def test_the_columns_of_points_are_given_in_each_format(number, columns):
-    """Each array of points has its line, with its names in CSV and PLY."""
+    """Each array of points has its line, with its names in CSV and PLY, and returns their numbers."""
     given = [tuple(tuple(names(cell)) for cell in row[:3]) for row in table("Points", number)]
     assert given == [((column.name,), column.csv, column.ply) for column in columns]
+    returns = [row[3] for row in table("Points", number) if names(row[0]) == ["return_number"]]
+    assert returns == [", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(RETURN_NAMES))] * len(returns)
 
 
-def test_the_numbers_of_returns_are_given():
-    """What means strongest, last and second strongest is given with its number."""
-    given = {names(row[0])[0]: row[3] for row in table("Points")}["return_number"]
-    assert given == ", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(RETURN_NAMES))
+@pytest.mark.parametrize(
+    ("heading", "columns"),
+    [
+        ("Labels", [column.name for column in TRUTH_COLUMNS]),
+        ("imu.csv", [*_IMU_COLUMNS, *ATTITUDE, STAMP]),
+        ("gnss.csv", list(_GNSS_COLUMNS)),
+        ("returns.parquet", list(SLOT_COLUMNS)),
+    ],
+)
+def test_the_columns_of_the_truth_are_given(heading, columns):
+    """Each column of labels and of the files of the truth has its line."""
+    assert [name for row in table(heading) for name in names(row[0])] == columns
 
 
-@pytest.mark.parametrize(("number", "labels"), [(0, Semantic), (1, PlantPart)])
-def test_the_labels_are_given_with_their_numbers(number, labels):
-    """Every class and every part is in its table under its number, and no other does."""
-    rows = table("Labels", number + 3)
-    assert {int(row[0]): row[1] for row in rows} == {int(label): label.name.lower() for label in labels}
-
-
-def test_the_columns_of_the_truth_are_given():
-    """The table of labels names every column that `--truth` adds, and those of IMU and GNSS every column of their files."""
-    assert [name for row in table("Labels") for name in names(row[0])] == [c.name for c in TRUTH_COLUMNS]
-    assert [name for row in table("imu.csv") for name in names(row[0])] == [*_IMU_COLUMNS, *ATTITUDE, STAMP]
-    assert [name for row in table("gnss.csv") for name in names(row[0])] == list(_GNSS_COLUMNS)
-    assert [name for row in table("returns.parquet") for name in names(row[0])] == list(SLOT_COLUMNS)
-
-
-def test_leaf_or_wood_is_given_for_each_part():
-    """The column `leaf_wood` of the table is that of labelled points."""
+def test_labels_and_their_numbers_are_given():
+    """Every class and part is in its table under its number, each part with its leaf or wood, and every species."""
+    for number, labels in ((3, Semantic), (4, PlantPart)):
+        assert {int(row[0]): row[1] for row in table("Labels", number)} == {int(x): x.name.lower() for x in labels}
     assert [int(row[2]) for row in table("Labels", 4)] == LEAF_OR_WOOD.tolist()
-
-
-def test_the_species_are_given_with_their_numbers():
-    """Every tree and shrub of the program is in the table under its number, and no other does."""
     assert {int(number): name for number, name in table("Species")} == flora().names
 
 

@@ -26,14 +26,6 @@ def pose(yaw=0.0, pitch=0.0, roll=0.0, at=(0.0, 0.0, 0.0)):
     return lambda _t_ns: Poses(np.zeros(1, np.int64), turn, np.array([at]))
 
 
-def test_every_pulse_has_its_instant(head):
-    """Laser j of sequence n fires n * 55 296 + j * 2 304 ns after the first pulse."""
-    t_ns = head.times_ns(1000, 3)
-    assert t_ns[0, 0] - START_NS == 1000 * 55_296
-    assert (np.diff(t_ns, axis=0) == 55_296).all()
-    assert (np.diff(t_ns, axis=1) == 2_304).all()
-
-
 def test_point_in_the_sensor_frame_is_the_manuals(head):
     """R along a pulse leads to X = R cos w sin a, Y = R cos w cos a, Z = R sin w + correction."""
     firings = head.aim(0, 4, pose())

@@ -11,8 +11,8 @@ import threading
 import pytest
 from sinks.kit import make_packets
 
+from vlp16emu.captures.capture import Capture
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.packets.capture import Capture
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
@@ -108,25 +108,6 @@ def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
     assert all(d.payload == (i % 65_536).to_bytes(2) * 603 for i, d in enumerate(datagrams))
 
 
-def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path):
-    """The earlier file stays after an error; packets before it are in a file that ends with a whole one."""
-    path = tmp_path / "out.pcap"
-    path.write_bytes(b"earlier")
-
-    def failing(packets):
-        with PcapSink(path) as sink:
-            for packet in packets:
-                sink.send(packet)
-                assert path.read_bytes() == b"earlier"
-            raise ValueError
-
-    for packets in ([], make_packets(5)):
-        with pytest.raises(ValueError):  # noqa: PT011
-            failing(packets)
-        assert path.read_bytes() == b"earlier"
-        assert [len(read(part)[0]) for part in tmp_path.glob("out.pcap.*.part")] == [5] * bool(packets)
-
-
 def test_an_interrupt_ends_a_valid_capture(tmp_path):
     """Ctrl-C that arrives as an exception keeps the packets before it, NMEA is a programming error, and nothing is left of a longer earlier file."""
     with pytest.raises(KeyboardInterrupt), PcapSink(tmp_path / "out.pcap") as sink:  # noqa: PT012
@@ -160,15 +141,6 @@ def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
     assert path.read_bytes() == b"earlier"
     datagrams, cut = read(part)
     assert (len(datagrams), cut) == (10, False)
-
-
-def test_device_without_room_is_a_failed_run(tmp_path):
-    """A disk that is full from the beginning is reported in the system's own words, with exit code 1."""
-    full = tmp_path / "full"
-    full.symlink_to("/dev/full")
-    with pytest.raises(RunError, match="No space left on device at packet 1; no file") as caught:
-        PcapSink(full)
-    assert caught.value.exit_code == 1
 
 
 @pytest.mark.parametrize("where", ["", "missing/out.pcap"])

@@ -142,8 +142,11 @@ def test_what_is_made_anew_follows_what_is_sent_without_a_gap(cuts, capacity):
     assert min(generations[max(cuts) :]) > 0
 
 
-def test_error_of_the_engine_comes_after_the_packets_before_it():
-    """What the engine raises is raised to the caller, once all earlier packets have been sent."""
+def test_errors_and_ctrl_c_end_a_stream():
+    """What the engine raises comes after the packets before it, and a sink that fails ends the stream and its endless engine.
+
+    Ctrl-C ends it with a report of what was sent, and no packets are a factor of 0.
+    """
 
     def failing():
         yield from make_packets(20)
@@ -154,10 +157,6 @@ def test_error_of_the_engine_comes_after_the_packets_before_it():
         stream(failing(), sink, Pacer(FAST))
     assert sink.packets == make_packets(20)
     assert threads() == 0
-
-
-def test_errors_and_ctrl_c_end_a_stream():
-    """A sink that fails ends the stream and its endless engine; Ctrl-C ends it with a report of what was sent, and no packets are a factor of 0."""
     with pytest.raises(RunError, match="link is down"):
         stream(endless([]), BreakingSink(5, RunError("link is down")), Pacer(FAST))
     assert threads() == 0

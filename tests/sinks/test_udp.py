@@ -26,17 +26,12 @@ def receivers():
         yield data, position
 
 
-def open_sink(receivers):
-    """Aim a sink at the receivers."""
-    data, position = receivers
-    return UdpSink([replace(FACTORY_LINK, data_port=data.getsockname()[1], position_port=position.getsockname()[1])])
-
-
 def test_datagrams_arrive_at_their_ports(receivers):
     """Data and position payloads arrive unchanged and in order, each at its own port, from two free ports."""
     packets = make_packets(50)
     data, position = receivers
-    with open_sink(receivers) as sink:
+    data_port, position_port = (receiver.getsockname()[1] for receiver in receivers)
+    with UdpSink([replace(FACTORY_LINK, data_port=data_port, position_port=position_port)]) as sink:
         for packet in packets:
             sink.send(packet)
     for receiver, kind, count in ((data, PacketKind.DATA, 40), (position, PacketKind.POSITION, 10)):

@@ -30,7 +30,7 @@ def test_slivers():
         a, b = np.column_stack([x, edge_m[:-1], low]), np.column_stack([x, edge_m[1:], low])
         c, d = np.column_stack([x, edge_m[1:], high]), np.column_stack([x, edge_m[:-1], high])
         corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-        count = 64 * PULSES
+        count = 16 * PULSES
         rng = np.random.default_rng(2)
         target = np.column_stack(
             [np.full(count, 10.0), edge_m[-1] * rng.uniform(-0.99, 0.99, count), rng.uniform(-9, 9, count)]

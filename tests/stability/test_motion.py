@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 from vlp16emu import Emulator
 from vlp16emu.engine import assemble
 from vlp16emu.errors import InputError
-from vlp16emu.extras.recorded.files import RecordedPoses
-from vlp16emu.extras.recorded.motion import RecordedMotion
-from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.walk import Harness
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack
 from vlp16emu.motion.pose import Motion
@@ -49,7 +46,7 @@ def test_stiff_straps():
     s = 2j * np.pi * _STEP_HZ
     for damping in (0.1, 1.0, 10.0):
         errors = []
-        for hz in np.geomspace(0.5, 1e9, 19):
+        for hz in np.geomspace(0.5, 1e9, 10):
             w = 2 * np.pi * hz
             answer = (2 * damping * w * s + w * w) / (s * s + 2 * damping * w * s + w * w)
             nodes = _straps(hz, damping).nodes(_AT_S)[:, 0]
@@ -129,33 +126,3 @@ def test_hairpins():
         _smooth(f"hairpin of 0.6 m, {away_m / 1000:g} km away", motion, start_ns, motion.run_time_s)
     with pytest.raises(InputError, match=r"at least 0\.1 m"):
         _walk(_hairpin(0.2))
-
-
-def _recorded(t_s: Array, quaternion: Array) -> RecordedMotion:
-    """Body that turns by poses from time 0 on."""
-    t_ns, count = np.rint(t_s * S_NS).astype(np.int64), len(t_s)
-    poses = RecordedPoses([f"pose {i + 1}" for i in range(count)], t_ns, np.zeros((count, 3)), quaternion)
-    return RecordedMotion(Recorded(kind="recorded", file="poses.txt", format="tum"), poses, start_ns=0)
-
-
-def _about_z(angle_rad: Array) -> Array:
-    """Quaternions (n, 4) of turns about the vertical."""
-    zero = np.zeros_like(angle_rad)
-    return np.column_stack([zero, zero, np.sin(angle_rad / 2), np.cos(angle_rad / 2)])
-
-
-def test_recordings():
-    """Recorded turns of 500 deg/s at 20 poses a second are followed to 2e-6 rad, whatever the sign of a quaternion."""
-    t_s = np.arange(61) / 20
-    rate_rad_s = np.radians(500.0)
-    turn = _about_z(rate_rad_s * t_s)
-    steady = _recorded(t_s, turn)
-    look_ns = np.arange(500_000_000, 2_500_000_000, 100_003, dtype=np.int64)
-    yaw_rad = np.arctan2(*(steady.poses_at(look_ns).world_R_body[:, i, 0] for i in (1, 0)))
-    off_rad = np.angle(np.exp(1j * (yaw_rad - rate_rad_s * look_ns / S_NS)))
-    assert np.abs(off_rad).max() <= 2e-6  # rotation off the true one, rad
-    _smooth("20 Hz poses, 500 deg/s", steady, 0, 3.0)
-    signs = np.where(np.arange(61) % 3 == 1, -1.0, 1.0)[:, None]
-    flipped = _recorded(t_s, turn * signs).poses_at(look_ns).world_R_body
-    differ = np.abs(flipped - steady.poses_at(look_ns).world_R_body).max()
-    assert differ <= 1e-12  # rotation moved by their sign

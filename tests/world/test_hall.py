@@ -44,8 +44,8 @@ def test_everything_has_a_surface_of_its_own_and_a_name():
     assert [len(hall.shape(key)) for key in window.shapes] == [2, 1, 1, 1]
 
 
-def test_room_is_closed_and_has_its_size():
-    """The room is watertight, looks inwards, and measures 30 x 18 x 6 m; its first mesh is the floor."""
+def test_room_and_box_are_closed_and_have_their_sizes():
+    """The room is watertight, looks inwards, and measures 30 x 18 x 6 m; its first mesh is the floor. The crate looks outwards."""
     hall = make_hall()
     room = hall.window(TRACK_M).shapes[0]
     solid = solid_of(room)
@@ -53,14 +53,10 @@ def test_room_is_closed_and_has_its_size():
     assert solid.volume == pytest.approx(-30 * 18 * 6)
     floor = hall.shape(room)[0]
     assert (floor.vertices_m[floor.faces.ravel(), 2] == -3.0).all()
-
-
-def test_box_is_closed_and_has_its_size():
-    """The crate is watertight, looks outwards, and measures 2 x 1 x 1 m."""
-    solid = solid_of(CRATE)
-    assert solid.is_watertight
-    assert solid.volume == pytest.approx(2.0)
-    assert solid.extents == pytest.approx([2, 1, 1])
+    crate = solid_of(CRATE)
+    assert crate.is_watertight
+    assert crate.volume == pytest.approx(2.0)
+    assert crate.extents == pytest.approx([2, 1, 1])
 
 
 @pytest.mark.parametrize("diameter_m", [0.05, 0.35, 3.0])

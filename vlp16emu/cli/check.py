@@ -51,8 +51,8 @@ def verify(
         return
     if file.suffix.lower() in (".mcap", ".bag") or (file / "metadata.yaml").is_file():
         raise InputError(str(file), "a bag", "a capture, or --for with the name of a SLAM program, or all")
+    from vlp16emu.captures import chosen_unit, units_in
     from vlp16emu.extras.verify import verify_units
-    from vlp16emu.packets import chosen_unit, units_in
 
     if file.is_fifo():  # its units are looked for first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")

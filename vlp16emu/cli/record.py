@@ -16,7 +16,8 @@ from vlp16emu.errors import CaptureError, OutputError
 from vlp16emu.run.options import Option, RecordOptions
 
 if TYPE_CHECKING:
-    from vlp16emu.packets import CaptureReader, PointFrame
+    from vlp16emu.captures import CaptureReader
+    from vlp16emu.packets import PointFrame
 
 
 def record(
@@ -84,7 +85,8 @@ def decode(
     z up, unless --frame chooses other axes. Pulses without return become no points. Ctrl-C and a broken packet leave a
     valid file with the points before.
     """
-    from vlp16emu.packets import CaptureReader, PointFrame, chosen_unit, packet_clock
+    from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
+    from vlp16emu.packets import PointFrame
     from vlp16emu.types import SensorModel
 
     axes, chosen = PointFrame(frame), chosen_unit(file, unit, where="--unit")

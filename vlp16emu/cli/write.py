@@ -76,7 +76,7 @@ def points(
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
     A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
-    from vlp16emu.packets.capture import is_capture_name
+    from vlp16emu.captures.capture import is_capture_name
 
     of_capture = {one.name: getattr(errors, one.field) != one.default for one in options_of(TrajectoryErrors)}
     if trajectory is not None or is_capture_name(scene):
@@ -227,8 +227,8 @@ def picture(
     from vlp16emu.extras.plots import check_matplotlib
 
     check_matplotlib()
+    from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
-    from vlp16emu.packets.capture import is_capture_name
 
     check_suffix(out)
     if look.from_deg is not None and look.view != "slant":
@@ -275,7 +275,7 @@ def view(
 
     Of a capture its sweeps, with what is wrong with its packets marked. Needs the extra 'viewer'. Ctrl-C ends it.
     """
-    from vlp16emu.packets.capture import is_capture_name
+    from vlp16emu.captures.capture import is_capture_name
 
     capture = Path(scene) if is_capture_name(scene) else None
     if save is not None and (settings or capture):

@@ -262,12 +262,12 @@ def _gps(scenario: Scenario) -> GpsInput:
     return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
 
 
-def clock_at(t_ns: int, section: Lidar, reading_ns: int = 0, *, locked: bool) -> ClockSpan:
-    """Return the clock of a unit from an instant on: locked to GPS, or free from a reading on."""
+def clock_at(t_ns: int, section: Lidar, *, locked: bool) -> ClockSpan:
+    """Return the clock of a unit from an instant on: locked to GPS, or free from 0 on."""
     error_ppm = section.clock_error_ppm or 0.0
     if locked:
         return ClockSpan(t_ns, None, min(max(error_ppm, -_LEFT_PPM), _LEFT_PPM))
-    return ClockSpan(t_ns, reading_ns, error_ppm)
+    return ClockSpan(t_ns, 0, error_ppm)
 
 
 def _head(scenario: Scenario, section: Lidar, seed: int) -> Head:

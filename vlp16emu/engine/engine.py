@@ -163,13 +163,10 @@ class Engine:
         block, seed = self.batching.block, self.parts.world.seed
 
         def work(run: range, opened: Future[Geometry]) -> Returns:
-            return self._scan(Job(unit, detector, run, block, seed, truth), opened)
+            return scan(Job(unit, detector, run, block, seed, truth), opened.result(), self.taps)
 
         runs = self.windows.runs(blocks, together, threads)
         return in_order(work, runs, self.windows, threads=threads, stop=blocks.stop)
-
-    def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:
-        return scan(job, opened.result(), self.taps)
 
 
 def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) -> Receiver:

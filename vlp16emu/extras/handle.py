@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures import PacketChunk
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
 from vlp16emu.errors import InputError, RunError
 from vlp16emu.extras.bench.options import BenchOptions, Http
 from vlp16emu.extras.clouds.scan import Chunk, chunk_of, cut_scans
 from vlp16emu.extras.truth.slots import SLOT
-from vlp16emu.packets import DATA_BYTES, PacketChunk, data_fields, decode_data, faults_in
+from vlp16emu.packets import DATA_BYTES, data_fields, decode_data, faults_in
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.run.emulator import Emulator, Scene
 from vlp16emu.run.report import Streamed

@@ -80,9 +80,7 @@ class OutputFolder:
             self._check()
             if self._final.exists():
                 _exchange(self.path, self._final)
-                with suppress(
-                    OSError
-                ):  # what cannot be removed of the earlier run, a flat folder, stays beside the new one
+                with suppress(OSError):  # what cannot be removed of the earlier run stays beside the new one
                     for file in self.path.iterdir():
                         file.unlink()
                     self.path.rmdir()

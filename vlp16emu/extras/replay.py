@@ -8,11 +8,12 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from vlp16emu.captures import Capture, units_in
 from vlp16emu.errors import CaptureError, InputError, OutputError
 from vlp16emu.extras.bench.retime import moved
 from vlp16emu.extras.free_ports import free_ports
 from vlp16emu.output import STDOUT
-from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Capture, Link, units_in
+from vlp16emu.packets import DATA_BYTES, FACTORY_LINK, POSITION_BYTES, Link
 from vlp16emu.packets.frames import POSITION_PORT
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import RecordOptions, ReplayOptions, StreamOptions

@@ -1,4 +1,4 @@
-"""The pose of a body at any time with its derivatives, and rotations from angles."""
+"""The pose of a body at any time with its derivatives, of one that stands still too, and rotations from angles."""
 
 import math
 from dataclasses import dataclass
@@ -71,22 +71,22 @@ def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
     return rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
 
 
-@numba.njit(cache=True, nogil=True)
-def body_rate(
-    angle_rad: Array, rate_rad_s: Array, acceleration_rad_s2: Array, w_rad_s: Array, alpha_rad_s2: Array
-) -> None:
-    """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw (3,) and their derivatives.
+class StaticMotion:
+    """A sensor on a tripod at a place (3,) in the world, turned as by `rotate`: one pose, computed once."""
 
-    Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section 5.
-    """
-    cr, sr = cos_sin(angle_rad[0])
-    cp, sp = cos_sin(angle_rad[1])
-    roll, pitch, yaw = rate_rad_s
-    roll2, pitch2, yaw2 = acceleration_rad_s2
-    w_rad_s[0] = roll - sp * yaw
-    w_rad_s[1] = cr * pitch + sr * cp * yaw
-    w_rad_s[2] = -sr * pitch + cr * cp * yaw
-    alpha_rad_s2[0] = roll2 - sp * yaw2 - cp * pitch * yaw
-    across = cp * yaw2 - sp * pitch * yaw
-    alpha_rad_s2[1] = cr * pitch2 + sr * across + roll * w_rad_s[2]
-    alpha_rad_s2[2] = -sr * pitch2 + cr * across - roll * w_rad_s[1]
+    run_time_s = math.inf
+    moves = False
+
+    def __init__(self, position_m: Array, yaw_deg: float, pitch_deg: float, roll_deg: float) -> None:
+        turn = rotation(yaw_deg, pitch_deg, roll_deg)
+        self._poses = Poses(np.zeros(1, np.int64), turn[None], position_m[None])
+
+    def poses_at(self, t_ns: IntArray) -> Poses:  # noqa: ARG002  # the same at all times
+        """Return the one pose."""
+        return self._poses
+
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+        """Repeat the one pose at instants (n,), without any motion."""
+        n, still = len(t_ns), np.zeros((len(t_ns), 3))
+        turns = np.repeat(self._poses.world_R_body, n, axis=0)
+        return Kinematics(t_ns, turns, np.repeat(self._poses.world_p_body_m, n, axis=0), *(still,) * 4)

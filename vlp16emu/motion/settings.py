@@ -111,7 +111,7 @@ class Static(MotionSection):
         """Return the one pose, and its place on the map."""
         import numpy as np
 
-        from vlp16emu.motion.static import StaticMotion
+        from vlp16emu.motion.pose import StaticMotion
 
         xy_m = np.array([[self.x_m, self.y_m]])
         position_m = np.append(xy_m[0], site.height_m(xy_m[:, 0], xy_m[:, 1])[0] + self.height_m)

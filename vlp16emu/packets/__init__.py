@@ -1,6 +1,5 @@
 """The wire: how returns become the bytes of a VLP-16, and how those bytes are read back."""
 
-from vlp16emu.packets.capture import Capture, chosen_unit, units_in
 from vlp16emu.packets.data import azimuth_cdeg, data_payloads, pack_data, returns_in, timestamp_us
 from vlp16emu.packets.decode import (
     JUMP_NS,
@@ -33,13 +32,4 @@ from vlp16emu.packets.position import (
     pack_position,
     position_due_ns,
     positions_from_ns,
-)
-from vlp16emu.packets.reading import (
-    CaptureReader,
-    Clock,
-    PacketChunk,
-    PacketClock,
-    UnitClock,
-    packet_clock,
-    unit_clocks,
 )

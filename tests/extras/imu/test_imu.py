@@ -10,8 +10,7 @@ from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.extras.walk import Harness, Walk
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.mount import mounted
-from vlp16emu.motion.pose import Kinematics, rotations
-from vlp16emu.motion.static import StaticMotion
+from vlp16emu.motion.pose import Kinematics, StaticMotion, rotations
 from vlp16emu.world import Hall
 from vlp16emu.world.hall import HallWorld
 

@@ -146,34 +146,6 @@ def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):
         dem.check(path, 8.5)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (HEADER + "1 2 3 4\n5 6 7\n9 10 11 12\n", "line 8: found '5 6 7'; expected 4 heights"),
-        (HEADER + "1 2 3 4\n5 6 7 8\n", "line 8: found 2 rows of 4; expected nrows = 3, ncols = 4"),
-        (HEADER + ROWS + "1 2 3 4\n", "line 10: found 4 rows of 4; expected nrows = 3"),
-        (HEADER + ROWS.replace("7", "seven"), "line 8: found '5 6 seven 8'; expected 4 heights"),
-        (HEADER.replace("cellsize 10\n", "") + ROWS, "line 6: found '1 2 3 4'; expected cellsize and a number"),
-        (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "line 5: found 'cellsize -1'; expected cellsize and a number above 0"),
-        (HEADER.replace("corner 100", "corner nan") + ROWS, "line 3: found 'xllcorner nan'; expected xllcorner and a number"),
-        (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, "line 9: found 3 rows of 4; expected nrows = 3, ncols = 3.5"),
-        (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, "line 5: found 'cellsize ten'; expected cellsize and a number"),
-        (HEADER.replace("cellsize", "cell") + ROWS, "line 5: found 'cell 10'; expected cellsize and a number"),
-        (HEADER.replace("yllcorner 200\n", "") + ROWS, "line 6: found '1 2 3 4'; expected yllcorner or yllcenter and a number"),
-        ("ncols 4\n" + HEADER + ROWS, "line 2: found 'ncols 4'; expected nrows and a number"),
-        (HEADER + "-9999 -9999 -9999 -9999\n" * 3, "no cell has a height"),
-        (HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n", "found 1 rows of 4; expected at least 2 rows of 2"),
-        (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, r"line 9: found 3 rows of 4; expected nrows = 3, ncols = 1e\+09"),
-        (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
-        ("", "line 0: no header; expected ncols and a number"),
-    ],
-)  # fmt: skip
-def test_a_bad_ascii_grid_is_refused_in_one_line(tmp_path, text, message):
-    """What is wrong with a grid is reported with the file, the line, what was found and what was expected."""
-    with pytest.raises(GeometryError, match=f"ground.asc[:,] {message}"):
-        read(write(tmp_path, text))
-
-
 @pytest.mark.parametrize("none", ["-9999", "nan", "inf"])
 def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
     """A cell with the grid's NODATA_value, or that is not finite, has no height."""
@@ -183,23 +155,33 @@ def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
 
 
 @pytest.mark.parametrize(
-    ("heights", "message"),
-    [
-        (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
-        (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
-        (np.array([[1, -9999], [2, 3]]), "ground.npy: row 1, column 2: found -9999; expected heights from -500 to 9000 m, NaN or"),
-        (np.array([[1, 2], [1e308, -3.4e38]]), r"row 2, column 1: found 1e\+308 and 1 more such; expected heights"),
-    ],
-)  # fmt: skip
-def test_a_bad_array_is_refused(tmp_path, heights, message):
-    """An array that is no grid of heights is named with what it is."""
-    with pytest.raises(GeometryError, match=message):
-        dem_of(heights, tmp_path)
-
-
-@pytest.mark.parametrize(
     ("name", "content", "cell_m", "message"),
     [
+        *(("ground.asc", text, None, f"ground.asc[:,] {message}") for text, message in [
+            (HEADER + "1 2 3 4\n5 6 7\n9 10 11 12\n", "line 8: found '5 6 7'; expected 4 heights"),
+            (HEADER + "1 2 3 4\n5 6 7 8\n", "line 8: found 2 rows of 4; expected nrows = 3, ncols = 4"),
+            (HEADER + ROWS + "1 2 3 4\n", "line 10: found 4 rows of 4; expected nrows = 3"),
+            (HEADER + ROWS.replace("7", "seven"), "line 8: found '5 6 seven 8'; expected 4 heights"),
+            (HEADER.replace("cellsize 10\n", "") + ROWS, "line 6: found '1 2 3 4'; expected cellsize and a number"),
+            (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "line 5: found 'cellsize -1'; expected cellsize and a number above 0"),
+            (HEADER.replace("corner 100", "corner nan") + ROWS, "line 3: found 'xllcorner nan'; expected xllcorner and a number"),
+            (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, "line 9: found 3 rows of 4; expected nrows = 3, ncols = 3.5"),
+            (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, "line 5: found 'cellsize ten'; expected cellsize and a number"),
+            (HEADER.replace("cellsize", "cell") + ROWS, "line 5: found 'cell 10'; expected cellsize and a number"),
+            (HEADER.replace("yllcorner 200\n", "") + ROWS, "line 6: found '1 2 3 4'; expected yllcorner or yllcenter and a number"),
+            ("ncols 4\n" + HEADER + ROWS, "line 2: found 'ncols 4'; expected nrows and a number"),
+            (HEADER + "-9999 -9999 -9999 -9999\n" * 3, "no cell has a height"),
+            (HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n", "found 1 rows of 4; expected at least 2 rows of 2"),
+            (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, r"line 9: found 3 rows of 4; expected nrows = 3, ncols = 1e\+09"),
+            (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
+            ("", "line 0: no header; expected ncols and a number"),
+        ]),
+        *(("ground.npy", heights, 1.0, message) for heights, message in [
+            (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
+            (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
+            (np.array([[1, -9999], [2, 3]]), "ground.npy: row 1, column 2: found -9999; expected heights from -500 to 9000 m, NaN or"),
+            (np.array([[1, 2], [1e308, -3.4e38]]), r"row 2, column 1: found 1e\+308 and 1 more such; expected heights"),
+        ]),
         ("ground.npy", b"junk", 1.0, "ground.npy: no .npy file"),
         ("ground.npy", b"", 1.0, "ground.npy: no .npy file"),
         ("ground.npy", b"PK\3\4" + bytes(40), 1.0, "ground.npy: no .npy file; expected a numpy array of numbers"),
@@ -210,14 +192,18 @@ def test_a_bad_array_is_refused(tmp_path, heights, message):
         ("ground.xyz", b"", None, "found the ending '.xyz'; expected .asc, .npy, .tif or .tiff"),
         ("absent.asc", None, None, "absent.asc: no such file or directory; expected an ESRI ASCII grid"),
     ],
-)
-def test_a_file_that_is_no_grid_is_refused(tmp_path, name, content, cell_m, message):
-    """Broken, missing and unknown files, and grids placed twice or not at all, are refused in one line."""
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    corner_m = None if cell_m is None else (0.0, 0.0)
+)  # fmt: skip
+def test_what_is_no_grid_of_heights_is_refused(tmp_path, name, content, cell_m, message):
+    """Broken, missing and unknown files, arrays of something else, and grids placed twice or not at all, are refused in one line.
+
+    What is wrong with a text is reported with the file, the line, what was found and what was expected.
+    """
+    if isinstance(content, np.ndarray):
+        np.save(tmp_path / name, content)
+    elif content is not None:
+        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(GeometryError, match=message):
-        read(tmp_path / name, cell_m, corner_m)
+        read(tmp_path / name, cell_m, cell_m and (0.0, 0.0))
 
 
 def test_ground_that_is_written_is_read_as_it_was(tmp_path):

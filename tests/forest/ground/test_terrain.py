@@ -80,16 +80,6 @@ def test_a_pit_is_what_its_random_numbers_say():
     assert np.count_nonzero(twin) > 100
 
 
-def test_a_height_is_the_same_alone_and_in_any_array():
-    """The height of a point does not depend on how many points are asked for, nor on their shape."""
-    terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1, mounds_per_ha=500.0, pits_per_ha=200.0, slope_deg=5.0)
-    x, y = np.random.default_rng(3).uniform(-100, 100, (2, 1001))
-    together = terrain.height_m(x, y)
-    assert np.array_equal(together[7::13], terrain.height_m(x[7::13], y[7::13]))
-    assert np.array_equal(together[1:], terrain.height_m(x[1:].reshape(10, 100), y[1:].reshape(10, 100)).ravel())
-    assert terrain.height_m(x[:1], y[:1])[0] == together[0]
-
-
 def test_far_from_the_origin_heights_are_still_exact():
     """At 1e6 m the kernel agrees with a sum in extended precision to a nanometre."""
     terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1)

@@ -68,17 +68,23 @@ def test_crown_fills_its_width_and_length():
         assert vertices[:, 2].max() == pytest.approx(key.crown_length_m + 0.4, abs=0.8), name
 
 
+def first_rings(key):
+    """Rings (n, 6, 3) with which first-order tubes of a crown begin."""
+    return grown(key)[0].vertices_m.reshape(-1, 49, 3)[:, :6].astype(np.float64)
+
+
+def stem_radius_m(key, heights_m):
+    taper = species_table()[key.species].taper.row[None]
+    return taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), np.array([heights_m]))[0]
+
+
 def test_branches_begin_on_the_axis_inside_the_stem():
     """Each first-order tube begins with a ring around the axis that is narrower than the stem there; few are below the base."""
     for name, key in LIVING.items():
-        first = grown(key)[0]
-        sides, rings = 6, 8
-        ring = first.vertices_m.reshape(-1, sides * rings + 1, 3)[:, :sides].astype(np.float64)
+        ring = first_rings(key)
         middle = ring.mean(axis=1)
         assert np.abs(middle[:, :2]).max() < 1e-6, name
-        at_m = key.crown_base_m + middle[:, 2]
-        taper = species_table()[key.species].taper.row[None]
-        stem = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
+        stem = stem_radius_m(key, key.crown_base_m + middle[:, 2])
         branch = np.linalg.norm(ring - middle[:, None], axis=2).max(axis=1)
         assert (branch < np.maximum(0.65 * stem, 0.0011)).all(), name
         assert (middle[:, 2] >= 0).mean() > 0.75, name
@@ -87,16 +93,12 @@ def test_branches_begin_on_the_axis_inside_the_stem():
 def test_branches_are_together_as_thick_as_their_species_says():
     """First-order sections add up to `branch_area` times that of the stem at the crown base, or to 70 % if some are as thick as the stem."""
     for name, key in LIVING.items():
-        first = grown(key)[0]
-        ring = first.vertices_m.reshape(-1, 49, 3)[:, :6].astype(np.float64)
+        ring = first_rings(key)
         ring = ring[ring[:, :, 2].mean(axis=1) >= 0]
         corner = np.linalg.norm(ring - ring.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
         radius = corner * np.sin(np.pi / 6) / (np.pi / 6)
-        taper = species_table()[key.species].taper.row[None]
-        base = np.array([[key.crown_base_m]])
-        stem = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), base)[0, 0]
-        area = species_table()[key.species].crown.branch_area
-        assert 0.7 < (radius**2).sum() / (area * stem**2) < 1.05, name
+        area_m2 = species_table()[key.species].crown.branch_area * stem_radius_m(key, [key.crown_base_m])[0] ** 2
+        assert 0.7 < (radius**2).sum() / area_m2 < 1.05, name
 
 
 def bole(name, key=None, stem_m=(0.08, 0.12)):

@@ -36,18 +36,6 @@ def test_numbers_are_unique_and_never_change():
     assert flora().names == dict(numbers)
 
 
-def test_every_equation_and_optical_number_says_where_it_comes_from():
-    """In the shipped file such a line ends in a comment that names a source or the word assumption."""
-    keys = (
-        "height_curve|spread|crown_width|crown_base|open_crown|diameters|taper|fia|leaf_area_index|inclination|clumping"
-    )
-    lines = re.findall(rf"(?m)^(?:{keys}|biomass|\w+_reflectance|leaf_transmittance|spread_m) = .*$", TEXT)
-    assert len(lines) > 150
-    unnamed = [line for line in lines if not re.search(r"#.*(\[[A-Z]\]|assumption|bears no|\(\d{4}\)|\d{4}\()", line)]
-    # Shoots follow their twig: nothing to cite.
-    assert [line for line in unnamed if line != "spread_m = 0.0" and "one by one" not in line] == []
-
-
 def test_a_users_plants_come_after_our_own(write):
     """A file of the same form adds its trees and shrubs, and changes none of those that are there."""
     hazel = re.findall(r"(?ms)^\[shrub\.hazel.*?(?=^\[shrub\.elder)", TEXT)[0]

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 import trimesh
-from forest.kit import feet_m, trees_of
+from forest.kit import feet_m, section_diameter_m, solid_of, trees_of
 from scipy import stats
 from scipy.spatial import ConvexHull
 
@@ -52,13 +52,6 @@ def sections_m(trees, ring=BREAST_RING, **changes):
     return rings.forms.outline(angle, rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2)[:, ring]
 
 
-def solid_of(meshes):
-    """One solid of flare and stem, whose shared ring becomes one."""
-    corners = np.concatenate([mesh.vertices_m[mesh.faces] for mesh in meshes]).reshape(-1, 3)
-    unique, index = np.unique(corners, axis=0, return_inverse=True)
-    return trimesh.Trimesh(unique.astype(np.float64), index.reshape(-1, 3), process=False)
-
-
 def forking(name):
     return next(tree for tree in make_trees(name, 100)[:, None] if stem_forms(tree).forks[0, 0])
 
@@ -76,9 +69,8 @@ def test_area_at_breast_height_is_that_of_the_dbh(name):
         for i, tree in enumerate(trees):
             normal = (high - low)[i] / np.linalg.norm((high - low)[i])
             at_m = middle[i] + [tree["x_m"], tree["y_m"], tree["z_m"]] + 1e-4 * normal
-            cut = trimesh.intersections.mesh_plane(solid_of(meshes[2 * i : 2 * i + 2]), normal, at_m)
-            area_m2 = abs(np.cross(cut[:, 0] - at_m, cut[:, 1] - at_m) @ normal).sum() / 2
-            assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-4)
+            solid = solid_of(meshes[2 * i : 2 * i + 2])
+            assert section_diameter_m(solid, normal, at_m) == pytest.approx(tree["dbh_m"], abs=1e-4)
 
 
 @pytest.mark.parametrize("name", ["english_oak", "silver_birch", "european_beech", "snag"])
@@ -367,7 +359,6 @@ def three():
 
 @pytest.fixture(scope="module")
 def crowns():
-    """Prototypes of other sizes than the trees."""
     keys = ((0.27, 26.0, 13.0, 4.0, 90.0), (0.33, 20.0, 10.5, 8.0, 120.0), (0.3, 13.0, 6.0, 2.2, 0.0))
     return [CrownKey(name, 1, *key, dead_branches=True) for name, key in zip(THREE, keys, strict=True)]
 

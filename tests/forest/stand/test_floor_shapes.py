@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
-from forest.kit import areas_m2, corners
+from forest.kit import areas_m2, corners, section_m2
 from scipy.spatial import ConvexHull
-from trimesh.intersections import mesh_plane
 
 from vlp16emu.forest.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind, floor_meshes
 
@@ -48,11 +47,7 @@ def test_a_log_has_unit_length_and_mean_diameter():
     for key in of_kind(FloorKind.LOG):
         body = solid(key)
         assert body.bounds[:, 0] == pytest.approx([-0.5, 0.5], abs=0.03), key
-        areas = []
-        for x in (-0.3, 0.001, 0.3):
-            cut = mesh_plane(body, plane_normal=[1, 0, 0], plane_origin=[x, 0, 0])
-            a, b = np.moveaxis(cut[..., 1:] - cut[..., 1:].mean(axis=(0, 1)), 1, 0)
-            areas.append(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2)
+        areas = [section_m2(body, [1, 0, 0], [x, 0, 0]) for x in (-0.3, 0.001, 0.3)]
         assert areas[1] == pytest.approx(np.pi / 4, rel=0.01), key
         assert areas[0] > areas[1] > areas[2], key
         middle = [body.vertices[np.abs(body.vertices[:, 0] - x) < 0.05, 1].mean() for x in (-0.5, 0, 0.5)]

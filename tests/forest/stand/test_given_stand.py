@@ -31,17 +31,14 @@ def test_a_list_is_read_as_it_stands(tmp_path):
     trees, table = read(tmp_path), species_table()
     moved = read(tmp_path, origin_m=(1.0, 2.0, 300.0))
     assert (moved["x_m"].tolist(), moved["y_m"].tolist()) == ([0.5, -4, 9], [0.5, 2, -9.25])
-    assert trees["x_m"].tolist() == [1.5, -3, 10]
-    assert trees["y_m"].tolist() == [2.5, 4, -7.25]
+    columns = ["x_m", "y_m", "height_m", "lean_deg", "lean_towards_deg", "list_line"]
+    rows = [(1.5, 2.5, 25, 2, 0, 2), (-3, 4, 21, 0, 0, 3), (10, -7.25, 28, 0, 90, 4)]  # azimuth 90 is east
+    assert trees[columns].tolist() == rows
     names = ["norway_spruce", "silver_birch", "norway_spruce"]
     assert trees["species"].tolist() == [table[name].number for name in names]
     assert trees["dbh_m"] == pytest.approx([0.30, 0.205, 0.40])
-    assert trees["height_m"].tolist() == [25, 21, 28]
     assert trees["crown_base_m"][:2].tolist() == [10, 8]
     assert trees["crown_width_m"][:2].tolist() == [4.5, 4]
-    assert trees["lean_deg"].tolist() == [2, 0, 0]
-    assert trees["lean_towards_deg"].tolist() == [0, 0, 90]  # azimuth 90 is east
-    assert trees["list_line"].tolist() == [2, 3, 4]
 
 
 @pytest.mark.parametrize("name", ["Picea abies", "norway spruce", "Norway-Spruce", " NORWAY_SPRUCE "])

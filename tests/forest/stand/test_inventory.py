@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 import trimesh
-from forest.kit import areas_m2, corners, trees_of
+from forest.kit import areas_m2, corners, section_diameter_m, section_m2, solid_of, trees_of
 from scipy.spatial import ConvexHull
 
 from vlp16emu.foliage.polyline import Corridor
@@ -17,7 +17,7 @@ from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
 from vlp16emu.forest.stand.stand import TREE, Stand
 from vlp16emu.types import PlantPart
 
-SEED = 6
+SEED, UP = 6, [0, 0, 1]
 NAMES = ["silver_birch", "norway_spruce", "english_oak", "sugar_maple", "snag"]
 
 
@@ -60,17 +60,9 @@ def solids(trees):
         tree = trees[i : i + 1]
         foot = np.array([tree["x_m"][0], tree["y_m"][0], 2.0])
         meshes = stem_meshes(tree, foot, lambda x, y: 2.0 + 0 * x)
-        corners = np.concatenate([mesh.vertices_m[mesh.faces] for mesh in meshes]).reshape(-1, 3)
-        vertices, faces = np.unique(corners, axis=0, return_inverse=True)
-        upright = vertices @ lean_rotation(tree["lean_deg"], tree["lean_towards_deg"])[0]
-        solids.append(trimesh.Trimesh(upright, faces.reshape(-1, 3), process=False))
+        solids.append(solid_of(meshes))
+        solids[-1].vertices @= lean_rotation(tree["lean_deg"], tree["lean_towards_deg"])[0]
     return solids
-
-
-def cut_m2(solid, above_m):
-    section = trimesh.intersections.mesh_plane(solid, plane_normal=[0, 0, 1], plane_origin=[0, 0, above_m])
-    (ax, ay), (bx, by) = section[:, 0, :2].T, section[:, 1, :2].T
-    return np.abs(ax * by - ay * bx).sum() / 2
 
 
 def test_diameters_and_volumes_are_those_of_the_mesh(rows, solids, trees):
@@ -78,14 +70,12 @@ def test_diameters_and_volumes_are_those_of_the_mesh(rows, solids, trees):
     for row, solid, tree in zip(rows, solids, trees, strict=True):
         assert solid.is_watertight
         buried_m = -solid.vertices[:, 2].min()
-        ground_m2 = cut_m2(solid, -buried_m / 2)
+        ground_m2 = section_m2(solid, UP, [0, 0, -buried_m / 2])
         assert row["stem_m3"] == pytest.approx(solid.volume - buried_m * ground_m2, rel=1e-4)
         slant = 1 / np.cos(np.radians(tree["lean_deg"]))
         for name, above_m in (("dbh_m", 1.3 + 1e-5), ("dbh_us_m", 1.37)):
-            diameter_m = 2 * np.sqrt(cut_m2(solid, above_m * slant) / np.pi)
-            assert row[name] == pytest.approx(diameter_m, abs=1e-4)
-        origin = [0, 0, (1.3 + 1e-5) * slant]
-        outline = trimesh.intersections.mesh_plane(solid, plane_normal=[0, 0, 1], plane_origin=origin)
+            assert row[name] == pytest.approx(section_diameter_m(solid, UP, [0, 0, above_m * slant]), abs=1e-4)
+        outline = trimesh.intersections.mesh_plane(solid, UP, [0, 0, (1.3 + 1e-5) * slant])
         girth_m = np.linalg.norm(outline[:, 1] - outline[:, 0], axis=1).sum()
         assert row["girth_over_pi_m"] == pytest.approx(girth_m / np.pi, abs=1e-4)
 
@@ -99,23 +89,18 @@ def test_crooked_stems_are_measured_on_their_meshes(trees, crowns, rootless):
         tree = crooked[i : i + 1]
         foot_m = np.array([tree["x_m"][0], tree["y_m"][0], 2.0])
         meshes = stem_meshes(tree, foot_m, lambda x, y: 2.0 + 0 * x, table=rootless)
-        solid = trimesh.util.concatenate([trimesh.Trimesh(m.vertices_m, m.faces, process=False) for m in meshes])
-        solid.merge_vertices()
+        solid = solid_of(meshes)
         bottom_m = meshes[0].vertices_m[0]
         depth_m = np.linalg.norm(bottom_m)
-        cut_m = trimesh.intersections.mesh_plane(solid, plane_normal=bottom_m / depth_m, plane_origin=bottom_m / 2)
-        around_m = cut_m - bottom_m / 2
-        buried_m3 = depth_m * np.linalg.norm(np.cross(around_m[:, 0], around_m[:, 1]), axis=1).sum() / 2
+        buried_m3 = depth_m * section_m2(solid, bottom_m / depth_m, bottom_m / 2)
         assert row["stem_m3"] == pytest.approx(solid.volume - buried_m3, rel=1e-3)
         forms = stem_forms(tree)
         low_m, at_m, high_m = (axis_m(tree, forms, np.array([[1.3 + d]]))[0, 0] for d in (-1e-4, 1e-5, 1e-4))
         assert [row["x_breast_m"], row["y_breast_m"]] == pytest.approx(foot_m[:2] + at_m[:2], abs=1e-5)
         normal = (high_m - low_m) / np.linalg.norm(high_m - low_m)
-        cut_m = trimesh.intersections.mesh_plane(solid, plane_normal=normal, plane_origin=at_m) - at_m
-        area_m2 = np.abs(np.cross(cut_m[:, 0], cut_m[:, 1]) @ normal).sum() / 2
-        assert row["dbh_m"] == pytest.approx(2 * np.sqrt(area_m2 / np.pi), abs=1e-4)
-        across = np.linalg.svd(normal[None])[2][1:]
-        hull = ConvexHull(cut_m.reshape(-1, 3) @ across.T)
+        assert row["dbh_m"] == pytest.approx(section_diameter_m(solid, normal, at_m), abs=1e-4)
+        outline = trimesh.intersections.mesh_plane(solid, normal, at_m)
+        hull = ConvexHull(outline.reshape(-1, 3) @ np.linalg.svd(normal[None])[2][1:].T)
         assert row["girth_over_pi_m"] == pytest.approx(hull.area / np.pi, abs=1e-4)
         assert row["girth_over_pi_m"] > row["dbh_m"]
 

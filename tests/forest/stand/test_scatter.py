@@ -5,9 +5,9 @@ from itertools import product
 import numpy as np
 import pytest
 import trimesh
+from forest.kit import section_diameter_m
 from scipy import stats
 from scipy.spatial import KDTree
-from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor, distance_m
@@ -64,10 +64,7 @@ def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
     body = trimesh.Trimesh(stem.vertices_m @ T[:, :3].T + T[:, 3], stem.faces, process=False)
     assert body.is_watertight
     assert body.bounds[1, 2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-5)
-    cut = mesh_plane(body, plane_normal=[0, 0, 1], plane_origin=[0, 0, tree["z_m"] + 1.3])
-    a, b = np.moveaxis(cut[..., :2] - cut[..., :2].mean(axis=(0, 1)), 1, 0)
-    area_m2 = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2
-    assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-5)
+    assert section_diameter_m(body, [0, 0, 1], [0, 0, tree["z_m"] + 1.3]) == pytest.approx(tree["dbh_m"], abs=1e-5)
 
 
 def test_saplings_are_no_symmetric_stars():
@@ -149,7 +146,6 @@ TILES = list(product(range(8), range(8)))
 
 
 def ground(x, y):
-    """Slope with waves."""
     return 0.2 * x + 0.1 * y + 0.1 * np.sin(x / 3)
 
 
@@ -267,20 +263,14 @@ def test_grass_grows_beside_the_path_alone():
     assert len(GRASS.place(plot(1, 4, path=NEAR)).shape) == 0
 
 
-@pytest.mark.parametrize(
-    ("section", "reach_m"),
-    [
-        (settings.Herbs(cover=0.2), 25),
-        (settings.Ferns(cover=0.1), 25),
-        (settings.DwarfShrubs(cover=0.15), 25),
-        (settings.Moss(cover=0.5), 12),
-        (settings.Litter(cover=0.3), 12),
-    ],
-    ids=["herbs", "ferns", "dwarf_shrubs", "moss", "litter"],
-)
-def test_plants_cover_the_share_that_was_asked_for(section, reach_m):
+HIGH = [settings.Herbs(cover=0.2), settings.Ferns(cover=0.1), settings.DwarfShrubs(cover=0.15)]
+LOW = [settings.Moss(cover=0.5), settings.Litter(cover=0.3)]
+
+
+@pytest.mark.parametrize("section", HIGH + LOW, ids=lambda section: type(section).__name__)
+def test_plants_cover_the_share_that_was_asked_for(section):
     """Outlines cover the share of the scene of the ground beside the path, up to their reach, within 10 %; heights are even in their range."""
-    at_m = np.random.default_rng(1).uniform(2, 158, (12_000, 2))
+    at_m, reach_m = np.random.default_rng(1).uniform(2, 158, (12_000, 2)), 12 if section in LOW else 25
     away = distance_m(at_m, NEAR)
     at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
     for seed in range(6, 12):
@@ -394,7 +384,10 @@ def test_labels_say_what_it_is(layer, semantic, parts, species):
 
 
 def test_shares_are_those_that_were_asked_for():
-    """Of some 500 logs the shares with plates, in two pieces and flattened are those of the section, within 3 sigma."""
+    """Of some 500 logs the shares with plates, in two pieces and flattened are those of the section, as those of broken stumps, within 3 sigma.
+
+    Stumps, broken or not, lie where they would if all were sound.
+    """
     found = found_of(log_layer(uprooted=0.3, broken=0.25, decayed=0.4))
     kinds = FloorKind.LOG, FloorKind.BROKEN_LOG, FloorKind.ROOT_PLATE
     whole, pieces, plates = (len(found[kind][0]) for kind in kinds)
@@ -402,6 +395,13 @@ def test_shares_are_those_that_were_asked_for():
     _, wide, high = size_m(found[FloorKind.LOG][0]).T
     for share, expected in ((plates / logs, 0.3), (pieces / 2 / logs, 0.25), ((high < 0.9 * wide).mean(), 0.7 * 0.4)):
         assert share == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / whole))
+    section = {"per_ha": 200.0, "species": ["silver_birch"]}
+    found, felled = (found_of(layer_of(settings.Stumps(**section, broken=share), seed=6)) for share in (0.3, 0.0))
+    sound, broken = (found[kind][0] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
+    n = len(sound) + len(broken)
+    assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
+    rows = {row.tobytes() for row in np.concatenate([sound, broken])}
+    assert rows == {row.tobytes() for row in felled[FloorKind.STUMP][0]}
 
 
 def test_a_root_plate_stands_at_the_butt_of_a_log_whose_top_lies_on_the_ground():
@@ -465,15 +465,3 @@ def test_plates_and_pieces_keep_off_the_path_and_trunks():
     assert len(found[FloorKind.BROKEN_LOG][0]) % 2 == 0
     free = found_of(one)
     assert len(free[FloorKind.ROOT_PLATE][0]) > len(plates)
-
-
-def test_stumps_are_broken_by_share():
-    """Three in ten stumps are jagged, within 3 sigma, and all of them lie where they would without."""
-    section = {"per_ha": 200.0, "species": ["silver_birch"]}
-    found = found_of(layer_of(settings.Stumps(**section, broken=0.3), seed=6))
-    (sound,), (broken,) = ([found[kind][0]] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
-    n = len(sound) + len(broken)
-    assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
-    felled = found_of(layer_of(settings.Stumps(**section, broken=0.0), seed=6))[FloorKind.STUMP][0]
-    rows = {row.tobytes() for row in felled}
-    assert {row.tobytes() for row in np.concatenate([sound, broken])} == rows

@@ -112,7 +112,6 @@ def make_wind(loose):
 
 
 def tree(species):
-    """A tree of the canopy."""
     return trees_of([species], dbh_m=0.24, height_m=21.0, crown_base_m=9.0, crown_width_m=4.0)
 
 

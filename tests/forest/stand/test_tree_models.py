@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from forest.kit import trees_of
+from forest.kit import section_diameter_m, trees_of
 
 from vlp16emu import Emulator
 from vlp16emu.errors import GeometryError
@@ -21,20 +21,10 @@ FOOT_M = [5.0, -3.0]
 
 def prism(points_m, radii_m, sides=24):
     """A tube through points (k, 3) with level sections, closed at both ends."""
-    angle = 2 * np.pi * np.arange(sides) / sides
-    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
-    rings = [np.array(at) + radius * ring for at, radius in zip(points_m, radii_m, strict=True)]
-    ends = [np.array(points_m[0]), np.array(points_m[-1])]
-    vertices = np.concatenate([*rings, ends])
-    own, after, last = np.arange(sides), np.roll(np.arange(sides), -1), len(vertices) - 1
-    faces = [np.column_stack([np.full(sides, last - 1), after, own])]
-    for k in range(len(rings) - 1):
-        low, high = k * sides, (k + 1) * sides
-        faces += [np.column_stack([low + own, low + after, high + after])]
-        faces += [np.column_stack([low + own, high + after, high + own])]
-    top = (len(rings) - 1) * sides
-    faces += [np.column_stack([np.full(sides, last), top + own, top + after])]
-    return vertices, np.concatenate(faces)
+    x, y, z = np.array(points_m).T
+    solid = trimesh.creation.revolve(np.column_stack([[0, *radii_m, 0], [z[0], *z, z[-1]]]), sections=sides)
+    aside_m = np.column_stack([np.interp(solid.vertices[:, 2], z, along) for along in (x, y)])
+    return solid.vertices + np.column_stack([aside_m, np.zeros(len(aside_m))]), solid.faces
 
 
 def write_obj(path, parts, factor=1.0):
@@ -104,13 +94,7 @@ def test_a_trees_dbh_is_that_of_its_mesh(models):
     for tree, transform, meshes in solids(models, some_trees()):
         axis = transform[:, 2] / np.linalg.norm(transform[:, 2])
         at_m = transform[:, 3] + axis * 1.3 / axis[2]
-        lines = trimesh.intersections.mesh_plane(meshes[PlantPart.STEM], axis, at_m)
-        lines -= lines.mean(axis=(0, 1))
-        across = np.linalg.svd(axis[None])[2][1:]
-        a, b = lines[:, 0] @ across.T, lines[:, 1] @ across.T
-        order = np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])  # seen from inside the section each runs one way
-        area_m2 = abs((order * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum()) / 2
-        assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-4)
+        assert section_diameter_m(meshes[PlantPart.STEM], axis, at_m) == pytest.approx(tree["dbh_m"], abs=1e-4)
 
 
 def test_rows_of_the_inventory_are_those_of_the_meshes(models):

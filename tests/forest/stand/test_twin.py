@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 import trimesh
-from forest.kit import feet_m
+from forest.kit import feet_m, section_diameter_m
 
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.species import flora
@@ -15,8 +15,6 @@ from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.forest.stand.twin import cut_out, things_near, write_glb
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
-from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.settings import Hall, HallPole
 
 RADIUS_M = 7.0
 
@@ -72,19 +70,6 @@ def test_sizes_are_those_of_the_thing(things):
         assert spans_m.max() == pytest.approx(log.size_m[0], rel=0.15)
         assert 0.2 <= log.size_m[1] <= 0.5
     assert all(0.1 <= one.size_m[0] <= 1.5 for one in things if one.kind == "stone")
-
-
-def test_a_hall_keeps_its_sizes():
-    """A pole in a hall is told with its place, diameter and height."""
-    pole = HallPole(name="pole", foot_m=(2.0, 1.0, 0.0), diameter_m=0.35, height_m=3.0)
-    hall = HallWorld(Hall(kind="hall", length_m=10, width_m=8, height_m=4, poles=[pole]))
-    track_m = np.array([[0.0, 0.0, 1.0]])
-    where = {"path": Polyline(track_m[:, :2]), "radius_m": np.inf}
-    things = things_near(hall.window(track_m), hall.shape, trees=np.zeros(0, np.uint32), **where)
-    assert [one.kind for one in things] == ["ground", "other"]
-    assert things[1].place_m.tolist() == [2.0, 1.0, 0.0]
-    assert things[1].size_m == pytest.approx((0.35, 0.35, 3.0), abs=1e-4)
-    assert hall.size_m == (10, 8, 4)
 
 
 def test_a_piece_holds_what_is_wanted_and_ground_inside(full_forest, window, trees):
@@ -150,7 +135,6 @@ def glb(full_forest, window, near, things, way):
 
 @pytest.fixture(scope="module")
 def header(glb):
-    """The JSON part of the file."""
     length = struct.unpack_from("<I", glb[0], 12)[0]
     return json.loads(glb[0][20 : 20 + length])
 
@@ -202,25 +186,12 @@ def test_a_stem_of_the_twin_has_its_dbh(scene, near):
     lean, towards = np.radians(tree["lean_deg"]), np.radians(tree["lean_towards_deg"])
     axis = np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
     at = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) + axis * (1.3 + 1e-4) / axis[2]
-    cuts = trimesh.intersections.mesh_plane(mesh, plane_normal=yup(axis), plane_origin=yup(at)) - yup(at)
-    area_m2 = np.linalg.norm(np.cross(cuts[:, 0], cuts[:, 1]), axis=1).sum() / 2  # the stem is round
-    assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-3)
+    assert section_diameter_m(mesh, yup(axis), yup(at)) == pytest.approx(tree["dbh_m"], abs=1e-3)
 
 
 def yup(vector):
     """East, north, up as x, -z, y."""
     return np.array([vector[0], vector[2], -vector[1]])
-
-
-def test_a_whole_tree_stands_where_the_inventory_says(scene, near):
-    """The node of a tree lies at its foot, in axes of glTF with y up, and its leaves reach its height."""
-    for tree in near[:3]:
-        name = f"tree_{tree['id']:06d}/{SPECIES[int(tree['species'])]}"
-        foot_m = np.array([tree["x_m"], tree["y_m"], tree["z_m"]])
-        assert scene.graph[name][0][:3, 3] == pytest.approx(yup(foot_m), abs=1e-6)
-        yup_T_mesh, geometry = scene.graph[f"{name}/leaf"]
-        top_m = trimesh.transform_points(scene.geometry[geometry].vertices, yup_T_mesh)[:, 1].max()
-        assert top_m - foot_m[2] == pytest.approx(tree["height_m"], abs=0.06 * tree["height_m"])
 
 
 def test_materials_are_few_and_seen_from_both_sides(header):

@@ -7,20 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures import PacketClock
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2
 from vlp16emu.extras.truth.truth import given_mount, transform
-from vlp16emu.packets import (
-    DATA_PAYLOAD,
-    JUMP_NS,
-    PacketClock,
-    data_fields,
-    decode_data,
-    decode_position,
-    faults_in,
-    scan_starts,
-)
+from vlp16emu.packets import DATA_PAYLOAD, JUMP_NS, data_fields, decode_data, decode_position, faults_in, scan_starts
 from vlp16emu.types import U1
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vlp16emu.captures import Capture, CaptureReader, Clock, PacketClock, UnitClock, chosen_unit, unit_clocks, units_in
 from vlp16emu.engine import Engine
 from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
@@ -22,18 +23,7 @@ from vlp16emu.extras.slam import Rig, written_beside
 from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
-from vlp16emu.packets import (
-    DATA_BYTES,
-    POSITION_BYTES,
-    Capture,
-    CaptureReader,
-    Clock,
-    PacketClock,
-    UnitClock,
-    chosen_unit,
-    unit_clocks,
-    units_in,
-)
+from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
 from vlp16emu.run.options import BagOptions
 from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.types import Packet, PacketKind, PpsState

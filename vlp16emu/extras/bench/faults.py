@@ -152,9 +152,8 @@ class Wire:
             if fault.unit.number != packet.unit:
                 continue
             hit = fault.befalls(packet, number)
-            if fault.event.kind == "jitter" and packet.kind in kinds_of(
-                fault.event
-            ):  # the first of `_ORDER`: of one packet
+            # The first of `_ORDER`: of one packet.
+            if fault.event.kind == "jitter" and packet.kind in kinds_of(fault.event):
                 key = fault.number, packet.unit, packet.kind
                 due_ns = out[0].due_ns + (fault.jitter_ns(out[0], number) if hit else 0)
                 self._left_ns[key] = max(due_ns, self._left_ns[key])  # it stays behind the one before it

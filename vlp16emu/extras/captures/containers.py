@@ -15,8 +15,8 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, no_capture, pcap_frames, read
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets.capture import EXPECTED, PCAP, Frame, no_capture, pcap_frames, read
 from vlp16emu.units import S_NS, US_NS
 
 _SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.errors import InputError, TrajectoryError, readable
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import twins
@@ -20,7 +21,6 @@ from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
-from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
@@ -152,14 +152,10 @@ def write_deskewed(
                 if stop.is_set():
                     break
             if without_pose and not points:
-                found, (first_s, end_s) = (
-                    "poses from {:.3f} to {:.3f} s".format(*way.span_s),
-                    (start_ns / S_NS, (start_ns + last_ns) / S_NS),
-                )
+                found, ends = "poses from {:.3f} to {:.3f} s".format(*way.span_s), (start_ns, start_ns + last_ns)
+                pulses = "from {:.3f} to {:.3f} s".format(*(t_ns / S_NS for t_ns in ends))
                 by = f"by the {stamped.clock} clock (see --clock and --time-offset)"
-                raise TrajectoryError(
-                    str(way.path), found, f"poses at the pulses, from {first_s:.3f} to {end_s:.3f} s {by}"
-                )
+                raise TrajectoryError(str(way.path), found, f"poses at the pulses, {pulses} {by}")
     return {
         "file": str(path),
         "capture": str(capture),

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.place import place
@@ -19,12 +20,8 @@ from vlp16emu.packets import (
     JUMP_NS,
     RETURN_MODE_BYTE,
     SEQUENCES_PER_BLOCK,
-    CaptureReader,
-    PacketChunk,
     PointFrame,
     Points,
-    chosen_unit,
-    packet_clock,
     scan_starts,
 )
 from vlp16emu.types import F4, F8, I8, SURFACE, Labels, ReturnMode, Returns, Scan

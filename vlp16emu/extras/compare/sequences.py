@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures.capture import Capture
 from vlp16emu.errors import CaptureError
 from vlp16emu.packets import layout
-from vlp16emu.packets.capture import Capture, CapturedUnit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import I8, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
@@ -51,14 +51,14 @@ class Sequences:
         return float(turned / (self.block[-1] * layout.BLOCK_PERIOD_NS / S_NS) * 60)
 
 
-def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
+def read_sequences(path: Path) -> Sequences:
     """Read a minute of a capture at most, whatever the product byte.
 
     Raises CaptureError if it is no capture, holds less than a revolution or two return modes, or its rotor has no
     speed of a VLP-16.
     """
     with Capture(path) as capture:
-        own = (one for one in capture if len(one.payload) == layout.DATA_BYTES and (unit is None or unit.owns(one)))
+        own = (one for one in capture if len(one.payload) == layout.DATA_BYTES)
         packets = list(islice(own, _MOST_PACKETS))
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")

@@ -22,10 +22,8 @@ _Q = np.eye(_PULSES) - _POWERS @ np.linalg.pinv(_POWERS)  # (15, 15) removes the
 _FREE = _PULSES - 4
 _SLOTS = 5
 _MIDDLE_LEVEL = 20.0
-_LEAST, _LEAST_STRETCHES = (
-    500,
-    30,
-)  # pairs of neighbours or codes of a laser, and stretches, from which on a statistic is worth its name
+_LEAST, _LEAST_STRETCHES = 500, 30
+"""Pairs of neighbours or codes of a laser, and stretches, from which on a statistic is worth its name."""
 _MOST_COUNTS = 15
 _COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
 """Codes, edges of the range classes from half a metre to 40 m, and the least number of codes in a class."""

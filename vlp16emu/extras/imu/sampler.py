@@ -66,20 +66,10 @@ class ImuSampler:
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
         force = matvec(truth.world_R_body.swapaxes(1, 2), up)
         e, w = self._imu, truth.body_w_rad_s
-        gyro = (
-            e.gyro_bias_rad_s,
-            e.gyro_noise_rad_s_sqrt_hz,
-            e.gyro_walk_rad_s2_sqrt_hz,
-            _GYRO_WARM_UP_RAD_S * e.is_rough,
-        )
-        accel = (
-            e.accel_bias_m_s2,
-            e.accel_noise_m_s2_sqrt_hz,
-            e.accel_walk_m_s3_sqrt_hz,
-            _ACCEL_WARM_UP_M_S2 * e.is_rough,
-        )
-        w_errors, w_bias = self._errors_of(gyro, first, count, 0)
-        force_errors, force_bias = self._errors_of(accel, first, count, 3)
+        gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz
+        accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
+        w_errors, w_bias = self._errors_of((*gyro, _GYRO_WARM_UP_RAD_S * e.is_rough), first, count, 0)
+        force_errors, force_bias = self._errors_of((*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3)
         attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
         seen_w, seen_force = map(matvec, self._responses, (w, force)) if e.is_rough else (w, force)
         late_ns = self.late_ns(first, count)

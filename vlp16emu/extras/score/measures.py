@@ -9,7 +9,7 @@ from vlp16emu.extras.score.files import Stem
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.types import F8, I8
 
-_DISKS = 9000  # disks of PU-Net (Yu et al., CVPR 2018, section 4.2)
+_DISKS, _SHARE, _SEED = 9000, 0.01, 1  # disks of PU-Net, the share of the area of each, and what places them
 _COCO = tuple(np.arange(50, 100, 5) / 100)
 """Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
 
@@ -45,24 +45,24 @@ def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     return float(inside.sum() / (math.pi * radius_m**2))
 
 
-def uniformity(xy_m: F8, centre_m: F8, radius_m: float, *, share: float = 0.01, seed: int = 1) -> float:
+def uniformity(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
-    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the `share` p of the area, there
-    0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on the surfaces of objects,
-    these lie in the plan, wholly within the circle. NaN without points in the circle.
+    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the area,
+    `_SHARE`, there 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on
+    the surfaces of objects, these lie in the plan, wholly within the circle. NaN without points in the circle.
     """
     from scipy.spatial import KDTree
 
     inside = xy_m[((xy_m - centre_m) ** 2).sum(axis=1) <= radius_m**2]
     if not len(inside):
         return math.nan
-    disk_m = radius_m * math.sqrt(share)
-    turn = 2 * np.pi * uniform(seed, Purpose.SCORE_DISK, 0, _DISKS, 1)
-    away_m = (radius_m - disk_m) * np.sqrt(uniform(seed, Purpose.SCORE_DISK, 0, _DISKS, 0))
+    disk_m = radius_m * math.sqrt(_SHARE)
+    turn = 2 * np.pi * uniform(_SEED, Purpose.SCORE_DISK, 0, _DISKS, 1)
+    away_m = (radius_m - disk_m) * np.sqrt(uniform(_SEED, Purpose.SCORE_DISK, 0, _DISKS, 0))
     disks = centre_m + away_m[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
     counts = KDTree(inside).query_ball_point(disks, disk_m, return_length=True)
-    return float(np.std(counts / (len(inside) * share)))
+    return float(np.std(counts / (len(inside) * _SHARE)))
 
 
 def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) -> list[tuple[int, int]]:

@@ -39,14 +39,10 @@ STEM_SEEN = np.dtype(
 )  # coverage of a stem by returns
 
 _SECTORS = 36  # cells around a stem
-
 _LOW_M, _CELL_M = 0.3, 0.5  # beginning of the cells above the foot, and their height
-
 _BREAST_M = (1.1, 1.5)
-
 _ASIDE_M = 0.5
 """A return is from the stem itself, and of this world, if it is nearer to the axis than this plus a diameter."""
-
 _COLUMNS = ["world_x_m", "world_y_m", "world_z_m", "semantic", "part", "instance"]
 
 
@@ -264,10 +260,8 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
     ground_ha, rows = ground_m2 / 10_000, list[dict[str, Any]]()
     for name, trees in own if len(own) < 2 else [*own, ("all", inventory)]:
         dbh_m = trees["dbh_m"]
-        row = {
-            "stems_per_ha": len(trees) / ground_ha,
-            "dbh_mean_cm": 100 * np.sqrt(np.mean(dbh_m**2)),
-        }  # quadratic mean
+        # The mean of diameters is quadratic.
+        row = {"stems_per_ha": len(trees) / ground_ha, "dbh_mean_cm": 100 * np.sqrt(np.mean(dbh_m**2))}
         row |= {"dbh_min_cm": 100 * dbh_m.min(), "dbh_max_cm": 100 * dbh_m.max()}
         row |= {"height_mean_m": trees["height_m"].mean(), "height_max_m": trees["height_m"].max()}
         row["basal_area_m2_per_ha"] = np.sum(np.pi / 4 * dbh_m**2) / ground_ha

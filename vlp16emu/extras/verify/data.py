@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures.capture import Datagram
 from vlp16emu.extras.verify.frames import (
     HOUR_US,
     JITTER_US,
@@ -26,7 +27,6 @@ from vlp16emu.extras.verify.frames import (
     wrap_hour_us,
 )
 from vlp16emu.packets import layout
-from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
 from vlp16emu.packets.layout import POSITION_PAYLOAD
 from vlp16emu.types import F8, I8, PpsState, ReturnMode

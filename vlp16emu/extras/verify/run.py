@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram, chosen_unit
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.verify.data import DataChunk, DataRules, PositionRules
 from vlp16emu.extras.verify.frames import (
@@ -18,7 +19,6 @@ from vlp16emu.extras.verify.frames import (
     check_frames,
     kind_of,
 )
-from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram, chosen_unit
 from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import LabelsOf, scans_in
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.verify import Rule, verify_units
 from vlp16emu.forest.plants.species import flora
-from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8, Labels, Scan

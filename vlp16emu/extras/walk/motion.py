@@ -14,7 +14,7 @@ from vlp16emu.extras.walk.settings import Gait, Mast, Walk
 from vlp16emu.extras.walk.way_points import around, way_points
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion import Gps
-from vlp16emu.motion.pose import Kinematics, body_rate, fill_rotation, rotate
+from vlp16emu.motion.pose import Kinematics, fill_rotation, rotate
 from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
@@ -241,4 +241,25 @@ def _kinematics(
         q[2] *= per_s * per_s
         world_p_body_m[i], v_m_s[i], a_m_s2[i] = q[0, :3], q[1, :3], q[2, :3]
         rotate(q[0, 5], q[0, 4], q[0, 3], world_R_body[i])
-        body_rate(q[0, 3:], q[1, 3:], q[2, 3:], w_rad_s[i], alpha_rad_s2[i])
+        _body_rate(q[0, 3:], q[1, 3:], q[2, 3:], w_rad_s[i], alpha_rad_s2[i])
+
+
+@numba.njit(cache=True, nogil=True)
+def _body_rate(
+    angle_rad: Array, rate_rad_s: Array, acceleration_rad_s2: Array, w_rad_s: Array, alpha_rad_s2: Array
+) -> None:
+    """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw (3,) and their derivatives.
+
+    Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section 5.
+    """
+    cr, sr = cos_sin(angle_rad[0])
+    cp, sp = cos_sin(angle_rad[1])
+    roll, pitch, yaw = rate_rad_s
+    roll2, pitch2, yaw2 = acceleration_rad_s2
+    w_rad_s[0] = roll - sp * yaw
+    w_rad_s[1] = cr * pitch + sr * cp * yaw
+    w_rad_s[2] = -sr * pitch + cr * cp * yaw
+    alpha_rad_s2[0] = roll2 - sp * yaw2 - cp * pitch * yaw
+    across = cp * yaw2 - sp * pitch * yaw
+    alpha_rad_s2[1] = cr * pitch2 + sr * across + roll * w_rad_s[2]
+    alpha_rad_s2[2] = -sr * pitch2 + cr * across - roll * w_rad_s[1]

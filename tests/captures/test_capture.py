@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vlp16emu.captures import units_in
+from vlp16emu.captures.capture import Capture, is_capture_name
 from vlp16emu.errors import CaptureError
-from vlp16emu.packets import units_in
-from vlp16emu.packets.capture import Capture, is_capture_name
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 
 CAPTURE = Path(__file__).parents[2] / ".." / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
@@ -243,28 +243,27 @@ def test_datagram_tells_its_header_fields(tmp_path):
     assert (position.header, position.ip, position.mac) == (POSITION[:42], POSITION[14:34], POSITION[6:12])
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        pytest.param(b"", id="nothing"),
-        pytest.param(DATA[:13], id="less than an Ethernet header"),
-        pytest.param(DATA[:12] + b"\x08\x06" + bytes(28), id="ARP"),
-        pytest.param(DATA[:12] + b"\x86\xdd\x60" + bytes(60), id="IPv6 without UDP"),
-        pytest.param(DATA[:30], id="half an IP header"),
-        pytest.param(DATA[:40], id="half a UDP header"),
-        pytest.param(DATA[:14] + b"\x44" + DATA[15:], id="IP header shorter than allowed"),
-        pytest.param(DATA[:23] + b"\x06" + DATA[24:], id="TCP"),
-        pytest.param(DATA[:20] + b"\x00\x10" + DATA[22:], id="later fragment"),
-        pytest.param(DATA[:12] + bytes.fromhex("81000005"), id="VLAN tag at the end"),
-        pytest.param(DATA[:12] + b"\x88\x47", id="MPLS at the end"),
-        pytest.param(DATA[:12] + b"\x86\xdd" + IP6[:6] + b"\0" + IP6[7:], id="IPv6 extension at the end"),
-    ],
-)
-def test_other_frames_are_counted_and_passed_over(tmp_path, other):
-    """A frame that is no UDP over IP keeps its number, so the next one is number 2."""
-    datagrams, capture = read(tmp_path, pcap(other, DATA))
-    assert [d.number for d in datagrams] == [2]
-    assert capture.frames == 2
+NO_UDP = {
+    "nothing": b"",
+    "less than an Ethernet header": DATA[:13],
+    "ARP": DATA[:12] + b"\x08\x06" + bytes(28),
+    "IPv6 without UDP": DATA[:12] + b"\x86\xdd\x60" + bytes(60),
+    "half an IP header": DATA[:30],
+    "half a UDP header": DATA[:40],
+    "IP header shorter than allowed": DATA[:14] + b"\x44" + DATA[15:],
+    "TCP": DATA[:23] + b"\x06" + DATA[24:],
+    "later fragment": DATA[:20] + b"\x00\x10" + DATA[22:],
+    "VLAN tag at the end": DATA[:12] + bytes.fromhex("81000005"),
+    "MPLS at the end": DATA[:12] + b"\x88\x47",
+    "IPv6 extension at the end": DATA[:12] + b"\x86\xdd" + IP6[:6] + b"\0" + IP6[7:],
+}
+
+
+def test_other_frames_are_counted_and_passed_over(tmp_path):
+    """Frames that are no UDP over IP keep their numbers, so the next one has the number after theirs."""
+    datagrams, capture = read(tmp_path, pcap(*NO_UDP.values(), DATA))
+    assert [d.number for d in datagrams] == [len(NO_UDP) + 1]
+    assert capture.frames == len(NO_UDP) + 1
 
 
 @pytest.mark.parametrize("cut", [1, 1247, 1248, 1250, 1263])

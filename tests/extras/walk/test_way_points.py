@@ -37,7 +37,6 @@ PLOT = {
 
 
 def in_plot(point_m):
-    """Along and across the plot."""
     c, s = np.cos(np.radians(30.0)), np.sin(np.radians(30.0))
     x, y = (point_m[:, :2] - PLOT["corner_m"]).T
     return c * x + s * y, c * y - s * x
@@ -45,7 +44,6 @@ def in_plot(point_m):
 
 @pytest.fixture(scope="module")
 def mown():
-    """A path over level ground."""
     return Path(lawn_mower(LawnMower(**PLOT)), lambda x, _y: 0.0 * x)
 
 
@@ -60,13 +58,9 @@ def test_lines_cover_the_plot_and_stay_in_it(mown):
         assert np.ptp(along[on_it]) > 27.9
 
 
-def test_length_is_that_of_lines_and_arcs(mown):
-    """Quarter circles cut ten corners off six lines and five links."""
+def test_length_is_that_of_lines_and_arcs_of_the_radius(mown):
+    """Quarter circles cut ten corners off six lines and five links; nowhere does the path turn tighter than 0.8 times the radius."""
     assert mown.length_m == pytest.approx(6 * 30 + 5 * 5 - 10 * (2 - np.pi / 2), rel=1e-4)
-
-
-def test_turns_have_their_radius(mown):
-    """Nowhere does the path turn tighter than 0.8 times the radius."""
     _, heading_rad = mown.derivatives_at(np.linspace(0.0, mown.length_m, 40_001))
     assert np.abs(heading_rad[:, 1]).max() < 1.25
 

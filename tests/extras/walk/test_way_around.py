@@ -14,7 +14,6 @@ def way(*xy_m):
 
 
 def gaps_m(points, places_m):
-    """Distances of places from the curve through waypoints."""
     return distance_m(np.asarray(places_m, float), Path(points.xy_m, lambda x, y: 0 * x).xy_m)
 
 

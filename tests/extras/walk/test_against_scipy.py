@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from motion.kit import straps
+from extras.walk.kit import straps
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline

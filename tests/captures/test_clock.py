@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vlp16emu.captures import Clock, PacketClock, UnitClock, unit_clocks
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.bag.write import _check_stamps
-from vlp16emu.packets import Clock, PacketClock, UnitClock, pack_position, rmc, scan_starts, unit_clocks
+from vlp16emu.packets import pack_position, rmc, scan_starts
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState

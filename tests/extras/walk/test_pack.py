@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from motion.kit import gait, straps
+from extras.walk.kit import gait, straps
 from scipy import stats
 from scipy.linalg import expm
 
@@ -28,20 +28,6 @@ def sines(first, count):
     return 0.02 * (x**3 * (10 - 15 * x + 6 * x * x))[:, None] * np.sin(2 * np.pi * t[:, None] * rates)
 
 
-def test_trunk_is_the_spline_through_its_samples():
-    """A quintic is reproduced to rounding with its derivatives, and a sine of 1.8 Hz to a nanometre."""
-    quintic = np.polynomial.Polynomial([0.1, -2.0, 3.0, 1.0, -4.0, 2.0])
-
-    def sample(first, count):
-        t = np.arange(first, first + count) / KNOTS_PER_S
-        return np.stack([quintic(t), 0.02 * np.sin(2 * np.pi * 1.8 * t)] + [t] * 4, -1)
-
-    nodes = Pack(sample, None).nodes(0)
-    for d in range(3):
-        np.testing.assert_allclose(nodes[:, 0, d], quintic.deriv(d)(NODES_S) if d else quintic(NODES_S), atol=1e-9)
-    np.testing.assert_allclose(nodes[:, 1, 0], 0.02 * np.sin(2 * np.pi * 1.8 * NODES_S), atol=1e-9)
-
-
 def test_step_is_the_matrix_exponential():
     """The map from state and forcing over a step is that of the exponential of the whole system."""
     dampings = 0.0, 0.05, 0.999999, 1.0, 1.000001, 1.4, 1.6, 10.0
@@ -55,20 +41,6 @@ def test_step_is_the_matrix_exponential():
         scale = np.array([1.0, w])[:, None] / np.array([1.0, w, w * w, w * w, w * w, w * w])
         error = (response(hz, damping, s) - expm(system * s)[:2]) / scale
         assert np.abs(error).max() < 1e-9, (hz, damping)
-
-
-def test_stiff_straps_are_no_straps():
-    """At 1 GHz the pack is where the trunk is, within 1e-9 in displacement, velocity and acceleration."""
-    rigid, stiff = Pack(sines, None).nodes(2), Pack(sines, straps(1e9, 0.5)).nodes(2)
-    np.testing.assert_allclose(stiff, rigid, atol=1e-9)
-
-
-def test_random_access_gives_the_same_bits():
-    """A late second asked for first equals the one reached second by second."""
-    steady, jumper = (Pack(sines, straps(1.5, 0.2)) for _ in range(2))
-    walked = [steady.nodes(second) for second in range(40)]
-    assert (jumper.nodes(39) == walked[39]).all()
-    assert (jumper.nodes(7) == walked[7]).all()
 
 
 @pytest.mark.parametrize(("hz", "damping", "found"), [(2.0, 0.0, "for ever"), (1.0, 1e-3, "6230 s")])

@@ -88,15 +88,6 @@ def test_derivatives_are_those_of_the_same_curve(origin_m):
             )
 
 
-def test_the_tangent_has_unit_length():
-    """Along hills and hairpins the speed of the parameter is 1 within 0.02 %."""
-    hairpin_m = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 0.3], [0.0, 0.3]])
-    for way_points_m in (WAY_POINTS_M, hairpin_m):
-        path = Path(way_points_m, hilly)
-        point_m, _ = path.derivatives_at(np.linspace(0.0, path.length_m, 20_000))
-        np.testing.assert_allclose(np.linalg.norm(point_m[:, 1], axis=1), 1.0, atol=2e-4)
-
-
 def test_a_loop_closes_without_a_seam():
     """Where the last waypoint is the first, point, heading and derivatives go on over the seam, lap after lap."""
     path = Path(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0], [0.0, 0.0]]), hilly)

@@ -15,10 +15,10 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.captures.capture import Capture, CapturedUnit, Datagram
 from vlp16emu.elementary import matvec
 from vlp16emu.errors import CaptureError, InputError, PacketError
 from vlp16emu.packets import layout
-from vlp16emu.packets.capture import Capture, CapturedUnit, Datagram
 from vlp16emu.packets.decode import (
     SENSOR_R_MANUAL,
     PointFrame,

@@ -1,0 +1,289 @@
+"""Tables of the scene file: the sensor, its rig, the finish and the files of the user's things, where a person goes, and presets."""
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from vlp16emu.errors import ScenarioError
+from vlp16emu.extras.imu.settings import Imu
+from vlp16emu.extras.meshes.settings import MeshPart
+from vlp16emu.extras.walk import Gait
+from vlp16emu.forest.settings import Forest, Terrain
+from vlp16emu.motion import Mount
+from vlp16emu.scenario import load
+from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.world.settings import HallBox
+
+FREE = "sensor.model=free"
+
+
+def sensor(*settings):
+    return load("static_bench", settings).sensor
+
+
+def test_beams_are_spread_evenly_over_the_field_of_view():
+    """Beams make equal steps from the lowest up, a single one looks at the middle, a list keeps its order; without a model it is a VLP-16."""
+    free = sensor(FREE, "sensor.beams=64", "sensor.vertical_fov_deg=[-25, 15]")
+    np.testing.assert_allclose(free.beam_elevations_deg, np.linspace(-25, 15, 64), atol=1e-12)
+    assert sensor(FREE, "sensor.beams=1", "sensor.vertical_fov_deg=[-10, 4]").beam_elevations_deg == (-3.0,)
+    assert sensor(FREE, "sensor.elevations_deg=[3, -20.5, 0]").beam_elevations_deg == (3.0, -20.5, 0.0)
+    assert sensor("sensor.rpm=300").model == "vlp-16"
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ([FREE, "sensor.position_rate=manual"], '--set sensor.position_rate=manual: unknown key; expected sensor.model = "puck-hi-res", "puck-lite" or "vlp-16" '),
+        (["sensor.model=vlp-32c"], '--set sensor.model=vlp-32c: found "vlp-32c"; expected "free", "puck-hi-res", "puck-lite" or "vlp-16"'),
+        ([FREE, "sensor.rpm=3601"], "--set sensor.rpm=3601: found 3601; expected a whole number from 60 to 3600"),
+        ([FREE, "sensor.azimuth_resolution_deg=0.01"], "--set sensor.azimuth_resolution_deg=0.01: found 0.01; expected a number from 0.05 to 2"),
+        ([FREE, "sensor.beams=0"], "--set sensor.beams=0: found 0; expected a whole number from 1 to 1024"),
+        ([FREE, "sensor.elevations_deg=[1, 2]", "sensor.beams=2"], "--set sensor.beams=2: found 2; expected nothing, as elevations_deg names every beam"),
+        ([FREE, "sensor.vertical_fov_deg=[15, -15]"], "--set sensor.vertical_fov_deg=[15, -15]: found a list of 2; expected the lower elevation first"),
+        ([FREE, "sensor.elevations_deg=[0, 90]"], "--set sensor.elevations_deg=[0, 90]: sensor.elevations_deg[1]: found 90; expected a number above -90"),
+        (["noise.elevation_error_deg=2"], "--set noise.elevation_error_deg=2: found 2; expected a number from 0 to 1"),
+    ],
+)  # fmt: skip
+def test_a_bad_sensor_is_reported_in_one_line(settings, line):
+    """What does not belong to the sensor at hand is refused with what would have."""
+    with pytest.raises(ScenarioError) as caught:
+        sensor(*settings)
+    assert str(caught.value).startswith(line)
+
+
+def test_only_known_sensors_are_on_the_wire():
+    """A sensor with packets is handed on, a free one refused."""
+    assert on_the_wire(sensor("sensor.model=puck-hi-res")).model == "puck-hi-res"
+    with pytest.raises(ScenarioError, match=r'^sensor\.model: found "free", which has no packets; expected'):
+        on_the_wire(sensor(FREE))
+
+
+def rig(*tables, sensor=(), more=()):
+    """Units of a scene beside the first."""
+    first = [f"sensor.{setting}" for setting in sensor]
+    return load("static_bench", [*first, f"rig=[{', '.join(tables)}]", *more]).rig
+
+
+def test_a_unit_is_like_the_first_unless_it_says_otherwise():
+    """Speed, mode and ranges are those of `[sensor]`; what the unit gives itself wins."""
+    like, other = rig(
+        "{}", "{rpm=1200, max_range_m=50.0}", sensor=["rpm=300", "return_mode='dual'", "max_range_m=80.0"]
+    )
+    assert (like.rpm, like.return_mode, like.max_range_m) == (300, "dual", 80.0)
+    assert (other.rpm, other.return_mode, other.max_range_m) == (1200, "dual", 50.0)
+
+
+def test_a_preset_of_its_own_takes_the_place_of_the_firsts():
+    """Beside a unit with the errors of a real rotor another one turns evenly, and a third has what it gives itself."""
+    like, even, own = rig(
+        "{}", '{preset="steady"}', '{preset="unit", hum_deg=0.01}', sensor=["preset='unit'", "rpm=300"]
+    )
+    assert like.hum_deg > 0
+    assert like.speed_error_rpm > 0
+    assert (even.hum_deg, even.speed_error_rpm, even.rpm) == (0.0, 0.0, 300)
+    assert (own.hum_deg, own.speed_error_rpm) == (0.01, like.speed_error_rpm)
+
+
+def test_what_no_two_have_in_common_is_not_taken_over():
+    """Name, address, ports and serial number count on from those of `[sensor]`; a unit with a start azimuth does not lock its phase."""
+    _, third = rig("{}", "{}", sensor=["address='10.1.0.5'", "data_port=3000", "serial_number='0041'"])
+    assert (third.name, third.address, third.serial_number) == ("unit_3", "10.1.0.7", "0043")
+    assert (third.data_port, third.position_port) == (3002, 8310)
+    (unit,) = rig("{start_azimuth_deg=10.0}", sensor=["phase_lock_deg=0.0"], more=["gps.connected=true"])
+    assert (unit.phase_lock_deg, unit.start_azimuth_deg) == (None, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("{rmp=600}", "rig[0].rmp: unknown key"),
+        ("{model='free'}", "rig[0].model: found"),
+        ("{name='unit_1'}", "name of its own for each unit"),
+        ("{address='192.168.1.201'}", "address of its own for each unit"),
+        ("{mount={pitch_deg=500}}", "rig[0].mount.pitch_deg: found 500"),
+        ("{phase_lock_deg=0.0}", "without the pulse of gps.connected = true"),
+        ("3", "rig[0]: found 3"),
+    ],
+)
+def test_what_cannot_be_is_reported_in_one_line(table, message):
+    """A wrong unit is named by its key path, with what was expected."""
+    with pytest.raises(ScenarioError) as caught:
+        rig(table)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_rigs_that_cannot_be_are_refused():
+    """Ports that count on into each other are refused, as one port for both is; a free sensor cannot be the first of several."""
+    with pytest.raises(ScenarioError, match="expected a data_port that is no unit's position_port"):
+        rig("{}", sensor=["data_port=3000", "position_port=3001"])
+    rig("{}", sensor=["data_port=3000", "position_port=3002"])
+    with pytest.raises(ScenarioError, match="none beside"):
+        load("static_bench", ["sensor.model=free", "sensor.beams=8", "rig=[{}]"])
+
+
+def box(finish):
+    table = f"{{ name = 'sign', centre_m = [8.0, 0.0, 1.5], size_m = [0.1, 1.0, 1.0]{finish and f', {finish}'} }}"
+    return load("static_bench", [f"world.boxes=[{table}]"]).world.boxes[0]
+
+
+@pytest.mark.parametrize(
+    ("finish", "brightness"),
+    [("", 0.5), ("reflectance = 0.3", 0.3), ("retroreflection_cd_lx_m2 = 250.0", 250 * math.pi)],
+)
+def test_brightness_is_that_of_a_white_wall(finish, brightness):
+    """A diffuse thing has its reflectance, a reflector pi times its coefficient, for a white Lambertian wall has 1 / pi."""
+    assert box(finish).brightness == brightness
+
+
+@pytest.mark.parametrize(
+    ("finish", "words"),
+    [
+        ("reflectance = 0.3, retroreflection_cd_lx_m2 = 70.0", r"boxes\[0\]: .* not both"),
+        ("reflectance = 30.0", r"boxes\[0\].reflectance: found 30.0; expected a number from 0 to 1$"),
+        ("retroreflection_cd_lx_m2 = 0.5", r"_m2: found 0.5; expected a number from 1 to 1000$"),
+    ],
+)
+def test_a_finish_that_cannot_be_is_refused(finish, words):
+    """Percent are no reflectance, what does not outshine a white wall is no reflector, and one finish is enough."""
+    with pytest.raises(ScenarioError, match=words):
+        box(finish)
+
+
+def test_a_part_that_tells_nothing_takes_the_finish_of_the_whole():
+    """Parts of a mesh have no brightness of their own unless the file has one."""
+    assert MeshPart(name="stem").brightness is None
+    assert MeshPart(name="tag", retroreflection_cd_lx_m2=100.0).brightness == 100 * math.pi
+
+
+@pytest.mark.parametrize("finish", ["reflectance = 0.3", "retroreflection_cd_lx_m2 = 250.0"])
+def test_a_finish_can_be_written_and_read_again(finish):
+    """What a scenario writes about a thing is read as the same thing."""
+    own = box(finish)
+    assert HallBox.model_validate(own.model_dump()).brightness == own.brightness
+
+
+MOWER = "lawn_mower = { length_m = 30, width_m = 20 }"
+POINTS = "way_points_m = [[0, 0], [9, 1]]"
+EITHER = "exactly one of way_points_m, way_points_file and lawn_mower in it"
+KITTI = 'kind = "recorded"\nfile = "p"\nformat = "kitti"'
+TIMES = "exactly one of times_file and rate_hz with format kitti, and neither with others"
+SCENE = """\
+schema = 1
+title = "A plot"
+[motion]
+kind = "static"
+[world]
+kind = "plot"
+stem_list = "lists/plot.csv"
+dem = { file = "/srv/ground.npy", cell_m = 2, corner_m = [0, 0] }
+[[world.meshes]]
+file = "hut.obj"
+unit = "m"
+up = "z"
+parts = [{ name = "roof", reflectance = 0.2 }]
+places = [{ x_m = 1, y_m = 2 }]
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    def write(old="", new=""):
+        assert old in SCENE
+        path = tmp_path / "scene.toml"
+        path.write_text(SCENE.replace(old, new, 1) if old else SCENE)
+        return str(path)
+
+    return write
+
+
+def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
+    """A relative path is from the folder of the scene, in a setting from the current one; an absolute one stays as it is."""
+    world = load(scene()).world
+    assert (world.stem_list, world.dem.file) == (str(tmp_path / "lists/plot.csv"), "/srv/ground.npy")
+    monkeypatch.chdir("/")
+    assert load(scene(), ["world.stem_list=other.csv"]).world.stem_list == "/other.csv"
+    mesh = "{ file = 'a.obj', unit = 'm', up = 'z', places = [{ x_m = 1, y_m = 2 }] }"
+    assert load(scene(), [f"world.meshes=[{mesh}]"]).world.meshes[0].file == "/a.obj"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('unit = "m"\n', "", 'world.meshes[0].unit: missing; expected "m", "cm", "mm", "in" or "ft"'),
+        ('up = "z"', 'up = "x"', 'world.meshes[0].up: found "x"; expected "z" or "y"'),
+        ("places = [{ x_m = 1, y_m = 2 }]", "places = []", "world.meshes[0].places: found a list of 0; expected a list of at least 1"),
+        ("y_m = 2", "y_m = 2, z_m = true", "world.meshes[0].places[0].z_m: found true; expected a number"),
+        ("cell_m = 2", 'cell_m = "2"', 'world.dem.cell_m: found "2"; expected a number above 0'),
+        ("corner_m = [0, 0]", "corner_m = [0]", "world.dem.corner_m[1]: missing; expected a number"),
+        ('"lists/plot.csv"', '""', 'world.stem_list: found ""; expected a text in quotes'),
+        ("[world]", "[world]\nstems_per_ha = 600", "world.stems_per_ha: unknown key"),
+        *(('kind = "static"', motion, f"motion{message}") for motion, message in [
+            ('kind = "walk"', f": found a table; expected {EITHER}"),
+            (f'kind = "walk"\n{POINTS}\n{MOWER}', f": found a table; expected {EITHER}"),
+            (f'kind = "walk"\n{POINTS}\nspeed_m_s = 1.0\nrun_time_s = 9.0', ": found a table; expected one of speed_m_s and run_time_s in it, not both"),
+            (f'kind = "walk"\n{POINTS}\nstops = [{{ pause_s = 3 }}]', ".stops[0]: found a table; expected exactly one of way_point and at_m in it"),
+            (f'kind = "walk"\n{MOWER}\nstops = [{{ way_point = 2, pause_s = 3 }}]', ": found a table; expected stops given by at_m where lawn_mower makes the waypoints"),
+            (KITTI, f": found a table; expected {TIMES}"),
+            ('kind = "recorded"\nfile = "p"\nformat = "tum"\nrate_hz = 10', f": found a table; expected {TIMES}"),
+            *((f"{KITTI}\nrate_hz = {hz}", f".rate_hz: found {hz}; expected a number from 0.001 to 1000000") for hz in ("1e-300", "1e+300")),
+        ]),
+    ],
+)  # fmt: skip
+def test_a_wrong_key_is_named(scene, old, new, message):
+    """What is wrong, missing or given twice is reported by its key path, also in a section that may be left out."""
+    with pytest.raises(ScenarioError) as caught:
+        load(scene(old, new))
+    assert f": {message}" in str(caught.value)
+
+
+AMPLITUDES = set(Gait.model_fields) - {"preset", "step_hz", "variation"}
+
+
+@pytest.mark.parametrize(
+    ("section", "word"), [(Gait, {"preset": "natural"}), (Imu, {"preset": "ideal"}), (Terrain, {"relief": "rolling"})]
+)
+def test_a_table_without_keys_is_its_default_preset(section, word):
+    """What the default preset gives are the defaults; a preset that does not exist, or is no word, is an error of its key."""
+    assert section.model_validate(word) == section()
+    (key,) = word
+    for unknown in ("brisk", 3, ["flat"]):
+        with pytest.raises(ValidationError) as caught:
+            section.model_validate({key: unknown})
+        assert [error["loc"] for error in caught.value.errors()] == [(key,)]
+
+
+def test_gaits_are_what_their_names_say():
+    """Without gait no amplitude is left; the paper's has two sines; each amplitude of the strong gait exceeds the natural one."""
+    moving = {preset: {name for name in AMPLITUDES if getattr(Gait(preset=preset), name)} for preset in Gait.presets}
+    assert moving == {"none": set(), "paper": {"vertical_m", "sideways_m"}, "natural": AMPLITUDES, "strong": AMPLITUDES}
+    assert (Gait(preset="paper").step_hz, Gait(preset="paper").variation) == (1.8, 0.0)
+    assert all(getattr(Gait(preset="strong"), name) > getattr(Gait(), name) for name in AMPLITUDES)
+
+
+def test_own_keys_go_over_the_preset():
+    """What a scene gives itself holds, the rest is the preset's."""
+    own = Gait(preset="paper", vertical_m=0.5)
+    assert (own.vertical_m, own.sideways_m) == (0.5, 0.02)
+    assert Imu(preset="tactical", rate_hz=100, accel_bias_m_s2=0.0).gyro_bias_rad_s == 4.8e-5
+    hilly = Terrain(relief="hilly")
+    assert Terrain(relief="hilly", hill_rms_m=7.0) == hilly.model_copy(update={"hill_rms_m": 7.0})
+    table = Forest.with_preset({"preset": "old_growth", "terrain": {"relief": "flat"}})
+    assert table["terrain"] == {"relief": "flat"}  # and none of the numbers of the forest
+
+
+def test_reliefs_are_in_order_of_height_and_of_roughness():
+    """Hilly ground has the highest hills, rough ground the roughest soil and the most mounds, flat ground the least of all."""
+    flat, rolling, hilly, rough = (Terrain(relief=relief) for relief in ("flat", "rolling", "hilly", "rough"))
+    assert flat.hill_rms_m == 0 < rolling.hill_rms_m < rough.hill_rms_m < hilly.hill_rms_m
+    assert flat.rough_rms_m < rolling.rough_rms_m <= hilly.rough_rms_m < rough.rough_rms_m
+    assert flat.mounds_per_ha <= rolling.mounds_per_ha < hilly.mounds_per_ha < rough.mounds_per_ha
+
+
+def test_axis_without_direction_is_refused():
+    """A stage cannot spin about nothing, nor about what is too short or too long to have a direction."""
+    for z in (0.0, 1e-300, 1e200):
+        with pytest.raises(ValidationError, match="a spin_axis of a length from 1e-6"):
+            Mount(spin_hz=0.5, spin_axis=(0.0, 0.0, z))
