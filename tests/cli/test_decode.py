@@ -198,6 +198,19 @@ def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
     np.testing.assert_array_equal(np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m)
 
 
+def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):
+    """A sensor that gets lock in mid-run steps by half an hour while the host's clock goes on: the capture lasts as long as without."""
+    content = bytearray(bench.read_bytes())
+    for payload in payloads(bench)[200:]:
+        at = content.index(payload.tobytes()) + 1200
+        stamp_us = int.from_bytes(content[at : at + 4], "little") + 1_800_000_000
+        content[at : at + 4] = (stamp_us % 3_600_000_000).to_bytes(4, "little")
+    path = tmp_path / "set.pcap"
+    path.write_bytes(content)
+    durations_s = [cli("decode", file, "--json").tree["duration_s"] for file in (bench, path)]
+    assert durations_s[0] == pytest.approx(durations_s[1], abs=1e-5)
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
 def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suffix):
     """Ctrl-C in the fourth chunk of 7 packets ends decoding after it: 28 packets are told and can be read."""

@@ -174,12 +174,22 @@ def test_the_field_of_view_is_that_of_the_scenes_sensor(settings, expected_deg):
 
 
 def test_a_run_that_fails_leaves_no_file(cli, tmp_path, monkeypatch):
-    """Where the picture fails, an inventory that was complete is kept, an earlier picture stays, and nothing is beside them."""
+    """Where the picture fails, there is no inventory either, and an earlier picture stays with nothing beside it."""
     monkeypatch.setattr("vlp16emu.extras.sheets.sheet.draw_sheet", lambda *_, **__: 1 / 0)
     (tmp_path / "x.png").write_bytes(b"earlier")
     options = [*WORDS, "--set", "duration_s=3.0", "--radius", "1", "--inventory", tmp_path / "x.csv"]
     with pytest.raises(ZeroDivisionError):
         cli("forest", "birch_walk", *options, "--picture", tmp_path / "x.png")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.png"]
-    assert (tmp_path / "x.csv").read_text().startswith("id,species,")
+    assert [path.name for path in tmp_path.iterdir()] == ["x.png"]
     assert (tmp_path / "x.png").read_bytes() == b"earlier"
+
+
+def test_files_take_their_names_together(cli, tmp_path):
+    """A full disk for the last of several files leaves all earlier ones as they were, and nothing beside them."""
+    (tmp_path / "trees.csv").write_text("earlier")
+    (tmp_path / "sheet.asc").symlink_to("/dev/full")
+    outcome = cli("forest", "static_bench", "--inventory", tmp_path / "trees.csv", "--ground", tmp_path / "sheet.asc")
+    assert outcome.code == 1
+    assert "sheet.asc: No space left on device" in outcome.err
+    assert (tmp_path / "trees.csv").read_text() == "earlier"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sheet.asc", "trees.csv"]

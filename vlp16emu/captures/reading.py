@@ -20,6 +20,7 @@ from vlp16emu.elementary import matvec
 from vlp16emu.errors import CaptureError, InputError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.decode import (
+    JUMP_NS,
     SENSOR_R_MANUAL,
     PointFrame,
     Points,
@@ -219,7 +220,9 @@ class Summary:
     records_per_scan: int | None  # Median of the whole turns, no-returns counted; None without a whole turn
     range_m: dict[str, float] | None  # Least, median and greatest of the returns; None without returns
     start_utc: str  # Stamp of the first data packet in the capture
-    duration_s: float  # From the first data packet to the last, by the sensor's clock
+    duration_s: (
+        float  # From the first data packet to the last, by the sensor's clock; by the host's where the sensor's jumps
+    )
     clock: Clock  # Where UTC comes from
     host_ahead_s: float  # Capture stamps less the sensor's clock, in the hour nearest to them, at the first data packet
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet
@@ -298,7 +301,9 @@ class CaptureReader:
     def summary(self) -> Summary:
         """Summary of what has been read, once all points have been taken."""
         azimuth_cdeg, modes = np.concatenate(self._azimuth_cdeg), np.concatenate(self._modes)
-        packet_ns = np.concatenate(self._packet_ns)
+        packet_ns, host_ns = np.concatenate(self._packet_ns, axis=1)
+        step_ns, host_step_ns = np.diff(packet_ns), np.diff(host_ns)
+        is_jump = (np.abs(step_ns - host_step_ns) > JUMP_NS) & (np.abs(host_step_ns) < np.abs(step_ns))
         block_ns = np.arange(layout.BLOCKS_PER_PACKET) * layout.BLOCK_PERIOD_NS
         starts = scan_starts(azimuth_cdeg.ravel() / 100, (packet_ns[:, None] + block_ns).ravel())
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS
@@ -321,7 +326,7 @@ class CaptureReader:
             records_per_scan=int(np.median(whole)) if len(whole) else None,
             range_m=self._ranges_m() if points else None,
             start_utc=start.isoformat().replace("+00:00", "Z"),
-            duration_s=int(packet_ns[-1] - packet_ns[0]) / S_NS,
+            duration_s=int(np.where(is_jump, host_step_ns, step_ns).sum()) / S_NS,
             clock=self.clock.clock,
             host_ahead_s=round((self.clock.host_ahead_ns or 0) / S_NS, 6),
             gps={"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()}
@@ -364,7 +369,7 @@ class CaptureReader:
         if not self._packet_ns:
             self._zero_ns = int(sensor_ns[0]) // HOUR_NS * HOUR_NS
         packet_ns = sensor_ns - self._zero_ns
-        self._packet_ns.append(packet_ns)
+        self._packet_ns.append(np.stack([packet_ns, stamp_ns]))
         since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
         self._codes += np.bincount(fields["blocks"]["records"]["distance_lsb"].ravel(), minlength=2**16)
         self._azimuth_cdeg.append(fields["blocks"]["azimuth_cdeg"].copy())

@@ -65,7 +65,7 @@ def test_the_truth_scores_perfectly(truth, capsys):
     """The truth as its own estimate has no error, and all of what there is to find; unseen trees are not missed, and a shrub is no tree."""
     points, trees = truth / "points.csv", truth / "trees.csv"
     with points.open("a") as file:
-        file.writelines(f"{0.01 * i},6,0.5,3,4,2,3\n" for i in range(40))
+        file.writelines(f"{0.01 * i},6,0.5,3,4,2,9\n" for i in range(40))
     code, card = scored(
         capsys, truth, "--trajectory", truth / "trajectory.tum", "--map", points, "--points", points,
         "--truth-points", points, "--stems", trees, "--inventory", trees, "--out", truth / "report",

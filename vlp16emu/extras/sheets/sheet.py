@@ -403,6 +403,8 @@ def write_sheets(
 ) -> dict[str, Any]:
     """Survey a scene and write the files of some options, which are opened before anything heavy; return the summary.
 
+    The files take their names together at the end.
+
     InputError if `truth`, the folder of a run, has no returns of this scene.
     """
     with ExitStack() as stack:
@@ -411,8 +413,9 @@ def write_sheets(
         summary = summary_of(scene, scenario, seen)
         for name, output in outputs.items():
             write = _writer(name, seen, scenario.title, summary, truth)
-            with output.writing() as file:
-                write(file)
+            file = stack.enter_context(output.writing())
+            write(file)
+            file.flush()  # here, so that none takes its name if the disk is full
     return summary
 
 
