@@ -234,13 +234,15 @@ def test_a_kernel_of_another_one_is_no_file_until_it_is_called(folder):
 
 
 def test_a_kernel_from_a_file_is_compiled_into_another_one(folder):
-    """A kernel that was loaded can be called by one that is compiled later, and from Python as before."""
+    """A kernel that was loaded can be called by one that is compiled later, ours or a program's own, and from Python as before."""
     for _ in range(2):  # the second time `inner` is loaded
         module = {"numba": numba, "__name__": "vlp16emu.room"}
         exec(TWO_KERNELS, module)
         assert module["inner"](3) == 6
-    assert sum(module["inner"].stats.cache_hits.values()) == 1
-    assert (module["outer"](3), module["inner"](4)) == (7, 8)
+    inner = module["inner"]
+    assert sum(inner.stats.cache_hits.values()) == 1
+    assert numba.njit(lambda x: inner(x) + 2)(3) == 8
+    assert (module["outer"](3), inner(4)) == (7, 8)
     with pytest.raises(ValueError, match="below zero"):
         module["inner"](-1)
 

@@ -43,7 +43,7 @@ _TABLE = Path(__file__).with_name("table.json")
 class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     """Dispatcher of a kernel."""
 
-    depth = 0  # depth of kernels that are being compiled, each for the sake of the one before
+    depth = 0  # depth of kernels that are being compiled for the sake of others, each for the one before
 
     @classmethod
     def take_over(cls, dispatcher: CPUDispatcher) -> None:
@@ -55,21 +55,25 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     @property
     def _cache(self) -> Any:
         """Files, for kernels that Python calls: from others' they would come without code to be linked with."""
-        return NullCache() if KernelDispatcher.depth > 1 else self.kept
+        return NullCache() if KernelDispatcher.depth else self.kept
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Compile for a kernel that calls this one, ours or a program's own."""
+        with global_compiler_lock:
+            KernelDispatcher.depth += 1
+            try:
+                return super().get_call_template(args, kws)
+            finally:
+                KernelDispatcher.depth -= 1
 
     def compile(self, sig: Any) -> Any:
         """Compile for types of arguments, unless that has been done: for Python, or in a way that other kernels can use."""
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
             done = self.overloads.get(tuple(args))
-            is_for_kernels = KernelDispatcher.depth > 0
-            if done and (done.library is None if is_for_kernels else isinstance(done.entry_point, _Inner)):
+            if done and (done.library is None if KernelDispatcher.depth else isinstance(done.entry_point, _Inner)):
                 del self.overloads[tuple(args)]
-            KernelDispatcher.depth += 1
-            try:
-                return super().compile(sig)
-            finally:
-                KernelDispatcher.depth -= 1
+            return super().compile(sig)
 
     def add_overload(self, cres: Any) -> None:
         """Take a compiled kernel in; only one with an entry can be called from Python."""
@@ -101,7 +105,7 @@ class _KernelCompiler(Compiler):  # type: ignore[misc]
         """Compile a function."""
         state = self.state
         state.flags.no_cfunc_wrapper = True
-        if KernelDispatcher.depth > 1:
+        if KernelDispatcher.depth:
             state.flags.no_cpython_wrapper = state.flags.no_compile = True
             state.library = _InnerLibrary(state.targetctx.codegen(), func.__qualname__)
         return super().compile_extra(func)
