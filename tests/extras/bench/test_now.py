@@ -55,3 +55,11 @@ def test_stamps_are_those_of_the_clock(now_ns):
         (clock.now_ns - AGE_NS + step * 10_000_000) % HOUR_NS for step in range(3)
     ]
     assert present.moved_s * S_NS == clock.now_ns - packets[0].due_ns
+
+
+def test_a_stream_that_is_to_stop_does_not_wait():
+    """Where the stop event is set, beginning returns at once."""
+    clock, stop = Clock(5 * S_NS + 1), Event()
+    stop.set()
+    NowSink(MemorySink(), clock_ns=clock, sleep=clock.sleep).begin(data(10 * S_NS), stop)
+    assert clock.now_ns == 5 * S_NS + 1
