@@ -92,16 +92,6 @@ def test_the_true_trajectory_gives_the_points_of_the_scene(walk, true):
     assert gap_m.max() > 0.5 * bound_m.max()  # or the steps would not be seen at all
 
 
-def test_poses_between_those_of_the_file_are_right(walk):
-    """At 200 poses per second a pose between two is within 10 um and 1e-6 rad of the truth."""
-    folder, emulator, own = walk
-    t_ns = own["t_ns"][::101]
-    turn, place_m = Trajectory(folder / "truth", 1, TrajectoryErrors()).poses_at(t_ns)
-    truth = emulator.world_T_sensor(t_ns)
-    assert np.abs(truth[:, :3, 3] - place_m).max() < 1e-5
-    assert np.abs(truth[:, :3, :3] - turn).max() < 1e-6
-
-
 def test_a_wrong_mount_moves_points_in_the_sensor(walk, true):
     """A boresight of 2 degrees of yaw and a lever arm of 0.1 m turn and shift the points before they come into the world."""
     folder, emulator, _ = walk

@@ -188,11 +188,6 @@ def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
     assert user_store.__wrapped__().folder is None
 
 
-def test_a_thing_without_a_name_is_made_each_time():
-    """An empty name keeps nothing."""
-    assert recalled("", lambda: 5) == 5
-
-
 @pytest.fixture
 def use(monkeypatch):
     """Make a folder the user's store."""

@@ -144,26 +144,6 @@ def test_the_rig_holds_the_mounts(tmp_path):
     np.testing.assert_allclose(Rotation.from_quat(poses[0, 3:]).as_matrix(), R @ T[:3, :3], atol=1e-11)
 
 
-def test_each_unit_of_a_rig_has_files_of_its_own(tmp_path):
-    """The second unit's poses stand in trajectory_2.tum and packets_2.tum, and rig.json tells which packets are its."""
-    unit = "{return_mode='dual', mount={lever_arm_m=[-0.25, 0.0, -0.15], pitch_deg=-35.0}}"
-    emulator = Emulator(load("static_bench", [f"rig=[{unit}]"]))
-    packets = written(emulator, tmp_path, stop_s=0.1, per_packet=True)
-    units = json.loads((tmp_path / "rig.json").read_text())["units"]
-    assert [(unit["unit"], unit["address"], unit["data_port"]) for unit in units] == [
-        (1, "192.168.1.201", 2368),
-        (2, "192.168.1.202", 2369),
-    ]
-    for number, unit in enumerate(units):
-        t_ns, poses = tum(tmp_path / unit["trajectory"])
-        true = emulator.parts.units[number].motion.kinematics_at(t_ns)
-        np.testing.assert_allclose(poses[:, :3], true.world_p_body_m, rtol=0, atol=1e-9)
-        firsts_ns, _ = tum(tmp_path / unit["trajectory"].replace("trajectory", "packets"))
-        own = [packet for packet in packets if packet.unit == number and packet.kind is PacketKind.DATA]
-        assert len(firsts_ns) == len(own)
-    assert not np.allclose(poses[0, :3], emulator.parts.units[0].motion.kinematics_at(t_ns).world_p_body_m)
-
-
 def test_the_same_run_in_two_parts_has_the_same_truth(walk, tmp_path):
     """Where two spans overlap their rows are the same, character by character."""
     written(walk, tmp_path / "whole", 0.0, 2.0, per_packet=True)
@@ -204,24 +184,13 @@ def test_the_resolved_scenario_is_a_scene(name, tmp_path):
     assert load(str(tmp_path / "scenario.json")) == scenario
 
 
-@pytest.mark.parametrize("near_m", [7.5, math.inf])
-def test_an_infinite_distance_is_written_and_read_again(near_m, tmp_path):
-    """JSON has no infinite number; what is written without one is the same world when it is read, also with a setting."""
-    scenario, path = load("birch_walk", [f"world.near_m={near_m}"]), tmp_path / "scenario.json"
-    assert scenario.world.near_m == near_m
+@pytest.mark.parametrize("setting", ["world.near_m=7.5", "world.near_m=inf", "motion.run_time_s=120.0"])
+def test_what_json_or_a_scene_cannot_have_is_not_written(setting, tmp_path):
+    """JSON has no infinite number, and a scene no speed beside its run time; what is written without them is read as the same scenario."""
+    scenario, path = load("birch_walk", [setting]), tmp_path / "scenario.json"
     path.write_text(json.dumps(_resolved(scenario, (0.0, scenario.duration_s)), allow_nan=False))
     assert load(str(path)) == scenario
     assert load(str(path), ["world.near_m=inf"]).world.near_m == math.inf
-
-
-def test_of_two_keys_that_exclude_each_other_one_is_written(tmp_path):
-    """A walk whose run time is given is written without the speed, and one that says neither with its speed."""
-    for settings, (said, silent) in {
-        ("motion.run_time_s=120.0",): ("run_time_s", "speed_m_s"),
-        (): ("speed_m_s", "run_time_s"),
-    }.items():
-        motion = load("managed_mixed", settings).model_dump(exclude_none=True)["motion"]
-        assert (said in motion, silent in motion) == (True, False)
 
 
 def test_the_resolved_scenario_names_its_program_and_takes_settings(walk, tmp_path):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from vlp16emu.errors import InputError, OutputError
+from vlp16emu.errors import InputError
 from vlp16emu.extras.bench.device import DeviceSettings, DeviceStatus, diagnostics
 from vlp16emu.types import PpsState, ReturnMode
 from vlp16emu.units import S_NS
@@ -15,20 +15,6 @@ OTHERS = DeviceSettings(
     1200, ReturnMode.DUAL, False, (90, 270), True, 12_345, "10.0.0.7", 3000, 3001,
     "10.0.0.2", "255.255.0.0", "0.0.0.0", True,
 )  # fmt: skip
-
-
-def test_a_restart_that_the_stream_cannot_follow_sets_nothing(make):
-    """A receiver that is out of reach leaves the settings as they were, and the one who asks hears of it."""
-    _, device = make()
-    device.adopt(lambda _: OTHERS)
-
-    def refused(_before, settings, **_how):
-        raise OutputError("destination", "out of reach", "an address in reach")
-
-    device._changed = refused
-    with pytest.raises(OutputError):
-        device.restart()
-    assert device.settings == OTHERS
 
 
 def test_saved_settings_survive_a_reset_and_others_are_lost(make):

@@ -13,7 +13,7 @@ from listening import MemorySink
 from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.faults import arriving
-from vlp16emu.packets import FACTORY_LINK, position_due_ns
+from vlp16emu.packets import FACTORY_LINK
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
 from vlp16emu.sinks import Pacer, UdpSink, stream
@@ -21,7 +21,6 @@ from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
 STOP_S = 1.5
-PERIOD_NS = 1_327_104
 DATA, POSITION = PacketKind.DATA, PacketKind.POSITION
 DUAL = {"preset": "steady", "return_mode": "dual"}
 START_NS = load("static_bench").start_ns
@@ -87,13 +86,6 @@ EVERY = (
     {"kind": "freeze", "at_s": 0.6, "duration_s": 0.4},
     {"kind": "delay", "at_s": 1.0, "by_s": 0.03, "count": 10},
 )
-
-
-def test_without_events_nothing_is_put_between(clean):
-    """The packets of a run without faults come straight from the merge of its streams, with or without other events."""
-    assert type(emulator().packets()).__name__ == type(emulator().engine.sent(0, S_NS)).__name__
-    assert "arriving" not in repr(emulator({"kind": "pps_loss", "at_s": 1.0}).packets())
-    assert len(of(clean, DATA)) == 1130
 
 
 @pytest.mark.parametrize("cut_s", [0.25, 0.61, 0.99, 1.02])
@@ -223,12 +215,6 @@ def test_faults_are_those_of_their_unit():
     before, after = sent(stop_s=0.4, **rig), sent({"kind": "drop", "at_s": 0.1, "unit": 2}, stop_s=0.4, **rig)
     assert [packet for packet in before if packet.unit == 0] == [packet for packet in after if packet.unit == 0]
     assert not [packet for packet in since(of(after, DATA), 0.1) if packet.unit == 1]
-
-
-def test_position_numbers_are_those_of_the_schedule(clean):
-    """The number that a frame carries is that of its place in the run, whatever is sent before it."""
-    due_ns = position_due_ns("measured", 5, load("static_bench").start_ns, 0, len(of(clean, POSITION)))
-    assert [(packet.number, packet.due_ns) for packet in of(clean, POSITION)] == list(enumerate(due_ns.tolist()))
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,12 @@
 """What leaves beside the packets of the sensors."""
 
-import csv
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.extras.bench.imu_frame import decode_imu
 from vlp16emu.extras.bench.outlets import PULSE_NS, Beside
-from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import decode_position
 from vlp16emu.types import PacketKind
 from vlp16emu.units import MS_NS, S_NS
@@ -69,21 +66,6 @@ def test_pulses_are_at_the_seconds(hall, packets):
     assert edges == [
         (first_ns + second * S_NS + level * PULSE_NS, bytes([1 - level])) for second in (0, 1) for level in (0, 1)
     ]
-
-
-def test_samples_are_those_of_the_truth(hall, packets, tmp_path):
-    """Times and numbers are those of imu.csv, to the last digit that it has; each leaves at its time."""
-    write_truth(hall, tmp_path / "truth", duration_s=2.1)
-    with (tmp_path / "truth" / "imu.csv").open() as file:
-        lines = [line[:7] for line in list(csv.reader(file))[1:]]
-    samples = of(packets, PacketKind.IMU)
-    assert len(samples) == 420
-    for number, (packet, line) in enumerate(zip(samples, lines, strict=False)):
-        fields = decode_imu(packet.payload)
-        assert (fields["sequence"], fields["t_ns"]) == (number, packet.due_ns)
-        seconds, decimals = divmod(packet.due_ns, S_NS)
-        numbers = [*fields["angular_rate_rad_s"], *fields["specific_force_m_s2"]]
-        assert [f"{seconds}.{decimals:09d}", *(f"{each:.9f}" for each in numbers)] == line
 
 
 def test_a_run_may_be_cut_anywhere(hall, packets):

@@ -116,15 +116,6 @@ def test_a_device_that_comes_back_is_found(device, monkeypatch):
     assert sink.result.dropped >= 8
 
 
-def test_a_device_that_stays_away_is_reported(device):
-    """What is away at the end of a stream counts as away until then."""
-    with SerialSink(SerialPort(str(device.path), 9600, "--gps-out")) as sink:
-        device.pull_out()
-        until(lambda: sink.send(sentence()) or sink.result.dropped > 0)
-    sink._thread.join()
-    assert [away.away_s >= 0.0 for away in sink.result.away] == [True]
-
-
 def test_a_port_that_takes_no_more_holds_up_nobody(device):
     """Where nobody reads, sending goes on at once, memory stays bounded, and all that is lost is counted."""
     with SerialSink(SerialPort(str(device.path), 9600, "--gps-out")) as sink:

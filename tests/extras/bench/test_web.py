@@ -74,15 +74,6 @@ def test_the_status_follows_the_sensor(web):
     assert seen[0]["laser"] == {"state": "Off"}
 
 
-def test_a_snapshot_has_all_documents(web):
-    """snapshot.hdl holds the other four, as they are at that instant."""
-    snapshot = web.client.get("/cgi/snapshot.hdl")
-    assert snapshot["config"] == web.client.get("/cgi/settings.json")
-    assert snapshot["info"] == web.client.get("/cgi/info.json")
-    assert snapshot["status"] == web.client.get("/cgi/status.json")
-    assert snapshot["diag"] == web.client.get("/cgi/diag.json")
-
-
 def test_the_info_is_the_units_own(make):
     """Model, serial number and MAC are those of the unit; its image is made for the board that it runs on."""
     _, device = make()
@@ -143,7 +134,7 @@ def test_save_and_reset(web, save, reset):
 
 
 def test_what_the_stream_cannot_follow_is_an_error(web):
-    """A receiver that is out of reach gives 500 with the reason, and is not set."""
+    """A receiver that is out of reach gives 500 with the reason, and is not set; a reset that cannot be followed sets nothing either."""
 
     def refused(_before, settings, **_):
         raise OutputError(f"destination {settings.host}", "out of reach", "an address in reach")
@@ -155,6 +146,9 @@ def test_what_the_stream_cannot_follow_is_an_error(web):
         {"error": "destination 10.0.0.7: out of reach; expected an address in reach"},
     )
     assert web.client.get("/cgi/settings.json")["host"]["addr"] == "255.255.255.255"
+    web.device.adopt(lambda settings: replace(settings, rpm=300))
+    assert web.client.post("/cgi/reset", "reset_system")[0] == 500
+    assert web.device.settings.rpm == 300
 
 
 def test_what_cannot_be_saved_is_an_error(web):

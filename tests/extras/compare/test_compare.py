@@ -126,13 +126,6 @@ def settings_of(sequences):
     return {f"{section}.{key}": value for section, table in tables.items() for key, value in table.items()}
 
 
-def test_a_fitted_unit_is_like_the_real_one(real, recorded):
-    """A recording with the tables that fit a capture has its beat, its noise, and its errors of rotation."""
-    rows = {row.name: row for row in compared(recorded("fitted", settings_of(real["mrpt"])), real["mrpt"])}
-    for name in ("range.beat_mm", "range.white_at_20_mm", "rotation.once_cdeg", "rotation.twice_cdeg"):
-        assert rows[name].distance < 0.2, name
-
-
 FITTED = (
     *("range.beat", "range.white", "reflectivity.equal_60", "reflectivity.scatter_60"),
     *("no_return.above_0", "no_return.mean", "rotation.o", "rotation.r", "residue"),

@@ -209,11 +209,3 @@ def test_stamps_of_a_sender_are_put_on_our_clock_by_the_quickest_pose():
     now_ns += 50_000_000
     assert poses.put((0.0, 0.0, 0.0), LEVEL, 5_000_000_000)  # the sender has started again
     assert poses.last.at_ns == now_ns
-
-
-def test_a_live_scene_without_a_stream_is_refused():
-    """Who asks for poses where none come in is sent to the table of what was flown."""
-    bench = Bench()
-    bench.motion.is_open = False
-    with pytest.raises(TrajectoryError, match=r'motion\.flown = "FILE"'):
-        bench.motion.poses_at(np.array([START_NS]))

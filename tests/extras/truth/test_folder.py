@@ -29,16 +29,6 @@ def test_rows_hold_every_nanosecond_and_rotation():
     np.testing.assert_allclose(Rotation.from_quat(quaternions).as_matrix(), turns.as_matrix(), atol=1e-11)
 
 
-def test_what_is_appended_can_be_read_at_once(tmp_path):
-    """Lines stand in the file before it is closed, in the folder that takes its name at the end."""
-    with TruthFolder(tmp_path / "a" / "b") as folder:
-        folder.append("gnss.csv", "one\n")
-        folder.append("gnss.csv", "two\n")
-        assert (folder.path / "gnss.csv").read_text() == "one\ntwo\n"
-        assert not (tmp_path / "a" / "b").exists()
-    assert (tmp_path / "a" / "b" / "gnss.csv").read_text() == "one\ntwo\n"
-
-
 @pytest.mark.parametrize("scenario", [None, "[]", "no JSON", '{"seed": 1}'])
 def test_files_of_somebody_else_stay(tmp_path, scenario):
     """A folder of a data set that has the same names, but no scenario that we wrote, is refused and kept."""

@@ -76,17 +76,6 @@ def test_speed_outside_the_range_is_found(traffic, rpm):
     assert float(result.findings[0].found.split()[0]) == pytest.approx(rpm, rel=1e-3)
 
 
-def test_clock_that_drifts_is_found_in_both_streams(traffic):
-    """Capture stamps that jump ahead by 50 ms are found at the next position packet and the next data chunk."""
-    made = traffic()
-    first = made.data(900)
-    made.stamps_us = [t + 50_000 * (i >= first) for i, t in enumerate(made.stamps_us)]
-    result = made.verified()
-    assert result.counts == {Rule.CLOCK_DRIFT: 2}
-    assert result.findings[-1].packet > result.findings[0].packet >= first
-    assert result.findings[0].found == "time stamps -50.0 ms off the capture stamps"
-
-
 def test_old_sentence_is_found_only_while_locked(traffic):
     """A sentence of three seconds before is an error with lock, and without lock a note beside the error that lock is lost."""
     lost = {Rule.PPS}

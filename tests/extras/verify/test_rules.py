@@ -140,19 +140,6 @@ def test_damaged_pairs_are_found(traffic, rule, damage):
     assert [(finding.rule, finding.packet) for finding in result.findings] == [(rule, number)]
 
 
-def test_a_product_before_release_is_a_note(traffic):
-    """Product 0x21 in all packets is a note, as a unit of 2014 sent it; from one packet on it is an error."""
-    made = traffic(0.3, 600)
-    whole, part = made.data(), made.data(100)
-    made.frames[part][-1] = 0x21
-    assert set(made.verified().counts) == {Rule.FACTORY}
-    for i in whole:
-        made.frames[i][-1] = 0x21
-    result = made.verified()
-    assert (result.is_clean, result.notes) == (True, {Rule.FACTORY: 1})
-    assert str(result.findings[0]) == "packet 1: factory (note): product 0x21; expected 0x22 or 0x24"
-
-
 def test_one_azimuth_of_36000_is_a_note(traffic):
     """Old firmware sent it for 0; the next code is an error."""
     for code, is_clean in ((36_000, True), (36_001, False)):
@@ -164,16 +151,3 @@ def test_one_azimuth_of_36000_is_a_note(traffic):
         blocks[100][5] = code
         result = made.verified()
         assert (result.is_clean, Rule.AZIMUTH_RANGE in result.notes) == (is_clean, is_clean)
-
-
-def test_headers_of_veloview_are_notes(traffic):
-    """Position packets behind the header of data packets, which old VeloView writes, are taken with notes."""
-    made = traffic(0.3, 600)
-    canned = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
-    for i in (positions := made.position()):
-        made.frames[i][6:30] = canned
-        made.frames[i][40:42] = bytes(2)
-    result = made.verified()
-    assert (result.is_clean, result.notes) == (True, {Rule.HEADER: len(positions)})
-    made.frames[made.data(50)][22] = 64
-    assert set(made.verified().counts) == {Rule.HEADER}

@@ -64,14 +64,6 @@ def test_an_even_slope_stays_as_it_is():
     assert path.length_m == pytest.approx(np.hypot(50.0, 0.2 * 40.0), abs=1e-9)
 
 
-def test_beyond_its_ends_the_path_stays():
-    """Before 0 and after its length the path is at its ends."""
-    path = Path(WAY_POINTS_M, flat)
-    point_m = points_m(path, np.array([-5.0, 0.0, path.length_m, path.length_m + 5.0]))
-    np.testing.assert_array_equal(point_m[0], point_m[1])
-    np.testing.assert_array_equal(point_m[2], point_m[3])
-
-
 def differences(values, step):
     return (values[2:] - values[:-2]) / (2 * step)
 
@@ -99,15 +91,6 @@ def test_a_loop_closes_without_a_seam():
     once, twice = path.derivatives_at(s_m), path.derivatives_at(s_m + path.length_m)
     np.testing.assert_allclose(twice[0], once[0], atol=1e-9)
     np.testing.assert_allclose(twice[1][:, 0], once[1][:, 0] + 2 * np.pi, atol=1e-9)
-
-
-def test_heading_does_not_jump():
-    """Round a loop that passes west, where the angle of a vector jumps, the heading is continuous."""
-    angle = np.linspace(0.0, 6 * np.pi, 60)
-    path = Path(np.column_stack([5 * np.cos(angle), 5 * np.sin(angle)]) + angle[:, None] * [0.3, 0.0], flat)
-    heading_rad = path.derivatives_at(np.arange(0.0, path.length_m, 0.01))[1][:, 0]
-    assert np.abs(np.diff(heading_rad)).max() < 0.01
-    assert heading_rad[-1] - heading_rad[0] > 5.5 * np.pi
 
 
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=8))

@@ -22,14 +22,6 @@ def test_without_gait_the_sensor_glides_over_the_ground():
     np.testing.assert_allclose(poses.world_R_body, rotations(nodes[:, 5, 0].copy(), 0.0, 0.0), atol=1e-9)
 
 
-def test_without_gait_straps_change_no_bit():
-    """Where the trunk does not move, a harness neither moves the pack nor computes anything."""
-    t = np.linspace(0.0, 9.0, 1001)
-    bare, strapped = at(walking(own_gait=STILL), t), at(walking(own_gait=STILL, harness=STRAPS), t)
-    assert (bare.world_p_body_m == strapped.world_p_body_m).all()
-    assert (bare.world_R_body == strapped.world_R_body).all()
-
-
 def test_gait_moves_the_pack_about_the_path():
     """Up and down at step rate, to the left of the heading at stride rate, once the person walks."""
     plain = {"second_harmonic_m": 0.0, "heel_strike_m": 0.0, "fore_aft_m": 0.0, "variation": 0.0}

@@ -99,15 +99,6 @@ def test_a_height_is_the_same_alone_and_in_any_array(bumpy):
     assert np.array_equal(together[1:].reshape(20, 15), dem.height_m(x[1:].reshape(20, 15), y[1:].reshape(20, 15)))
 
 
-def test_the_origin_moves_the_map_into_the_scene(tmp_path):
-    """With an origin in map coordinates the ground is the same to a micrometre as at the map's own zero."""
-    heights = np.random.default_rng(7).normal(size=(20, 20))
-    here = dem_of(heights, tmp_path)
-    there = dem_of(heights + 212.0, tmp_path, 1.0, (499_999.5, 5_699_999.5), (500_000.0, 5_700_000.0, 212.0))
-    x, y = np.random.default_rng(8).uniform(0, 19, (2, 100))
-    assert here.height_m(x, y) == pytest.approx(there.height_m(x, y), abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("path", "reach_m", "message"),
     [

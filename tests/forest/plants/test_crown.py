@@ -6,8 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 from forest.kit import areas_m2, corners, normals, zeniths
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.branches import Branches, bole_branches
@@ -101,54 +99,11 @@ def test_branches_are_together_as_thick_as_their_species_says():
         assert 0.7 < (radius**2).sum() / area_m2 < 1.05, name
 
 
-def bole(name, key=None, stem_m=(0.08, 0.12)):
-    """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, or another one, and twigs of the dead ones."""
-    habit, key = species_table()[name].crown, key or KEYS[name]
-    size = key.crown_base_m, habit.base_fraction * key.crown_width_m / 2, np.array(stem_m)
+def bole(name):
+    """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, and twigs of the dead ones."""
+    habit, key = species_table()[name].crown, KEYS[name]
+    size = key.crown_base_m, habit.base_fraction * key.crown_width_m / 2, np.array([0.08, 0.12])
     return [bole_branches(np.random.default_rng(n), habit, *size) for n in range(40)]
-
-
-def test_dead_branches_are_long_below_the_crown_and_stubs_at_the_foot():
-    """Below 40 crowns of spruce: most of the upper quarter are as long as they grew, lower ones are stubs of the stated lengths."""
-    dead = [parts[1] for parts in bole("norway_spruce")]
-    key = KEYS["norway_spruce"]
-    depth_m = np.concatenate([-branches.nodes_m[:, 0, 2] for branches in dead])
-    length_m = np.concatenate([branches.length_m for branches in dead])
-    way = depth_m / (key.crown_base_m - 0.3)
-    outside_m = length_m - (0.08 + 0.04 * depth_m / key.crown_base_m)
-    last = outside_m[way > 0.9]
-    assert (outside_m > 0).all()
-    assert np.quantile(last, [0.05, 0.95]) == pytest.approx([0.05, 0.39], abs=0.06)
-    middle_m = [np.median(outside_m[(way > low) & (way <= low + 0.25)]) for low in (0.0, 0.25, 0.5, 0.75)]
-    assert (np.diff(middle_m) < 0).all()
-    assert middle_m[0] > 3 * middle_m[3]
-    assert all(outside_m[(way > low) & (way <= low + 0.25)].std() > 0.1 for low in (0.0, 0.25, 0.5, 0.75))
-    straight_m = np.concatenate([np.linalg.norm(np.diff(b.nodes_m, axis=1), axis=2).sum(axis=1) for b in dead])
-    assert straight_m == pytest.approx(length_m, rel=0.02)
-
-
-def test_some_whorls_of_spruces_are_bare():
-    """Of the whorls in the lower half of 40 boles 5 to 25 % have no branch left, and others have three and more."""
-    spacing_m, key = species_table()["norway_spruce"].crown.whorl_spacing_m, KEYS["norway_spruce"]
-    edges_m = np.arange(0.0, key.crown_base_m - 0.3, spacing_m)
-    lower = edges_m[:-1] > key.crown_base_m / 2
-    counts = [
-        np.histogram(np.concatenate([-part.nodes_m[:, 0, 2] for part in parts[:2]]), edges_m)[0][lower]
-        for parts in bole("norway_spruce")
-    ]
-    assert 0.05 < np.mean(np.array(counts) == 0) < 0.25
-    assert np.mean(np.array(counts) >= 3) > 0.3
-
-
-def test_young_trees_have_not_shed_what_died_in_the_last_years():
-    """Birches of 9 cm and 11 m bear thin dead branches below 3 m, and those of 24 cm and 21 m none below 5 m."""
-    young = replace(KEYS["silver_birch"], crown_base_m=4.8, crown_width_m=1.9)
-    dead = [parts[1] for parts in bole("silver_birch", young, (0.03, 0.05))]
-    low = [4.8 + branches.nodes_m[:, 0, 2] < 3.0 for branches in dead]
-    assert np.mean([own.sum() for own in low]) > 2
-    assert all((2 * branches.radius_m < 0.01).all() for branches in dead)
-    old = [KEYS["silver_birch"].crown_base_m + parts[1].nodes_m[:, 0, 2] for parts in bole("silver_birch")]
-    assert np.concatenate(old).min() > 5
 
 
 def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
@@ -201,23 +156,6 @@ def test_needles_of_pine_sit_in_tufts_at_the_ends_of_twigs():
         base_m = corners(mesh)[:, :2].mean(axis=1)[:, 0]
         assert base_m.min() == pytest.approx(bare, abs=0.02), name
         assert base_m.max() == pytest.approx(1.0, abs=0.02), name
-
-
-@pytest.mark.parametrize("name", ["european_beech", "scots_pine", "english_oak"])
-def test_broad_crowns_have_a_third_order(name):
-    """Their higher-order mesh has tubes of two kinds: 17 vertices of the second order, then 7 of the third."""
-    first, higher = grown(KEYS[name])[:2]
-    sizes = np.diff(np.flatnonzero(np.diff(tube_of(higher))))
-    assert set(sizes.tolist()) == {17, 7}
-    assert (np.diff(sizes) <= 0).all()
-    assert (sizes == 7).sum() > 2 * (sizes == 17).sum() > 2 * len(first.vertices_m) / 49
-
-
-def tube_of(mesh):
-    """Which tube each vertex belongs to, (v,), by the faces that hang together."""
-    graph = coo_array((np.ones(len(mesh.faces)), (mesh.faces[:, 0], mesh.faces[:, 1])), [len(mesh.vertices_m)] * 2)
-    other = coo_array((np.ones(len(mesh.faces)), (mesh.faces[:, 1], mesh.faces[:, 2])), graph.shape)
-    return connected_components(graph + other, directed=False)[1]
 
 
 @pytest.mark.parametrize("key", [BIRCH, SPRUCE], ids=["birch", "spruce"])

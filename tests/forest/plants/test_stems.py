@@ -4,7 +4,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-import trimesh
 from forest.kit import feet_m, section_diameter_m, solid_of, trees_of
 from scipy import stats
 from scipy.spatial import ConvexHull
@@ -234,17 +233,6 @@ def test_stems_from_afar_run_where_those_of_the_mesh_run():
     assert far["row"].tolist() == [[7 + 2 * i, 8 + 2 * i] for i in [0, 1, 2, 3, *forked]]
 
 
-def test_a_stem_is_the_same_in_any_company():
-    """Grown alone a stem, roots and all, has the bytes that it has among others, in any order."""
-    trees = np.concatenate([make_trees("english_oak", 4, 0.2), make_trees("norway_spruce", 4, 0.5)])
-    together = stem_meshes(trees, np.zeros(3), slope)
-    for i in range(len(trees)):
-        alone = stem_meshes(trees[i : i + 1], np.zeros(3), slope)
-        for mine, theirs in zip(alone, together[2 * i : 2 * i + 2], strict=True):
-            assert mine.vertices_m.tobytes() == theirs.vertices_m.tobytes()
-            assert mine.faces.tobytes() == theirs.faces.tobytes()
-
-
 def test_without_a_form_stems_are_straight_and_round():
     """Seed 0, and a species whose keys are all 0, give the same stem: all corners of a ring equally far from a line."""
     trees = make_trees("english_oak", 5)
@@ -325,24 +313,6 @@ def test_roots_run_along_the_ground_half_buried_and_dive(old_trees):
     assert (level[:, -1, 2] < 0).all()
 
 
-def test_stems_are_the_same_with_roots_and_without(old_trees, rootless):
-    """Roots are closed pieces of the mesh of the root flare, whose other vertices, like all of the stem's mesh, stay as they are."""
-    few = old_trees[:40]
-    mine, plain = stem_meshes(few, np.zeros(3), steep), stem_meshes(few, np.zeros(3), steep, table=rootless)
-    numbers = np.bincount(roots_of(few)[0], minlength=len(few))
-    for i, count in enumerate(numbers.tolist()):
-        assert mine[2 * i + 1].vertices_m.tobytes() == plain[2 * i + 1].vertices_m.tobytes()
-        own, base = mine[2 * i], plain[2 * i]
-        assert np.array_equal(own.vertices_m[: len(base.vertices_m)], base.vertices_m)
-        assert np.array_equal(own.faces[: len(base.faces)], base.faces)
-        pieces = np.split(own.faces[len(base.faces) :], count) if count else []
-        assert count or len(own.faces) == len(base.faces)
-        for faces in pieces:
-            root = trimesh.Trimesh(own.vertices_m, faces, process=False)
-            assert root.is_watertight
-            assert root.volume > 0
-
-
 THREE = ["norway_spruce", "european_beech", "snag"]
 BRANCH_SIDES, BRANCH_RINGS = 6, 8
 FIRST, DEAD = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
@@ -406,11 +376,3 @@ def test_branches_begin_on_the_axis_and_thin_to_a_tip(three, circles):
         assert own["y_m"][:, 0] == pytest.approx(tree["y_m"] + slope * np.sin(towards) * up_m, abs=1e-6)
         assert (np.diff(own["radius_m"], axis=1) < 0.002).all()
         assert (own["radius_m"][:, -1] == 0).all()
-
-
-def test_a_dead_tree_has_dead_branches_alone(three, crowns, circles):
-    """A snag's branches are all dead; a spruce has living and dead ones, or the living alone, whose parts say so."""
-    assert set(circles["part"][circles["tree"] == 72]) == {DEAD}
-    assert set(circles["part"][circles["tree"] == 70]) == {FIRST, DEAD}
-    bare = [CrownKey(*(getattr(key, name) for name in CrownKey.__slots__[:-1])) for key in crowns[:2]]
-    assert set(branch_circles(three[:2], bare, seed=6)["part"]) == {FIRST}

@@ -23,8 +23,6 @@ from vlp16emu.types import PlantPart, Semantic
 PATH = np.array([[-10.0, 10.0], [120.0, 60.0]])
 YOUNG = ["european_beech", "norway_spruce"]
 BUSHES = ["hazel", "hawthorn"]
-KEYS = [SaplingKey(name, 0, height_m, "leaf_on") for name in YOUNG for height_m in (0.6, 3.6)]
-
 
 ANYWHERE = settings.Scattered(kind="random")
 
@@ -65,29 +63,6 @@ def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
     assert body.is_watertight
     assert body.bounds[1, 2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-5)
     assert section_diameter_m(body, [0, 0, 1], [0, 0, tree["z_m"] + 1.3]) == pytest.approx(tree["dbh_m"], abs=1e-5)
-
-
-def test_saplings_are_no_symmetric_stars():
-    """Their tips are up to 0.15 of the height aside, and their leaves reach further to one side, differently each."""
-    tips, middles = [], []
-    for variant in range(4):
-        stem, _, _, leaves = sapling_meshes(6, SaplingKey("european_beech", variant, 3.0, "leaf_on"))
-        tips.append(stem.vertices_m[stem.vertices_m[:, 2].argmax(), :2])
-        middles.append(leaves.vertices_m[:, :2].mean(axis=0))
-    aside_m = np.linalg.norm(tips, axis=1)
-    assert 0.05 < aside_m.max() <= 0.15 * 3.0 + 1e-6
-    assert np.ptp(middles, axis=0).min() > 0.05
-
-
-def test_a_sapling_fills_its_crown():
-    """Branches and leaves begin above the ground and stay within about the height and half of it in width."""
-    for key in KEYS:
-        _, first, second, leaves = sapling_meshes(6, key)
-        vertices = np.concatenate([mesh.vertices_m for mesh in (first, second, leaves)])
-        assert vertices[:, 2].min() > -0.25, key
-        assert vertices[:, 2].max() == pytest.approx(key.height_m, rel=0.25), key
-        width = np.quantile(np.abs(leaves.vertices_m[:, :2]), 0.99)
-        assert 0.15 * key.height_m < width < 0.35 * key.height_m + 0.12, key
 
 
 def test_shrub_heights_are_those_of_their_kind():
@@ -424,23 +399,6 @@ def test_a_root_plate_stands_at_the_butt_of_a_log_whose_top_lies_on_the_ground()
     assert set(rows["part"]) == {PlantPart.ROOT_FLARE}
     top_m = (logs[:, :, 3] + logs[:, :, 0] / 2)[:, 2]
     assert top_m == pytest.approx(0.75 * size_m(logs)[:, 1] / 2, abs=0.02)
-
-
-def test_a_broken_log_lies_in_two_pieces_with_a_gap():
-    """The upper piece is thinner, begins 2 to 10 % of the length beyond the lower one, and is turned by up to 12 degrees."""
-    for tile in TILES[:16]:
-        whole = found_of(log_layer(), tiles=[tile])[FloorKind.LOG][0]
-        pieces = found_of(log_layer(broken=1.0), tiles=[tile])[FloorKind.BROKEN_LOG][0]
-        butts, tops = np.split(pieces, 2)
-        length, diameter, _ = size_m(whole).T
-        assert butts[:, :2, 3] - butts[:, :2, 0] / 2 == pytest.approx(whole[:, :2, 3] - whole[:, :2, 0] / 2)
-        gap_m = tops[:, :2, 3] - tops[:, :2, 0] / 2 - butts[:, :2, 3] - butts[:, :2, 0] / 2
-        share = np.hypot(*gap_m.T) / length
-        assert ((share > 0.0199) & (share < 0.1001)).all()
-        assert (size_m(tops)[:, 1] < diameter).all()
-        assert (diameter < size_m(butts)[:, 1]).all()
-        along = [piece[:, :2, 0] / np.linalg.norm(piece[:, :2, 0], axis=1, keepdims=True) for piece in (butts, tops)]
-        assert (along[0] * along[1]).sum(axis=1).min() > np.cos(np.radians(12.01))
 
 
 def test_a_rotten_log_is_flat_and_sunk():

@@ -83,17 +83,6 @@ def test_trees_follow_as_a_general_solver_has_it(hz, damping):
     assert np.abs(ours - solved[late]).max() < 2e-4 * INTENSITY * SPEED_M_S + 1e-4
 
 
-def test_any_tree_at_any_time_by_itself():
-    """One tree at one time has the same bits as among others over a week."""
-    lines = gust_lines(KAIMAL, 5, ACROSS)
-    t_s = np.concatenate([np.arange(0.0, 7.0, 0.1), [604_800.0]])
-    stand = Trees(np.linspace(0.8, 4.0, 9), 0.1, np.linspace(-90.0, 90.0, 9), np.linspace(5.0, -70.0, 9))
-    whole = swings(lines, SPEED_M_S, stand, t_s)
-    for i, k in ((0, 0), (4, 33), (8, 70)):
-        alone = Trees(stand.omega_rad_s[i : i + 1], 0.1, stand.downwind_m[i : i + 1], stand.aside_m[i : i + 1])
-        assert swings(lines, SPEED_M_S, alone, t_s[k : k + 1]).tobytes() == whole[k, i].tobytes()
-
-
 START_NS = 1_789_000_000_000_000_000
 
 
@@ -211,18 +200,3 @@ def test_stands_lean_with_the_wind(make_wind, loose, track_m):
     assert np.abs(along.mean(axis=0) / wanted - 1).max() < 0.1
     assert np.abs(across.mean(axis=0) / wanted).max() < 0.1
     assert (across.std(axis=0) < along.std(axis=0)).all()
-
-
-def test_trees_between_knots_are_where_they_should_be(make_wind, loose, track_m):
-    """Half-way between knots the straight line misses a tree by its greatest swing times (2 pi f h)^2 / 8, or 2.5 times that."""
-    trees = loose.trees(track_m)
-    trees = trees[trees["storey"] != REGENERATION]
-    t_ns = START_NS + KNOT_NS // 2 * np.arange(401)
-    shear = make_wind().shear(trees, t_ns)
-    straight = (shear[:-2:2] + shear[2::2]) / 2
-    frequency_hz, _ = mechanics(trees, loose.plants, "leaf_on")
-    swing = np.abs(shear - shear.mean(axis=0)).max(axis=(0, 2))
-    off = np.abs(straight - shear[1::2]).max(axis=(0, 2))
-    share = off / swing / ((2 * np.pi * frequency_hz * KNOT_NS * 1e-9) ** 2 / 8)
-    assert np.median(share) < 1.2
-    assert share.max() < 2.5

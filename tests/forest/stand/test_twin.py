@@ -6,8 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-import trimesh
-from forest.kit import feet_m, section_diameter_m
+from forest.kit import feet_m
 
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.species import flora
@@ -139,11 +138,6 @@ def header(glb):
     return json.loads(glb[0][20 : 20 + length])
 
 
-@pytest.fixture(scope="module")
-def scene(glb):
-    return trimesh.load_scene(io.BytesIO(glb[0]), file_type="glb")
-
-
 def test_every_instance_is_one_node_with_its_labels(glb, header, near, things):
     """There is one node for each tree and thing, named by class, number and species, and no other instance."""
     names = {node["name"] for node in header["nodes"]}
@@ -174,24 +168,6 @@ def test_parts_say_in_numbers_what_their_names_say_and_share_meshes(header):
     assert len(shown) > 2 * len(header["meshes"])
     stones = {n["mesh"] for n in header["nodes"] if n["name"].startswith("stone_") and "mesh" in n}
     assert 1 <= len(stones) <= 2 * 6  # small and large ones, and variants
-
-
-def test_a_stem_of_the_twin_has_its_dbh(scene, near):
-    """Cut across its axis at 1.3 m over its foot, a reloaded stem has the area of its DBH within 1 mm of diameter."""
-    tree = near[np.argmax(near["dbh_m"])]
-    name = f"tree_{tree['id']:06d}/{SPECIES[int(tree['species'])]}/stem"
-    yup_T_mesh, geometry = scene.graph[name]
-    mesh = scene.geometry[geometry].copy()
-    mesh.apply_transform(yup_T_mesh)
-    lean, towards = np.radians(tree["lean_deg"]), np.radians(tree["lean_towards_deg"])
-    axis = np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
-    at = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) + axis * (1.3 + 1e-4) / axis[2]
-    assert section_diameter_m(mesh, yup(axis), yup(at)) == pytest.approx(tree["dbh_m"], abs=1e-3)
-
-
-def yup(vector):
-    """East, north, up as x, -z, y."""
-    return np.array([vector[0], vector[2], -vector[1]])
 
 
 def test_materials_are_few_and_seen_from_both_sides(header):
