@@ -155,6 +155,18 @@ def test_a_file_system_without_locks_is_reported(tmp_path, monkeypatch, caplog):
     assert caplog.messages == [line]
 
 
+@pytest.mark.parametrize("make", [lambda path: path.write_bytes(b"mine"), os.mkfifo, os.mkdir])
+@pytest.mark.parametrize("name", ["x.part", "x.0123abcd.part"])
+def test_what_others_named_like_our_parts_stays(tmp_path, make, name):
+    """A file, a pipe or a folder whose name looks like that of an unfinished file is neither opened for writing nor lost."""
+    make(tmp_path / name)
+    before = (tmp_path / name).lstat()
+    write(tmp_path / "x")
+    after = (tmp_path / name).lstat()
+    assert (after.st_ino, after.st_mode, after.st_size) == (before.st_ino, before.st_mode, before.st_size)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["x", name])
+
+
 @pytest.mark.parametrize("link", [os.symlink, os.link])
 def test_an_input_is_never_written_over(tmp_path, link):
     """An output that is an input by device and inode is refused, by whatever name."""

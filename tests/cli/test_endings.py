@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import load, replay
+from vlp16emu.cli import app
 
 GAP_S = 5 * 3600
 """A clock that was set while a capture was written: shared report ouster-sdk#176."""
@@ -185,3 +186,20 @@ def test_a_missing_matplotlib_is_named_before_the_work(cli, monkeypatch, tmp_pat
     assert (outcome.code, outcome.err.count("\n")) == (2, 1)
     assert "pip install 'vlp16emu[picture]'" in outcome.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_that_meets_a_library_is_not_printed(monkeypatch, capsys):
+    """Where a signal meets a `__del__`, Python prints a traceback, but not once the command is interrupted."""
+
+    class Held:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("sys.unraisablehook", app._unraisable)
+    interrupted, printed = threading.Event(), []
+    monkeypatch.setattr(app, "_was_interrupted", interrupted)
+    for _ in range(2):
+        Held()
+        printed.append("KeyboardInterrupt" in capsys.readouterr().err)
+        interrupted.set()
+    assert printed == [True, False]

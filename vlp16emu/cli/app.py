@@ -110,6 +110,7 @@ def main() -> None:
     for number in ENDINGS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
+    sys.unraisablehook = _unraisable
     for output in (sys.stdout, sys.stderr):
         if isinstance(output, io.TextIOWrapper):  # names of files may hold what a terminal cannot show
             output.reconfigure(errors="backslashreplace")
@@ -160,6 +161,12 @@ def _interrupt(_signal: int, _frame: object) -> None:
     timer.daemon = True
     timer.start()
     raise KeyboardInterrupt
+
+
+def _unraisable(error: "sys.UnraisableHookArgs") -> None:
+    """Leave out that a signal met a callback or a `__del__` of a library, which cannot pass KeyboardInterrupt on."""
+    if not _was_interrupted.is_set():
+        sys.__unraisablehook__(error)
 
 
 def _complain(message: str) -> None:
