@@ -129,10 +129,10 @@ def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
 
 
 def test_without_gait_nothing_swings(monkeypatch):
-    """A bare walk asks neither the trunk nor the pack for anything; one with a gait does."""
+    """A bare walk, with straps too, asks neither the trunk nor the pack for anything; one with a gait does."""
     forbid(monkeypatch, (gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_sit"))
     t_ns = birch().start_ns + np.arange(10, dtype=np.int64)
-    Emulator(birch("motion.gait={ preset = 'none' }"), threads=1).parts.motion.poses_at(t_ns)
+    Emulator(birch("motion.gait={ preset = 'none' }", "motion.harness={}"), threads=1).parts.motion.poses_at(t_ns)
     with pytest.raises(TouchedError):
         Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
 

@@ -174,8 +174,8 @@ class Wall:
         return Hits.one_ray_each(np.where(hit, range_m, np.inf).astype(np.float32), surface, hit.astype(np.float32))
 
 
-def draw(into_m, overhang_m=3.0, ground_m=0.0):
-    return draw_section(Wall(into_m), SECTION, overhang_m, COLOURS, lambda x, _: np.full_like(x, ground_m), 10.0)
+def draw(into_m, overhang_m=3.0):
+    return draw_section(Wall(into_m), SECTION, overhang_m, COLOURS, lambda x, _: np.zeros_like(x), 10.0)
 
 
 def test_what_stands_there_is_drawn_at_its_height_in_its_colour():
@@ -197,13 +197,6 @@ def test_distance_pales_and_the_overhang_is_seen():
     assert (beyond == far).all()
     assert (draw(-4.0)[40, 0] == COLOURS[0]).all()
     assert (draw(-4.0, overhang_m=0.0)[40, 0] == PAPER).all()
-
-
-def test_ground_hides_what_lies_below_it():
-    """Where the cut runs at 3 m, soil reaches up to 3 m."""
-    column = draw(-2.0, ground_m=3.0)[::-1, 0].astype(int)
-    assert (column[39] == [196, 178, 150]).all()
-    assert (column[45] == COLOURS[1]).all()
 
 
 def test_a_strip_follows_the_beginning_of_a_way():

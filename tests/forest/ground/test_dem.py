@@ -117,13 +117,6 @@ def test_ground_goes_on_level_beyond_the_file(bumpy, caplog, path, reach_m, mess
     assert np.ptp(west) == np.ptp(east) == 0.0
 
 
-def test_a_path_beyond_the_file_is_refused(bumpy):
-    """A walk needs ground of the file under it all along."""
-    message = r"ends in column 40 at x = 39.0 m, 11.0 m short of the path at \(50.0, 15.0\) m; expected ground under the whole path"
-    with pytest.raises(GeometryError, match=message):
-        bumpy[0].check(np.array([[20.0, 15.0], [50.0, 15.0]]), 4.0)
-
-
 def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):
     """A cell without height counts as far as its two cells of influence reach, is named by row, column and place, and has the nearest height."""
     heights = np.zeros((30, 40))

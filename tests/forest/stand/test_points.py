@@ -8,7 +8,6 @@ import pytest
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from vlp16emu.errors import GeometryError
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Plantation
 from vlp16emu.forest.stand import points as module
@@ -151,9 +150,3 @@ def test_planted_rows_are_rows():
     assert len(np.unique(places, axis=0)) == len(points)
     assert len(points) * 2.25 * 2.5 / (10 * TILE_M) ** 2 == pytest.approx(0.9, abs=0.02)
     assert clark_evans(points, 1600.0) > 1.5
-
-
-def test_more_than_was_planted_is_refused():
-    """Rows cannot hold more plants than their spacing has places for."""
-    with pytest.raises(GeometryError, match=r"found 1800; expected at most 1778, which rows of 2.5 m x 2.25 m"):
-        rows(1800.0)
