@@ -107,18 +107,20 @@ def main() -> None:
     logging.basicConfig(format="warning: %(message)s")
     if not sys.warnoptions:
         warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, in front of the line that says what is wrong
-    for number in ENDINGS:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
-    sys.unraisablehook = _unraisable
-    for output in (sys.stdout, sys.stderr):
-        if isinstance(output, io.TextIOWrapper):  # names of files may hold what a terminal cannot show
-            output.reconfigure(errors="backslashreplace")
     code = None
     try:
+        for number in ENDINGS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, _interrupt)
+        sys.unraisablehook = _unraisable
+        for output in (sys.stdout, sys.stderr):
+            if isinstance(output, io.TextIOWrapper):  # names of files may hold what a terminal cannot show
+                output.reconfigure(errors="backslashreplace")
         code = run(sys.argv[1:])
         gc.freeze()  # Python need not look through all of it at the end
         print(end="", flush=True)
+    except KeyboardInterrupt:  # before the command begins, or behind its end
+        code = INTERRUPTED
     except Exception as error:
         if _was_interrupted.is_set():  # Python raises another error where a class is being made
             code = INTERRUPTED
