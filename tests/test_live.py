@@ -1,5 +1,6 @@
 """The closed loop: a scripted drone flies a streamed scene, and what was flown repeats the run byte for byte."""
 
+import socket
 import threading
 import time
 from functools import partial
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 LIVE = 'motion={kind="live"}'
 BARE = ["world.length_m=11", "world.width_m=8", "world.boxes=[]", "world.spheres=[]", "world.poles=[]"]
-RUN_S = 2.0
+RUN_S = 4.0  # a busy machine may see the end of the pause late
 PAUSE_S = 0.4, 1.6
 
 
@@ -29,27 +30,36 @@ class Flown:
     """A flight through a bare hall, streamed and then repeated."""
 
     def __init__(self, folder, drone):
-        self.lines, path = [], folder / "flown.csv"
-        data, position = Listener(), Listener()
+        self.lines, self.drone, self.over, flight = [], drone, threading.Event(), []
+        data, position, path = Listener(), Listener(), folder / "flown.csv"
         ports = [f"sensor.data_port={data.port}", f"sensor.position_port={position.port}"]
         settings = [*BARE, LIVE, *ports, "gps.connected=true"]
 
         def news(line):
             self.lines.append(line)
             if len(self.lines) == 1:  # it waits for poses
-                to, (at_s, until_s) = line.rpartition("//")[2], PAUSE_S
-                words = f"drone --to {to} --duration {RUN_S + 1} --centre 0,0,1.5 --size 2,1 --pause {at_s},{until_s - at_s}"
-                flight.append(threading.Thread(target=drone.main, args=(words.split()[1:],)))
+                flight.append(threading.Thread(target=self._fly, args=(int(line.rpartition(":")[2]), data.came)))
                 flight[0].start()
 
-        flight = []
         poses = PosesIn("udp://127.0.0.1:0", path, news)
         self.streamed = Emulator("static_bench", settings).stream(duration_s=RUN_S, poses=poses)
+        self.over.set()
         flight[0].join()
         self.sent = {PacketKind.DATA: data.end(), PacketKind.POSITION: position.end()}
         self.again = Emulator("static_bench", [*settings, f"motion.flown={path}"])
         packets = list(self.again.packets(0.0, RUN_S))
         self.repeated = {kind: [p.payload for p in packets if p.kind is kind] for kind in self.sent}
+
+    def _fly(self, port, begun):
+        """Send a figure of eight, 100 poses a second, in place until the first packet comes; the pause counts from there."""
+        begun_s = None
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not self.over.wait(0.01):
+                begun_s = begun_s or (time.monotonic() if begun.is_set() else None)
+                since_s = time.monotonic() - begun_s if begun_s else 0.0
+                if not PAUSE_S[0] <= since_s < PAUSE_S[1]:
+                    numbers = self.drone.pose(1.2 * max(0.0, since_s - 0.1), 1.2, [0.0, 0.0, 1.5], [2.0, 1.0])
+                    sender.sendto(self.drone.datagram(numbers, time.monotonic_ns()), ("127.0.0.1", port))
 
 
 @pytest.fixture(scope="module")
