@@ -65,16 +65,10 @@ kind = "plot"
 stem_list = "stems.csv"
 species_file = "species.toml"
 dem = { file = "ground.asc" }
-[[world.meshes]]
-file = "hut.obj"
-unit = "m"
-up = "z"
-places = [{ x_m = 1, y_m = 2 }]
-[[world.meshes]]
-file = "/srv/well.obj"
-unit = "m"
-up = "z"
-places = [{ x_m = 3, y_m = 4 }]
+meshes = [
+    { file = "hut.obj", unit = "m", up = "z", places = [{ x_m = 1, y_m = 2 }] },
+    { file = "/srv/well.obj", unit = "m", up = "z", places = [{ x_m = 3, y_m = 4 }] },
+]
 """
 WALK = """\
 schema = 1
