@@ -54,13 +54,12 @@ def named(*modules):
     return cache._content(frozenset(f"vlp16emu.{module}" for module in modules))
 
 
-TWO_KERNELS = """
-@numba.njit(cache=True)
+KEPT = []  # a kernel of no module can be loaded while the one that was compiled is alive
+TWO_KERNELS = """@numba.njit(cache=True)
 def inner(x):
     if x < 0:
         raise ValueError("below zero")
     return 2 * x
-
 @numba.njit(cache=True)
 def outer(x):
     return inner(x) + 1
@@ -75,7 +74,8 @@ def kernel(module="vlp16emu.room"):
     """Make a kernel of a module, which is not compiled yet in this process."""
     function = FunctionType(twice.__code__, {}, "twice")
     function.__module__ = module
-    return numba.njit(cache=True)(function)
+    KEPT.append(numba.njit(cache=True)(function))
+    return KEPT[-1]
 
 
 def is_compiled_anew():
