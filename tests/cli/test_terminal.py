@@ -87,7 +87,7 @@ def test_the_first_run_says_how_far_it_has_compiled(monkeypatch, capsys):
     ],
 )
 def test_an_interval_that_gives_no_order_of_magnitude_is_left_out(low_m, high_m, said):
-    """An interval one end of which is ten times the other says nothing of the error."""
+    """An interval whose one end is ten times the other does not state the error."""
     assert f"RMSE 25.7 mm before noise ({said}), 0.0 % lost" in audit_text(
         AuditFinding(False, 100, 0.0257, low_m, high_m, 0.0, 0.0, 0.0)
     )

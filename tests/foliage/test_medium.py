@@ -230,7 +230,7 @@ def test_what_is_open_keeps_its_blocks_whatever_comes_and_goes():
 
 
 def test_room_of_blocks_that_nobody_uses_is_used_again():
-    """A walk past 200 tiles, of which five are seen at once, takes no more room than three times those."""
+    """A walk past 200 tiles with five in sight takes no more memory than three times those."""
     user, shelf = None, Shelf()
     for start in range(200):
         names = [(start + i, 0) for i in range(5)]

@@ -60,7 +60,7 @@ def test_what_is_no_dated_sentence_stays(sentence):
 
 
 def test_a_data_packet_keeps_all_but_its_stamp():
-    """Of a data packet four bytes change; it is as old as it takes to fill, in strongest return."""
+    """Four bytes of a data packet change; it is as old as it takes to fill, in strongest return."""
     packet = Packet(PacketKind.DATA, 0, bytes(1200) + (3_599_999_000).to_bytes(4, "little") + b"\x37\x22")
     after = moved(packet, 7)
     assert after.payload[:1200] == packet.payload[:1200]

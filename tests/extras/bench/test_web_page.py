@@ -111,7 +111,7 @@ def test_a_refused_value_is_shown_with_its_reason(web, page):
 
 
 def test_save_and_reset_are_buttons(web, page):
-    """What is being typed stays; what is saved by one button is there after the other; what was set since is not."""
+    """A value that is being typed stays; a saved setting is there after the reset; one that was set since is not."""
     page.type("[name=end]", "90")
     web.client.post("/cgi/setting", "rpm=300")
     page.wait("document.querySelector('[name=rpm]').value == 300")  # set from elsewhere, and shown

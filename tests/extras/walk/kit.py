@@ -36,7 +36,7 @@ class Circle:
 
 
 def gait(**own):
-    """A gait of which everything moves, less what is given."""
+    """A gait with every motion in it, but for what is given."""
     round_m = {"vertical_m": 0.02, "sideways_m": 0.02, "heel_strike_m": 0.001}
     return Gait(**{"step_hz": 1.85, "roll_deg": 1.7, "yaw_deg": 3.5, "variation": 0.02, **round_m, **own})
 
