@@ -167,16 +167,6 @@ def test_what_others_named_like_our_parts_stays(tmp_path, make, name):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["x", name])
 
 
-@pytest.mark.parametrize("link", [os.symlink, os.link])
-def test_an_input_is_never_written_over(tmp_path, link):
-    """An output that is an input by device and inode is refused, by whatever name."""
-    (tmp_path / "input").write_bytes(b"read")
-    link(tmp_path / "input", tmp_path / "x")
-    with pytest.raises(OutputError, match="is read by this run"):
-        OutputFile(tmp_path / "x", inputs=[tmp_path / "input"])
-    assert (tmp_path / "input").read_bytes() == b"read"
-
-
 def test_links_in_a_circle_are_refused(tmp_path):
     """A link that leads to itself is one line of the system's words (ELOOP of POSIX)."""
     (tmp_path / "x").symlink_to("y")

@@ -222,6 +222,23 @@ class Packet:
     slots: NDArray[np.void] | None = None  # (384,) of a data packet: what is behind each record, only when asked for
 
 
+class PacketSink(Protocol):
+    """A destination of packets: a context manager that is open from the moment it is made.
+
+    Classes derived from it have nothing to close unless they say so.
+    """
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close what was opened."""
+        return
+
+    def send(self, packet: Packet) -> None:
+        """Let one packet leave at once."""
+
+
 @dataclass(frozen=True, slots=True)
 class Labels:
     """Ground truth of n points: the surface that each was reflected by."""
