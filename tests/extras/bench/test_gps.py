@@ -6,7 +6,7 @@ from vlp16emu.engine import GpsInput
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bench.changes import DisturbedGps
 from vlp16emu.extras.bench.gps_in import parse_rmc
-from vlp16emu.motion import Gps
+from vlp16emu.motion.settings import Gps
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import GnssFix, PpsState
 from vlp16emu.units import MS_NS, S_NS
