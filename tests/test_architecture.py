@@ -67,7 +67,7 @@ EXTRAS_TAKE = {
     "sheets": {"camera", "meshes", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench", "imu", "outputs"},
-    "viewer": {"camera", "clouds", "images", "live", "options", "plots", "sheets", "verify", "walk"},
+    "viewer": {"camera", "clouds", "images", "options", "plots", "sheets", "verify"},
     "walk": {"splines"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
@@ -80,7 +80,7 @@ LIBRARIES = {
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
-    "socket": ("sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py", "extras/viewer/"),
+    "socket": ("sinks/", "extras/bench/", "extras/free_ports.py", "extras/live/", "extras/doctor.py"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }

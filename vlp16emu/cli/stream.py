@@ -1,13 +1,12 @@
 """`vlp16emu stream` and `vlp16emu replay`: packets over UDP, in real time."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,7 +14,7 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.doors import door, has_door
-from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.errors import InputError
 from vlp16emu.run.options import Option, ReplayOptions, stream_options
 
 if TYPE_CHECKING:
@@ -59,13 +58,6 @@ def stream(
             "too slow. It takes 3.4 GB for an hour of single return."
         ),
     ] = False,
-    view: Annotated[
-        bool,
-        Option(
-            "Show stand, sensor, sweep and lateness in the browser while packets leave, in a process that they do not wait for. "
-            "Needs the extra 'viewer'."
-        ),
-    ] = False,
     keep_up: KeepUp = None,
     strict: Strict = False,
     as_json: args.AsJson = False,
@@ -83,9 +75,6 @@ def stream(
     _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
     _, stop_s = scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
-        hooks: dict[str, Any] = {}
-        if view:
-            hooks["watched"] = stack.enter_context(_page(emulator, stop_s, quiet=as_json))
         stop, progress = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(stop_s))
         if is_prepared and options.prepare is None:
             from tempfile import TemporaryDirectory
@@ -98,7 +87,6 @@ def stream(
             options = replace(options, poses=replace(options.poses, news=progress.say))
         streamed = emulator.stream(
             **vars(options),
-            **hooks,
             opened=lambda units: _announce(
                 f"streaming {scene} to {host}", [unit.link for unit in units], quiet=as_json
             ),
@@ -161,20 +149,6 @@ def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | Non
     if wanted or (wanted is None and is_terminal and not cannot):
         print("keep-up: measuring this machine", file=sys.stderr, flush=True)
         print(emulator.keep_up(options.speed).line, file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _page(emulator: "Emulator", duration_s: float, *, quiet: bool) -> Iterator[Any]:
-    """Show a stream in the browser, print where, and yield what its sink is wrapped in."""
-    if find_spec("viser") is None:
-        raise MissingExtraError("viser", "viewer", "the page in the browser")
-    from vlp16emu.extras.viewer.live import backdrop_of, watching
-
-    with Progress(duration_s):
-        backdrop = backdrop_of(emulator, duration_s)
-    with watching(emulator, backdrop) as watch:
-        print(f"page at {watch.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
-        yield watch.sink
 
 
 def _say_served(places: list[tuple[str, int]]) -> None:

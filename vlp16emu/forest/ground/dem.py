@@ -251,7 +251,7 @@ class DemHeights:
             if gap_m.min() < 0:
                 px, py = path_xy_m[gap_m.argmin()].tolist()
                 found = f"ends in {edge}, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
-                raise GeometryError(str(self._grid.path), found, "ground under the whole path", at_m=(px, py))
+                raise GeometryError(str(self._grid.path), found, "ground under the whole path")
         if in_sight:
             nearest_m = min(gap_m.min() for gap_m in in_sight.values())
             _log.warning(
@@ -269,7 +269,7 @@ class DemHeights:
             where = f"{self._grid.path}: row {row[i] + 1}, column {column[i] + 1}"
             found = f"no height at ({px:.1f}, {py:.1f}) m{on_map}, {gap_m[i]:.1f} m from the path"
             expected = f"heights {reach_m:g} m around the path and two cells more"
-            raise GeometryError(where, found, expected, at_m=(px, py))
+            raise GeometryError(where, found, expected)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)

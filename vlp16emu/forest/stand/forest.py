@@ -1,7 +1,7 @@
 """A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and what is kept of it."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import TypeVar
 
@@ -115,13 +115,6 @@ class ForestWorld:
     def trees(self, track_m: F8) -> Trees:
         """Return the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
         return np.concatenate([np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))])
-
-    def growing(self, track_m: F8) -> Iterator[float]:
-        """Grow the tiles in the window of positions (m, 2 or 3) one by one, and give the share that is there after each."""
-        names = self._in_view(track_m)
-        for done, name in enumerate(names, 1):
-            self._tile(*name)
-            yield done / len(names)
 
     def window(self, track_m: F8) -> TiledWindow:
         """Return everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
