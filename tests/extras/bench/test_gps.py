@@ -1,12 +1,13 @@
 """The receiver wired to the sensor, and what happens to its line."""
 
 import pytest
+from listening import parse_rmc
 
 from vlp16emu.engine import GpsInput
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bench.changes import DisturbedGps
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.motion import Gps
+from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import GnssFix, PpsState
 from vlp16emu.units import MS_NS, S_NS
@@ -65,7 +66,7 @@ def test_garbled_sentences_are_an_error():
     assert parse_rmc(made.sentence(fix(2), 1)).t_ns == START_NS + 2 * S_NS
     for second in (3, 4):
         with pytest.raises(PacketError):
-            parse_rmc(made.sentence(fix(second), 1))
+            rmc_time(made.sentence(fix(second), 1))
 
 
 @pytest.mark.parametrize("characters", [1, 2, 5, 40])
@@ -79,7 +80,7 @@ def test_as_many_characters_are_garbled_as_wanted(characters):
         assert text.endswith(b"\r\n")
         assert characters <= differ <= characters + 1
         with pytest.raises(PacketError):
-            parse_rmc(text)
+            rmc_time(text)
         seen.add(text)
     assert len(seen) > 30
 

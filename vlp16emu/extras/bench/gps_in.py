@@ -13,9 +13,9 @@ from vlp16emu.extras.bench.outlets import Away, SerialPort, has_line
 from vlp16emu.extras.bench.retime import age_ns, restamped
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
-from vlp16emu.packets.nmea import KNOT_M_S, fields_of, rmc_time, utc_ns
+from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.sinks import TOLERANCE_NS, PacketSink
-from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
+from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, seconds_to_ns
 
 _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
@@ -130,39 +130,6 @@ class GpsLine:
                 # Whole seconds alone: the fraction is that of the pulse.
                 shown_ns = (self._edge_ns - self._zero_ns + S_NS // 2) // S_NS * S_NS
                 self._zero_ns -= (named_ns - shown_ns) % HOUR_NS
-
-
-def parse_rmc(sentence: bytes) -> GnssFix:
-    """Read a sentence back, ASCII that ends with CR and LF.
-
-    Raises PacketError: no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number.
-    """
-    fields = fields_of(sentence)
-    try:
-        return GnssFix(
-            t_ns=utc_ns(fields[8], fields[0]),
-            valid={"A": True, "V": False}[fields[1]],
-            latitude_deg=_degrees(fields[2], 2, {"N": 1, "S": -1}[fields[3]]),
-            longitude_deg=_degrees(fields[4], 3, {"E": 1, "W": -1}[fields[5]]),
-            speed_m_s=_number(fields[6]) * KNOT_M_S,
-            course_deg=_number(fields[7]),
-        )
-    except (ValueError, KeyError, IndexError) as error:
-        raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
-
-
-def _degrees(field: str, width: int, sign: int) -> float:
-    degrees, minutes = int(field[:width]), _number(field[width:])
-    if minutes >= 60:
-        raise ValueError(field)
-    return sign * (degrees + minutes / 60)
-
-
-def _number(field: str) -> float:
-    """Read a plain number without sign; float alone would take nan and 1e9."""
-    if not field.replace(".", "", 1).isdecimal():
-        raise ValueError(field)
-    return float(field)
 
 
 _BAUD = 9600  # 63-9243 Rev D, section 7.4
