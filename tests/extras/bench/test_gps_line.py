@@ -49,17 +49,11 @@ def off_ns(line, second):
     return (error + HOUR_NS // 2) % HOUR_NS - HOUR_NS // 2
 
 
-def test_without_a_receiver_the_clock_counts_from_power_up():
-    """No pulse, no sentence: absent, and time since power-up."""
-    line = made()
-    assert line.state_at(host(0)) is PpsState.ABSENT
-    assert line.clock_ns(host(0)) == 7 * S_NS + 321
-    assert line.sentence == b""
-
-
 def test_pulses_and_sentences_lock_after_the_window():
-    """Synchronizing until pulses were steady for the window, then locked, and the clock is UTC past the hour, over midnight too."""
+    """Absent, and time since power-up, without a receiver; synchronizing for the window; then locked to UTC, over midnight too."""
     line = made()
+    assert (line.state_at(host(0)), line.sentence) == (PpsState.ABSENT, b"")
+    assert line.clock_ns(host(0)) == 7 * S_NS + 321
     feed(line, range(2))
     assert line.state_at(host(1.9)) is PpsState.SYNCHRONIZING
     feed(line, range(2, 15))
@@ -69,32 +63,23 @@ def test_pulses_and_sentences_lock_after_the_window():
     assert line.heard.pulses == line.heard.sentences == 15
 
 
-def test_pulses_alone_pull_the_fraction_of_a_second():
-    """Without sentences the state stays synchronizing, and the clock is at a whole second at each edge."""
+@pytest.mark.parametrize(
+    ("whole", "alone", "states"),
+    [
+        (range(0), range(6), {5.5: PpsState.SYNCHRONIZING}),
+        (range(6), range(0), {6.4: PpsState.LOCKED, 6.6: PpsState.ABSENT}),
+        (range(6), range(6, 12), {10.0: PpsState.LOCKED, 11.0: PpsState.SYNCHRONIZING}),
+    ],
+)
+def test_half_a_receiver_leaves_the_clock_where_it_was(whole, alone, states):
+    """Pulses alone never lock, the state is absent 1.5 s after the last pulse, and synchronizing 5 s after the last sentence."""
     line = made()
-    for second in range(6):
+    feed(line, whole)
+    for second in alone:
         line.pulse(host(second))
-    assert line.state_at(host(5.5)) is PpsState.SYNCHRONIZING
-    assert line.clock_ns(host(5)) % S_NS == 0
-
-
-def test_a_lost_pulse_lets_the_clock_run_on():
-    """1.5 s after the last pulse the state is absent, and the clock goes on from where it was."""
-    line = made()
-    feed(line, range(6))
-    assert line.state_at(host(6.4)) is PpsState.LOCKED
-    assert line.state_at(host(6.6)) is PpsState.ABSENT
-    assert off_ns(line, 100.0) == 0
-
-
-def test_sentences_that_cease_unlock():
-    """5 s after the last sentence pulses alone are synchronizing."""
-    line = made()
-    feed(line, range(6))
-    for second in range(6, 12):
-        line.pulse(host(second))
-    assert line.state_at(host(10.0)) is PpsState.LOCKED
-    assert line.state_at(host(11.0)) is PpsState.SYNCHRONIZING
+    assert {second: line.state_at(host(second)) for second in states} == states
+    assert off_ns(line, 100.0) % S_NS == 0  # the fraction of a second is that of the pulses
+    assert not whole or off_ns(line, 100.0) == 0
 
 
 def test_a_garbled_sentence_and_a_bad_pulse_are_errors():

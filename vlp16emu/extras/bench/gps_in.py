@@ -4,7 +4,7 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from vlp16emu.errors import OutputError, PacketError
@@ -33,9 +33,9 @@ _SHARE = 8
 class Heard:
     """Input of a receiver so far."""
 
-    pulses: int
-    sentences: int  # good ones
-    refused: int  # RMC sentences that were garbled; others are not looked at
+    pulses: int = 0
+    sentences: int = 0  # good ones
+    refused: int = 0  # RMC sentences that were garbled; others are not looked at
 
 
 class GpsLine:
@@ -55,7 +55,7 @@ class GpsLine:
         self._window_ns, self._requires_valid, self._delay_ns = window_ns, requires_valid, sentence_delay_ns
         self._lock = threading.RLock()  # `receive` takes pulses
         self._buffer = b""
-        self._pulses = self._sentences = self._refused = 0
+        self.heard = Heard()
         self._zero_ns = power_up_ns  # instant at which the clock showed a whole hour
         self._edge_ns: int | None = None
         self._steady_since_ns: int | None = None
@@ -69,7 +69,7 @@ class GpsLine:
         It pulls the fraction of a second to the edge: at once at first, in small parts once pulses are steady.
         """
         with self._lock:
-            self._pulses += 1
+            self.heard = replace(self.heard, pulses=self.heard.pulses + 1)
             since_ns = _LOST_NS + 1 if self._edge_ns is None else t_ns - self._edge_ns
             off_ns = (t_ns - self._zero_ns + S_NS // 2) % S_NS - S_NS // 2
             is_first = since_ns > _LOST_NS
@@ -104,12 +104,6 @@ class GpsLine:
         with self._lock:
             return (t_ns - self._zero_ns) % HOUR_NS
 
-    @property
-    def heard(self) -> Heard:
-        """Result so far."""
-        with self._lock:
-            return Heard(self._pulses, self._sentences, self._refused)
-
     def _take(self, line: bytes, t_ns: int) -> None:
         """Take a line: an RMC sentence names the second of the edge before it."""
         if not line.startswith(b"$GPRMC,"):
@@ -117,10 +111,10 @@ class GpsLine:
         try:
             named_ns, valid = rmc_time(line + b"\r\n")
         except PacketError:
-            self._refused += 1
+            self.heard = replace(self.heard, refused=self.heard.refused + 1)
             self._is_bad = True
             return
-        self._sentences += 1
+        self.heard = replace(self.heard, sentences=self.heard.sentences + 1)
         self.sentence = line + b"\r\n"
         if self._delay_ns is not None:
             self.pulse(t_ns - self._delay_ns)
