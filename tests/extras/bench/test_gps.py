@@ -3,7 +3,6 @@
 import pytest
 from listening import parse_rmc
 
-from vlp16emu.engine import GpsInput
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bench.changes import DisturbedGps
 from vlp16emu.motion import Gps
@@ -38,17 +37,6 @@ def states(made, stop_s=25.0):
 
 def fix(second):
     return GnssFix(START_NS + second * S_NS, True, 62.24, 25.75, 1.1, 90.0)
-
-
-def test_sentence_names_the_preceding_second():
-    """Until the delay has passed the buffer holds the sentence of the second before; without a receiver it is empty."""
-    gps = GpsInput(True, 350 * MS_NS)
-    assert gps.second_ns(100 * S_NS + 349 * MS_NS) == 99 * S_NS
-    assert gps.second_ns(100 * S_NS + 350 * MS_NS) == 100 * S_NS
-    assert gps.second_ns(101 * S_NS) == 100 * S_NS
-    assert gps.pps_at(100 * S_NS) is LOCKED
-    alone = GpsInput(False, 350 * MS_NS)
-    assert (alone.pps_at(100 * S_NS), alone.second_ns(100 * S_NS)) == (ABSENT, None)
 
 
 def test_a_lost_pulse_is_absent_and_then_synchronizing():
