@@ -8,6 +8,7 @@ import pytest
 from listening import MemorySink
 
 from vlp16emu.extras.bench.gps_in import GpsInSink, GpsLine
+from vlp16emu.motion import Gps
 from vlp16emu.packets import decode_position, pack_position
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
@@ -28,10 +29,10 @@ def host(second):
     return HOST_NS + round(second * S_NS)
 
 
-def made(**settings):
+def made(*, is_pulsed=True, **settings):
     """A line that waits for 2 s of steady pulses."""
-    keys = {"window_ns": 2 * S_NS, "requires_valid": False, "sentence_delay_ns": None} | settings
-    return GpsLine(HOST_NS - 7 * S_NS - 321, **keys)
+    gps = Gps(pps_window_s=2.0, sentence_delay_s=0.45, canopy_loss=False, **settings)
+    return GpsLine(gps, HOST_NS - 7 * S_NS - 321, is_pulsed=is_pulsed)
 
 
 def feed(line, seconds, *, valid=True, jitter_ns=0, say=sentence):
@@ -135,7 +136,7 @@ def test_stamps_do_not_show_how_late_a_line_was_looked_at():
 
 def test_without_a_line_the_sentence_is_the_pulse():
     """Where no pulse comes, the second began as long before its sentence as is set, and the state locks all the same."""
-    line = made(sentence_delay_ns=450 * MS_NS)
+    line = made(is_pulsed=False)
     for second in range(8):
         line.receive(sentence(second), host(second + 0.45))
     assert line.state_at(host(7.9)) is PpsState.LOCKED

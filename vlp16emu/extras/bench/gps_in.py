@@ -43,16 +43,13 @@ class GpsLine:
 
     Parameters
     ----------
+    gps : of the scene: how long pulses must be steady, and whether only sentences of status A set the clock
     power_up_ns : when the sensor's own clock was at zero
-    window_ns : for so long pulses must be steady ("Require PPS lock", delay; 63-9243 Rev D, appendix G)
-    requires_valid : whether only sentences of status A set the clock ("Require GPS receiver valid")
-    sentence_delay_ns : where no pulse comes by a line, how long before its sentence a second began; None for a line that pulses
+    is_pulsed : false if no pulse comes by a line: then a second begins `gps.sentence_delay_s` before its sentence
     """
 
-    def __init__(
-        self, power_up_ns: int, *, window_ns: int, requires_valid: bool, sentence_delay_ns: int | None
-    ) -> None:
-        self._window_ns, self._requires_valid, self._delay_ns = window_ns, requires_valid, sentence_delay_ns
+    def __init__(self, gps: Gps, power_up_ns: int, *, is_pulsed: bool) -> None:
+        self._gps, self._is_pulsed = gps, is_pulsed
         self._lock = threading.RLock()  # `receive` takes pulses
         self._buffer = b""
         self.heard = Heard()
@@ -95,7 +92,8 @@ class GpsLine:
                 return PpsState.ABSENT
             if self._is_bad:
                 return PpsState.ERROR
-            steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= self._window_ns
+            window_ns = seconds_to_ns(self._gps.pps_window_s)
+            steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= window_ns
             is_set = self._set_ns is not None and t_ns - self._set_ns < _STALE_NS
             return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
 
@@ -116,9 +114,9 @@ class GpsLine:
             return
         self.heard = replace(self.heard, sentences=self.heard.sentences + 1)
         self.sentence = line + b"\r\n"
-        if self._delay_ns is not None:
-            self.pulse(t_ns - self._delay_ns)
-        if named_ns is not None and (valid or not self._requires_valid):
+        if not self._is_pulsed:
+            self.pulse(t_ns - seconds_to_ns(self._gps.sentence_delay_s))
+        if named_ns is not None and (valid or not self._gps.requires_valid):
             self._set_ns = t_ns
             if self._edge_ns is not None and t_ns - self._edge_ns < _LOST_NS:
                 # Whole seconds alone: the fraction is that of the pulse.
@@ -159,12 +157,8 @@ class GpsReader:
         if self._pulse and self._port.use(lambda port: has_line(lambda: getattr(port, gps_in.pulse))) is False:
             self._port.close()
             raise OutputError(f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence")
-        self.line = GpsLine(
-            time.monotonic_ns() - seconds_to_ns(powered_for_s),
-            window_ns=seconds_to_ns(gps.pps_window_s),
-            requires_valid=gps.requires_valid,
-            sentence_delay_ns=None if self._pulse else seconds_to_ns(gps.sentence_delay_s),
-        )
+        power_up_ns = time.monotonic_ns() - seconds_to_ns(powered_for_s)
+        self.line = GpsLine(gps, power_up_ns, is_pulsed=self._pulse is not None)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"gps in {gps_in.port}", daemon=True)
 
