@@ -1,11 +1,11 @@
 """Position packets: sentences that follow the walk and the canopy."""
 
 import pytest
+from listening import parse_rmc
 from woods import LINES
 
 from vlp16emu import Emulator
 from vlp16emu.engine.engine import position_packets
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.packets import decode_position
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS

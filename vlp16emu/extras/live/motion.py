@@ -61,7 +61,7 @@ class PoseInput:
 
     def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._clock_ns, self._lock = clock_ns, threading.Lock()
-        self._came = threading.Event()
+        self.came = threading.Event()  # set by the first pose
         self._before = deque[tuple[int, F8]]()
         self._jumped = False
         self._offset_ns: int | None = None
@@ -109,12 +109,8 @@ class PoseInput:
                     self.gaps_ns.append((last.arrived_ns, now_ns))
             self.received += 1
             self.last = SeenPose(self._with_rates(at_ns, pose), at_ns, now_ns)
-        self._came.set()
+        self.came.set()
         return True
-
-    def wait(self, seconds: float) -> bool:
-        """Wait for the first pose, and return whether it has come."""
-        return self._came.wait(seconds)
 
     def _with_rates(self, at_ns: int, pose: F8) -> F8:
         """Add to a pose (7,) the rates since the youngest pose that is old enough, and keep it for those to come."""
@@ -244,7 +240,8 @@ class LiveMotion:
         """Make knots until a UTC instant, each when its time has come."""
         if self.knots is None:
             rest = np.append(self._seen().state[:7], np.zeros(STATE - 7))
-            return Knots(self._start_ns, np.stack([rest, self._after(rest, rest, 0.0)]))
+            still = follow(rest, rest, 0.0, STEP_NS / S_NS, self._smoothing_s)  # by the kernel, which is loaded with it
+            return Knots(self._start_ns, np.stack([rest, still]))
         while True:
             with self._lock:
                 knots, now_ns = self.knots, self._clock_ns()
@@ -257,15 +254,10 @@ class LiveMotion:
                         self._used = seen
                         self.first_uses.append((self._start_ns + knots.last_ns, seen.arrived_ns))
                     since_s = (self._zero_ns + knots.last_ns - seen.at_ns) / S_NS
-                    knots.append(self._after(knots.last_state, seen.state, since_s))
+                    knots.append(follow(knots.last_state, seen.state, since_s, STEP_NS / S_NS, self._smoothing_s))
                 else:
                     return knots
             self._sleep(early_ns / S_NS)
-
-    def _after(self, state: F8, seen: F8, since_s: float) -> F8:
-        out = np.empty(STATE)
-        follow(state, seen, since_s, STEP_NS / S_NS, self._smoothing_s, out)
-        return out
 
 
 def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> F8:

@@ -39,10 +39,10 @@ class Live(MotionSection):
         """Return the motion that follows the poses, and `path_m`."""
         import numpy as np
 
-        from vlp16emu.extras.live.flown import FlownMotion, read_flown
+        from vlp16emu.extras.live.flown import FlownMotion
         from vlp16emu.extras.live.motion import LiveMotion
 
         path_m = np.array(self.path_m)
         if self.flown is None:
             return LiveMotion(self, start_ns=start_ns), path_m
-        return FlownMotion(read_flown(Path(self.flown)), start_ns=start_ns), path_m
+        return FlownMotion(Path(self.flown), start_ns=start_ns), path_m
