@@ -10,7 +10,7 @@ from scipy.stats import norm
 from stability.lab import PULSES, beam, cast, faces, opened, pulses, wall
 
 from vlp16emu.errors import InputError
-from vlp16emu.extras.meshes.files import PartMesh, UserMesh
+from vlp16emu.extras.meshes.files import UserMesh
 from vlp16emu.extras.meshes.furnished import Furnished, Furniture
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.types import Firings, Mesh
@@ -75,7 +75,7 @@ def test_crowd():
 
 def test_too_many():
     """More things of the user's own than have numbers are refused."""
-    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (PartMesh("stone", _pane()),), 1.0)
+    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (("stone", _pane()),), 1.0)
     places = [MeshPlace(x_m=50.0, y_m=0.0, z_m=0.0)] * 65_537
     section = MeshFile(file="stone.obj", unit="m", up="z", semantic="stone", places=places)
     hall = HallWorld(Hall(kind="hall", length_m=9.0, width_m=9.0, height_m=9.0))

@@ -24,36 +24,12 @@ _LEAST_NORM = 0.5
 _LOOKS = 8  # between two poses, for that norm
 
 
-class Pieces:
-    """Motion by powers of the time between knots: (4, n - 1, 7) of position and quaternion, highest first.
-
-    Before its first knot and after its last one the body is at rest.
-    """
-
-    moves = True
-
-    def __init__(self, start_ns: int, knots_ns: IntArray, powers: Array) -> None:
-        self._start_ns, self._arrays = start_ns, (knots_ns, powers)
-
-    def poses_at(self, t_ns: IntArray) -> Poses:
-        """Poses at UTC instants (n,)."""
-        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-        fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
-        return Poses(t_ns, turn, position_m)
-
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
-        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
-        fill_rates(*self._arrays, t_ns - self._start_ns, rates)
-        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
-
-
-class RecordedMotion(Pieces):
+class RecordedMotion:
     """Recorded poses, interpolated with two continuous derivatives in position and rotation.
 
     Positions are a cubic spline. So are the quaternions, each taken with the sign that is nearer to the
     one before; scaled to unit length they are the rotation. On a steady turn of 10 degrees from pose to
-    pose the rotation is right within 1e-6 rad.
+    pose the rotation is right within 1e-6 rad. Before the first pose and after the last one the body is at rest.
 
     Raises TrajectoryError if poses are farther apart in time than the greatest gap, turn by more than 90 degrees from
     one to the next, or are spaced too unevenly for a smooth turn.
@@ -65,6 +41,8 @@ class RecordedMotion(Pieces):
     start_ns : UTC of the first pose
     """
 
+    moves = True
+
     def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
         knots_ns = poses.t_ns - poses.t_ns[0]
         self.run_time_s = float(knots_ns[-1] / S_NS)
@@ -73,17 +51,21 @@ class RecordedMotion(Pieces):
         position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
         powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
         powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
-        super().__init__(start_ns, knots_ns, powers)
-        self._check_norm(poses)
+        _check_norm(poses, knots_ns, powers[:, :, 3:])
+        self._start_ns, self._pieces = start_ns, (knots_ns, powers)
         self.position_m = np.ascontiguousarray(powers[3, :, :3])  # (n - 1, 3) of all poses but the last, in the world
 
-    def _check_norm(self, poses: RecordedPoses) -> None:
-        (knots_ns, powers), found = self._arrays, "no smooth turn leads here from the pose before: times are too uneven"
-        steps_s, c = np.diff(knots_ns) / S_NS, powers[:, :, 3:]
-        for look in range(1, _LOOKS):
-            d = (look / _LOOKS * steps_s)[:, None]
-            off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
-            _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
+    def poses_at(self, t_ns: IntArray) -> Poses:
+        """Poses at UTC instants (n,)."""
+        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
+        fill_poses(*self._pieces, t_ns - self._start_ns, position_m, turn)
+        return Poses(t_ns, turn, position_m)
+
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
+        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
+        fill_rates(*self._pieces, t_ns - self._start_ns, rates)
+        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
 
 
 def _refuse(poses: RecordedPoses, values: Array, most: float, found: str, expected: str) -> None:
@@ -105,6 +87,14 @@ def _check_steps(poses: RecordedPoses, knots_ns: IntArray, quaternion: Array, ma
     turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
     expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
     _refuse(poses, turn_deg, _MOST_TURN_DEG + 1e-6, "turns by {:.1f} degrees from the pose before", expected)
+
+
+def _check_norm(poses: RecordedPoses, knots_ns: IntArray, c: Array) -> None:
+    found = "no smooth turn leads here from the pose before: times are too uneven"
+    for look in range(1, _LOOKS):
+        d = (look / _LOOKS * np.diff(knots_ns) / S_NS)[:, None]
+        off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
+        _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
 
 
 def check_places(position_m: Array, site: Site, reach_m: float) -> None:
