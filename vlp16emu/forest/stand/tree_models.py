@@ -116,15 +116,15 @@ class TreeModel:
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
         self.path, self.species = Path(section.file), species
         mesh = door("load_mesh")(self.path, unit=section.unit, up=section.up)
-        own, names = {part.name: part.part for part in section.parts}, [part.name for part in mesh.parts]
+        own, names = {part.name: part.part for part in section.parts}, [name for name, _ in mesh.parts]
         for name in own.keys() - set(names):
             raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
         parts = [PlantPart[own.get(name, "stem").upper()] for name in names]
         stems = [i for i, part in enumerate(parts) if part in STEM_PARTS]
         if not stems:
             raise GeometryError(f"{self.path}: parts", "no stem", "a part of the file that is the stem")
-        placed = [part.mesh.vertices_m.astype(np.float64) + mesh.centre_m for part in mesh.parts]
-        faces = [part.mesh.faces for part in mesh.parts]
+        placed = [part.vertices_m.astype(np.float64) + mesh.centre_m for _, part in mesh.parts]
+        faces = [part.faces for _, part in mesh.parts]
         low_m, high_m = (end([end(placed[i][:, 2]) for i in stems]) for end in (min, max))
         ground_m = 0.0 if low_m <= 0.0 < high_m else low_m
         self.height_m = float(max(vertices[:, 2].max() for vertices in placed)) - ground_m
