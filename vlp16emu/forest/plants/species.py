@@ -368,12 +368,6 @@ def tapers(trees: Trees, *, table: Table | None = None) -> Array:
     return own
 
 
-def stem_keys(numbers: NDArray[np.uint16], *, table: Table | None = None) -> Array:
-    """Return the row of `StemForm` (n, 10) by species number (n,)."""
-    rows = {one.number: one.stem.row for one in (table or species_table()).values()}
-    return np.array([rows[number] for number in numbers.tolist()]).reshape(-1, 10)
-
-
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
 """Names of the first numbers."""
 BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04

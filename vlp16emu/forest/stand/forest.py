@@ -28,7 +28,7 @@ from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.forest.stand.given_stand import GivenStand
 from vlp16emu.forest.stand.inventory import far_stems
-from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, Site, Tile, distinct, packed, plant_surfaces
+from vlp16emu.forest.stand.placed import PlacedThings, Site, Tile, distinct, packed, plant_surfaces
 from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
 from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
@@ -224,7 +224,7 @@ class ForestWorld:
         modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
         crowns = [self._crown(*name) for name in grown[["cohort", "crown_class", "crown_variant"]].tolist()]
         world_T, rows = crown_placements(grown, crowns), plant_surfaces(grown, CROWN_PARTS, self.plants)
-        placed = PlacedThings(*distinct(crowns), world_T, rows, grown, is_exact=self._loose_stems)
+        placed = PlacedThings(crowns, world_T, rows, grown, is_exact=self._loose_stems)
         groups, rooted = [placed, *modelled], grown
         if self._loose_stems:
             stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
@@ -237,11 +237,11 @@ class ForestWorld:
             groups.append(placed := layer.place(site))
             if placed.is_ground:
                 continue
-            numbers = number + np.arange(len(placed.shape))
+            numbers = number + np.arange(len(placed.keys))
             placed.surfaces["instance"] = numbers[:, None]
             if len(placed.trees):
                 placed.trees["id"] = numbers
-            number += len(placed.shape)
+            number += len(placed.keys)
         tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
         tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture)
         return tile
@@ -266,11 +266,9 @@ class ForestWorld:
     ) -> PlacedThings:
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
-            tuple(kind(key, number) for number in numbers.tolist()),
-            np.arange(len(numbers)),
+            [kind(key, number) for number in numbers.tolist()],
             np.repeat(world_T_tile[None], len(numbers), axis=0),
             plant_surfaces(trees[numbers], parts, self.plants),
-            NO_TREES,
             is_exact=self._loose_stems,
         )
 

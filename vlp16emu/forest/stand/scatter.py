@@ -31,18 +31,7 @@ from vlp16emu.forest.plants.prototypes import (
 from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Shrub, Species, flora, known
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
-from vlp16emu.forest.stand.placed import (
-    NO_TREES,
-    PlacedThings,
-    Site,
-    between,
-    distinct,
-    laid,
-    placements,
-    plant_surfaces,
-    together,
-    turned,
-)
+from vlp16emu.forest.stand.placed import PlacedThings, Site, between, laid, placements, plant_surfaces, together, turned
 from vlp16emu.forest.stand.points import PointPattern, patchy, pattern_of, scattered
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.random import generator
@@ -94,42 +83,21 @@ class Layer:
         return self.kind.lay(self, site, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
 
 
-def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
-    """Lay out young trees."""
-    height_m = between(layer.section.height_m, draws[:, 0])
-    room_m = np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
-    keep = site.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, height_m / SLENDERNESS / 2 + room_m)
-    trees, kinds, world_T = _grown(layer, site, xy_m[keep], height_m[keep], draws[keep])
-    trees["storey"] = trees["cohort"] = REGENERATION
-    trees["dbh_m"] = np.maximum(trees["height_m"] - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
-    trees["crown_base_m"] = CROWN_BASE_SHARE * trees["height_m"]
-    trees["crown_width_m"] = CROWN_WIDTH_SHARE * trees["height_m"]
-    keys = [SaplingKey(one.name, variant, height_m, layer.season) for one, variant, height_m in kinds]
-    return PlacedThings(*distinct(keys), world_T, plant_surfaces(trees, SAPLING_PARTS, layer.plants), trees)
-
-
-def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
-    """Lay out bushes of several stems."""
-    shrubs = [layer.species[i] for i in (len(layer.species) * draws[:, 1]).astype(int)]
-    low_m, high_m = np.array([one.height_m for one in shrubs]).reshape(-1, 2).T
-    height_m = low_m + (high_m - low_m) * draws[:, 0]
-    width_m = height_m * [one.width_share for one in shrubs]
-    keep = site.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
-    plants, kinds, world_T = _grown(layer, site, xy_m[keep], height_m[keep], draws[keep])
-    keys = [
-        ShrubKey(one.name, variant, height_m, one.width_share * height_m, layer.season)
-        for one, variant, height_m in kinds
-    ]
-    return PlacedThings(
-        *distinct(keys), world_T, plant_surfaces(plants, SHRUB_PARTS, layer.plants, Semantic.SHRUB), NO_TREES
-    )
-
-
-def _grown(
-    layer: Layer, site: Site, xy_m: Array, height_m: Array, draws: Array
-) -> tuple[NDArray[np.void], list[tuple[Any, int, float]], Array]:
-    """Return saplings or shrubs as `TREE`; of each the species, variant and height of its prototype; and their `world_T_shape`."""
-    kind = (len(layer.species) * draws[:, 1]).astype(int)
+def _lay_plants(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+    """Lay out young trees, or bushes of several stems."""
+    own, kind = layer.section, (len(layer.species) * draws[:, 1]).astype(int)
+    is_shrub = isinstance(own, settings.Shrubs)
+    if is_shrub:
+        low_m, high_m, wide = np.array([(*one.height_m, one.width_share) for one in layer.species])[kind].T
+        height_m = low_m + (high_m - low_m) * draws[:, 0]
+        width_m = height_m * wide
+        foot_m = _FOOT_SHARE * width_m
+    else:
+        height_m = between(own.height_m, draws[:, 0])
+        width_m = CROWN_WIDTH_SHARE * height_m
+        foot_m = height_m / SLENDERNESS / 2 + np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
+    keep = site.clear(xy_m, width_m / 2, foot_m)
+    xy_m, height_m, kind, draws = xy_m[keep], height_m[keep], kind[keep], draws[keep]
     plants = np.zeros(len(xy_m), TREE)
     plants["x_m"], plants["y_m"] = xy_m.T
     plants["z_m"] = site.height_m(*xy_m.T)
@@ -142,9 +110,16 @@ def _grown(
     plants["leaf_reflectance"] = leaf + (2 * draws[:, 5] - 1) * LEAF_SPREAD
     prototype_m = [class_scale(_CLASS_RATIO, number) for number in plants["crown_class"].tolist()]
     size = np.repeat((height_m / np.array(prototype_m))[:, None], 3, axis=1)
-    species, variants = (layer.species[i] for i in kind), plants["crown_variant"].tolist()
     world_T = placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
-    return plants, list(zip(species, variants, prototype_m, strict=True)), world_T
+    prototypes = zip((layer.species[i] for i in kind), plants["crown_variant"].tolist(), prototype_m, strict=True)
+    if is_shrub:
+        shrubs = [ShrubKey(one.name, variant, m, one.width_share * m, layer.season) for one, variant, m in prototypes]
+        return PlacedThings(shrubs, world_T, plant_surfaces(plants, SHRUB_PARTS, layer.plants, Semantic.SHRUB))
+    plants["storey"] = plants["cohort"] = REGENERATION
+    plants["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
+    plants["crown_base_m"], plants["crown_width_m"] = CROWN_BASE_SHARE * height_m, CROWN_WIDTH_SHARE * height_m
+    saplings = [SaplingKey(one.name, variant, m, layer.season) for one, variant, m in prototypes]
+    return PlacedThings(saplings, world_T, plant_surfaces(plants, SAPLING_PARTS, layer.plants), plants)
 
 
 Mask = NDArray[np.bool_]
@@ -186,7 +161,7 @@ class _Pieces:
         return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
 
 
-def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -> PlacedThings:
+def _lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -> PlacedThings:
     """Lay trunks along the ground under them, some with their root plate, some broken in two, some rotten."""
     own = layer.section
     diameter_m = between(own.diameter_m, draws[:, 0])
@@ -225,7 +200,7 @@ def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -
     )
 
 
-def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
     """Lay out what is left of trees that were felled or broke."""
     own, species = layer.section, _sampled_species(layer, draws)
     diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
@@ -457,11 +432,11 @@ def _lay_low(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThing
 
 
 _KINDS: dict[type[Section], LayerKind] = {  # kinds of layers by section, in the order of their numbers
-    settings.Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), lay_saplings),
-    settings.Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), lay_shrubs),
+    settings.Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), _lay_plants),
+    settings.Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), _lay_plants),
     settings.Stones: LayerKind("stones", Growth.STONES, (7,), _lay_stones),
-    settings.Logs: LayerKind("logs", Growth.LOGS, (8, 7), lay_logs),
-    settings.Stumps: LayerKind("stumps", Growth.STUMPS, (8,), lay_stumps),
+    settings.Logs: LayerKind("logs", Growth.LOGS, (8, 7), _lay_logs),
+    settings.Stumps: LayerKind("stumps", Growth.STUMPS, (8,), _lay_stumps),
     settings.Grass: LayerKind("grass", Growth.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
     settings.Herbs: LayerKind("herbs", Growth.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
     settings.Ferns: LayerKind("ferns", Growth.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
