@@ -277,6 +277,11 @@ class Flora:
         """Names of all plants by number."""
         return {plant.number: name for table in (self.trees, self.shrubs) for name, plant in table.items()}
 
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
+        return (*GROUND_MATERIALS, *(f"{name} {part}" for name in self.names.values() for part in ("bark", "leaf")))
+
     @cached_property
     def bark(self) -> IntArray:
         """Material number of the bark by species number; that of the leaf is the next."""
@@ -372,9 +377,3 @@ GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dw
 """Names of the first numbers."""
 BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
 """Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
-
-
-def material_names(plants: Flora) -> tuple[str, ...]:
-    """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
-    parts = (f"{name} {what}" for name in (*plants.trees, *plants.shrubs) for what in ("bark", "leaf"))
-    return (*GROUND_MATERIALS, *parts)

@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
-from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.species import Flora, Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.forest.tiles import TileKey, tile_distance_m
-from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Semantic, ShapeKey
+from vlp16emu.forest.tiles import TileKey
+from vlp16emu.types import SURFACE, Array, IntArray, PlantPart, Semantic, ShapeKey
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
 
@@ -28,31 +27,6 @@ class PlacedThings:
     """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
     is_ground: bool = False  # as of their layer
     is_exact: bool = False  # whether they are cast as they are from any distance, and are no part of the `FarTile`
-
-
-@dataclass(frozen=True, slots=True)
-class Site:
-    """A tile, and what keeps plants and things off it."""
-
-    seed: int
-    ix: int
-    iy: int
-    height_m: HeightField  # ground
-    path: Corridor
-    trunks: Array  # (m, 3) x, y and radius at the ground of all stems on the tile and its neighbours
-
-    @property
-    def distance_m(self) -> float:
-        """Distance of the tile from the path, or less."""
-        return tile_distance_m((self.ix, self.iy), self.path)
-
-    def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
-        """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
-        free = np.asarray(self.path.distance_m(xy_m) - reach_m >= self.path.clearance_m)
-        dx, dy = (xy_m[:, None, axis] - self.trunks[:, axis] for axis in (0, 1))
-        gap_m = foot_m[:, None] + self.trunks[:, 2]
-        blocked = np.asarray((dx * dx + dy * dy < gap_m * gap_m).any(axis=1))
-        return np.logical_and(free, ~blocked)
 
 
 def between(limits: tuple[float, float], draw: Array) -> Array:
