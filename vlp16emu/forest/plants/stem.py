@@ -172,7 +172,7 @@ STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
 
 
 def circles_of(
-    trees: Trees, leader: int, part: PlantPart, at_m: Array, radius_m: Array, branch: Array | int = 0
+    trees: Trees, leader: int, part: PlantPart, at_m: Array, radius_m: Array, branch: IntArray | int = 0
 ) -> NDArray[np.void]:
     """Return circles (n, r) `STEM_CIRCLE` of trees (n,): middles (n, r, 3) in the world, radii and numbers of branches (n, r)."""
     circles = np.zeros(radius_m.shape, STEM_CIRCLE)
