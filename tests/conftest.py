@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 os.environ["VLP16EMU_CACHE_DIR"] = "off"
+os.environ.pop("VLP16EMU_CACHE_MB", None)
 # Two workers have a core each: threads of linear algebra would spin beside them for nothing.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # Hypothesis keeps paths of the machine beside the examples that it found: not in the checkout.
