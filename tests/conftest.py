@@ -29,10 +29,8 @@ ALLOWED_SKIPS = {
 }
 """Parts of the reasons for which a test may be skipped with CI=true, and why."""
 
-WOODS = "VLP16EMU_TEST_WOODS"
-"""Variable that names the folder of `kept_woods` to workers."""
-GROWN = deque(maxlen=6)
-"""Engines whose worlds `kept_woods` lends to others of the same way through the same world."""
+WOODS = "VLP16EMU_TEST_WOODS"  # variable that names the folder of `kept_woods` to workers
+GROWN = deque(maxlen=6)  # engines whose worlds `kept_woods` lends to others of the same way through the same world
 
 
 def pytest_configure(config):

@@ -15,8 +15,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 STATIC = "motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}"
 REACH_M = 27.0
-AGAIN = 390_625
-"""Firing sequences after which a rotor at 600 rpm stands where it stood: 216 revolutions, 21.6 s."""
+AGAIN = 390_625  # firing sequences after which a rotor at 600 rpm stands where it stood: 216 revolutions, 21.6 s
 
 
 @pytest.fixture(scope="module")
