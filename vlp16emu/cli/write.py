@@ -175,7 +175,7 @@ def images(
     say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
     """
     emulator = make_emulator(scene, args.EmulatorOptions(settings, threads=threads))
-    from vlp16emu.extras.images.images import write_images
+    from vlp16emu.extras.images import write_images
 
     with running(emulator, "casting", options) as hooks:
         run = write_images(emulator, folder, **vars(options), **hooks)
