@@ -221,9 +221,6 @@ def picture(
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.extras.plots import check_matplotlib
-
-    check_matplotlib()
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
 
