@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
+from vlp16emu.extras.sheets.survey import survey
+from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.run.options import TruthTo
+from vlp16emu.scenario import load
 from vlp16emu.types import Mesh
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu.extras.viewer.layers import LAYERS, coloured, layers_of_scan
-from vlp16emu.extras.viewer.stand import fewer_faces, slim_stem
+from vlp16emu.extras.viewer.stand import fewer_faces, pieces_of, slim_stem
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -146,3 +149,17 @@ def test_a_slim_stem_stands_where_the_stem_stands():
     np.testing.assert_allclose(np.hypot(*foot_m[:, :2].T), 0.151, atol=1e-3)
     corners = set(map(tuple, stem.vertices_m.tolist()))
     assert set(map(tuple, slim.vertices_m.tolist())) <= corners
+
+
+def test_stems_are_drawn_with_their_crowns_only():
+    """Of what is drawn around a path nothing stands farther off than the radius and the width of a crown: no bare stems beyond."""
+    dense = ["world.stems_per_ha=900", "sensor.max_range_m=15.0", "duration_s=5.0"]
+    seen = survey(load("birch_walk", dense), 10.0)
+    path = Polyline(seen.path_m[:, :2])
+    farthest_m = [
+        path.distance_m((piece["vertices"][:, None, :2] + piece["batched_positions"][None, :, :2]).reshape(-1, 2)).max()
+        for name, piece in pieces_of(seen)
+        if name.startswith("single")
+    ]
+    assert farthest_m
+    assert max(farthest_m) < 10.0 + 5.0
