@@ -18,9 +18,9 @@ from vlp16emu.errors import InputError
 from vlp16emu.run.options import Option, ReplayOptions, stream_options
 
 if TYPE_CHECKING:
-    from vlp16emu.engine import Unit
     from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
-    from vlp16emu.extras.replay import Replay, Replayed
+    from vlp16emu.extras.replay import Replayed
+    from vlp16emu.packets import Link
     from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
@@ -87,7 +87,9 @@ def stream(
             options = replace(options, poses=replace(options.poses, news=progress.say))
         streamed = emulator.stream(
             **vars(options),
-            opened=lambda units: None if as_json else _announce(scene, host, units),
+            opened=lambda units: _announce(
+                f"streaming {scene} to {host}", [unit.link for unit in units], quiet=as_json
+            ),
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),
             notify=lambda behind: progress.say(behind_line(behind, scenario, options.late, options.speed)),
@@ -111,7 +113,11 @@ def replay(
         replayed = send_again(
             file,
             **vars(options),
-            opened=lambda capture: None if as_json else _announce_capture(capture, host),
+            opened=lambda capture: _announce(
+                f"replaying {capture.path} to {host}: sensors {', '.join(map(str, capture.units))}",
+                capture.links,
+                quiet=as_json,
+            ),
             notify=lambda behind: progress.say(f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s"),
             stop=stop,
         )
@@ -149,14 +155,9 @@ def _say_served(places: list[tuple[str, int]]) -> None:
     print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
 
 
-def _announce(scene: str, to: str, units: "Sequence[Unit]") -> None:
-    pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in units)
-    print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
-
-
-def _announce_capture(capture: "Replay", to: str) -> None:
-    ports = "; ".join(f"{link.data_port} and {link.position_port}" for link in capture.links)
-    print(f"replaying {capture.path} to {to}: sensors {', '.join(map(str, capture.units))}, ports {ports}", flush=True)
+def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:
+    if not quiet:
+        print(f"{what}, ports {'; '.join(f'{link.data_port} and {link.position_port}' for link in links)}", flush=True)
 
 
 def _close(sent: "Streamed | Replayed", what: str, *, strict: bool, as_json: bool) -> None:

@@ -17,7 +17,7 @@ from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
-from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
@@ -57,7 +57,7 @@ def stems_seen(trees: Trees, folder: Path, *, table: Table | None = None) -> NDA
     folder : ground truth of the run, with a table of returns per unit
     table : species; the program's own if None
     """
-    forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
+    stems, order = Stems(trees, table=table), np.argsort(trees["id"])
     cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
     first = _SECTORS * np.cumsum([0, *cells.tolist()])
     hit, breast = np.zeros(first[-1], np.bool_), np.zeros((len(trees), _SECTORS), np.bool_)
@@ -67,7 +67,7 @@ def stems_seen(trees: Trees, folder: Path, *, table: Table | None = None) -> NDA
         raise InputError(str(folder), "no returns.parquet", "the truth of a run with --truth-returns")
     for path in tables:
         for returns in SlotReader(path).returns(_COLUMNS):
-            which, up_m, aside_m, sector = _about_axes(trees, forms, order, returns)
+            which, up_m, aside_m, sector = _about_axes(stems, order, returns)
             rows["returns_stem"] += np.bincount(which, minlength=len(trees)).astype(np.uint32)
             near = aside_m < trees["dbh_m"][which] + _ASIDE_M
             if len(near) and near.mean() < 0.5:
@@ -84,16 +84,16 @@ def stems_seen(trees: Trees, folder: Path, *, table: Table | None = None) -> NDA
     return rows
 
 
-def _about_axes(trees: Trees, forms: StemForms, order: I8, returns: dict[str, F8]) -> tuple[I8, F8, F8, I8]:
+def _about_axes(stems: Stems, order: I8, returns: dict[str, F8]) -> tuple[I8, F8, F8, I8]:
     """Return the row of the tree, height over its foot, distance from its axis and sector (k,) of the returns from stems."""
-    ids = trees["id"][order]
+    ids = stems.trees["id"][order]
     is_stem = np.isin(returns["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
     is_stem &= (returns["semantic"] == Semantic.TREE) & np.isin(returns["instance"], ids)
     which = order[np.searchsorted(ids, returns["instance"][is_stem])]
-    own = trees[which]
-    from_foot_m = np.column_stack([returns[name][is_stem] for name in _COLUMNS[:3]]) - places_m(own)
+    at_m = np.column_stack([returns[name][is_stem] for name in _COLUMNS[:3]])
+    from_foot_m = at_m - places_m(stems.trees[which])
     up_m = from_foot_m[:, 2]
-    aside_m = from_foot_m[:, :2] - axis_m(own, forms.of(which), up_m[:, None])[:, 0, :2]
+    aside_m = from_foot_m[:, :2] - stems.axis_m(up_m[:, None], which)[:, 0, :2]
     turn = np.arctan2(aside_m[:, 1], aside_m[:, 0]) / (2 * np.pi) % 1.0
     sector = np.minimum(_SECTORS * turn, _SECTORS - 1).astype(np.int64)
     return which, up_m, np.hypot(*aside_m.T), sector
@@ -170,7 +170,7 @@ class Survey:
         """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of the near ones, by tree."""
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        stems = stem_circles(grown, table=self.plants.trees)
+        stems = Stems(grown, table=self.plants.trees).circles()
         near = grown[np.isin(grown["id"], self.near["id"])]
         branches = branch_circles(near, self._crowns(near), seed=self.seed, table=self.plants.trees)
         circles = np.concatenate([stems, self.models.circles(trees[is_modelled]), branches])
