@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.forest.stand.twin import AllNear
 from vlp16emu.packets import LASERS
-from vlp16emu.raycast import Beam
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LENS_RADIUS_M

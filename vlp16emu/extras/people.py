@@ -11,7 +11,7 @@ from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import F4, F8, I8, SURFACE, Firings, HeightField, Hits, Semantic
 from vlp16emu.units import seconds_to_ns
-from vlp16emu.world import People as PeopleSection
+from vlp16emu.world.settings import People as PeopleSection
 
 _FIRST_INSTANCE = 0xFFFFFFF0
 """Instance of the companion; that of those who pass is the next. Things of the user are numbered far below."""

@@ -5,7 +5,7 @@ from listening import parse_rmc
 
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bench.changes import DisturbedGps
-from vlp16emu.motion import Gps
+from vlp16emu.motion.settings import Gps
 from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import GnssFix, PpsState

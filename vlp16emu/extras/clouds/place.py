@@ -11,27 +11,27 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import in_sensor
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array, Firings, IntArray, Poses
+from vlp16emu.types import F8, I8, Firings, Poses
 
 
 class PlacedReturns(NamedTuple):
     """n points."""
 
-    azimuth_deg: Array
+    azimuth_deg: F8
     """(n,) what the encoder read for the firing sequence, and what the rotor turned until the pulse; [0, 360)."""
-    elevation_deg: Array  # (n,) elevation of the beam table
-    sensor_m: Array  # (n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up
-    world_m: Array  # (n, 3)
+    elevation_deg: F8  # (n,) elevation of the beam table
+    sensor_m: F8  # (n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up
+    world_m: F8  # (n, 3)
 
 
 def place(
     beams: BeamTable,
     firings: Firings,
-    sequence: IntArray,
-    laser: IntArray,
+    sequence: I8,
+    laser: I8,
     distance_m: NDArray[np.float32],
     poses: Poses,
-    tangents: Array | None = None,
+    tangents: F8 | None = None,
 ) -> PlacedReturns:
     """Place returns by the manual's formulas (63-9243 Rev D, section 9.2).
 
@@ -56,7 +56,7 @@ def place(
 
 
 @numba.njit(cache=True, nogil=True)
-def _shift(tangents: Array, azimuth_deg: Array, elevation_deg: Array, distance_m: Array, sensor_m: Array) -> None:
+def _shift(tangents: F8, azimuth_deg: F8, elevation_deg: F8, distance_m: F8, sensor_m: F8) -> None:
     """Move points off the axes of their pulses, by tangents (n, 2) to greater azimuths and upwards, at the same ranges."""
     for i in range(len(distance_m)):
         r, (a, b) = distance_m[i], tangents[i]

@@ -24,7 +24,7 @@ from vlp16emu.extras.live.knots import STEP_NS, Knots
 from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.tables import Column, read_table
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ _COLUMNS = {**TIMED_POSES, **_RATE_COLUMNS, "cell": Column({"cell": 1.0}, is_fil
 FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 
 
-def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
+def flown_rows(first: int, states: F8, cells: dict[int, Cell]) -> str:
     """Write knots (n, 13) from number `first` on, each number with all the digits that it needs to be read back as it is."""
     lines = []
     for number, state in enumerate(states.tolist(), start=first):
@@ -48,7 +48,7 @@ def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
     return "".join(lines)
 
 
-def read_flown(path: Path) -> tuple[Array, dict[int, Cell]]:
+def read_flown(path: Path) -> tuple[F8, dict[int, Cell]]:
     """Read a table of knots: states (n, 13), a step apart, and cells by the knot from which their windows are in use.
 
     Raises TrajectoryError if the file is no such table, or is not whole from its beginning.
@@ -105,13 +105,13 @@ _NICE = 10
 _Name = tuple[Cell, int]  # box, and segment of time where trees sway
 
 
-def cell_of(place_m: Array) -> Cell:
+def cell_of(place_m: F8) -> Cell:
     """Name of the box that holds a place (3,)."""
     x, y, z = np.floor(place_m / [_WIDE_M, _WIDE_M, _HIGH_M]).astype(int).tolist()
     return x, y, z
 
 
-def track_of(cell: Cell, arm_m: float) -> Array:
+def track_of(cell: Cell, arm_m: float) -> F8:
     """Positions (n, 3) all over a box and around it, whose sensors are up to so far from the body."""
     aside_m = _ASIDE_M + arm_m
     lines = 1 + math.ceil((_WIDE_M + 2 * aside_m) / _APART_M)
@@ -214,7 +214,7 @@ class LiveWindows(CellWindows):
                 self.cells.append((self.decided, wanted))
 
 
-def _serves(cell: Cell, place_m: Array, velocity_m_s: Array) -> bool:
+def _serves(cell: Cell, place_m: F8, velocity_m_s: F8) -> bool:
     middle_m = (np.array(cell[:2]) + 0.5) * _WIDE_M
     spare_m = _SPARE_M + _SPARE_S * float(norm(velocity_m_s))
     return bool((np.abs(place_m[:2] - middle_m) <= _WIDE_M / 2 + _ASIDE_M - spare_m).all())

@@ -8,7 +8,7 @@ from vlp16emu.elementary import atan2, exp
 from vlp16emu.extras.recorded.motion import Pieces
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 STEP_NS = 5_308_416  # from knot to knot: 96 firing sequences of a VLP-16, four packets of single return
@@ -33,7 +33,7 @@ class Knots(Pieces):
     states : (n, 13) the first knots, at least one
     """
 
-    def __init__(self, start_ns: int, states: Array) -> None:
+    def __init__(self, start_ns: int, states: F8) -> None:
         self._first = self._count = 0
         room = max(_MOST, len(states))
         self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
@@ -53,11 +53,11 @@ class Knots(Pieces):
         """Time of the last knot since the first one."""
         return self.last * STEP_NS
 
-    def states(self, first: int, stop: int) -> Array:
+    def states(self, first: int, stop: int) -> F8:
         """Knots (n, 13) from number `first` until before `stop`, not older than 20 s."""
         return self._states[first - self._first : stop - self._first]
 
-    def append(self, state: Array) -> None:
+    def append(self, state: F8) -> None:
         """Add a knot (13,), a step after the last one."""
         if self._count == len(self._states):  # drop the older half, in new arrays: others may be reading these
             half = self._count // 2
@@ -73,7 +73,7 @@ class Knots(Pieces):
 
 
 @numba.njit(cache=True, nogil=True)
-def _product(a: Array, b: Array) -> Array:
+def _product(a: F8, b: F8) -> F8:
     """Multiply two quaternions x, y, z, w."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -84,7 +84,7 @@ def _product(a: Array, b: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _values(knot: Array) -> tuple[Array, Array]:
+def _values(knot: F8) -> tuple[F8, F8]:
     """Position and quaternion (7,) of a knot, and their change per second."""
     value, rate, turning = knot[:7].copy(), np.empty(7), np.zeros(4)
     turning[:3] = 0.5 * knot[10:]
@@ -93,7 +93,7 @@ def _values(knot: Array) -> tuple[Array, Array]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
+def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
     (value, rate), (end_value, end_rate) = _values(begin), _values(end)
     if (value[3:] * end_value[3:]).sum() < 0.0:
@@ -106,7 +106,7 @@ def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def turn_between(old: Array, new: Array) -> Array:
+def turn_between(old: F8, new: F8) -> F8:
     """Rotation vector (3,), in body axes, from one quaternion (4,) to another, the short way round."""
     q = _product(np.append(-old[:3], old[3]), new)
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
@@ -116,7 +116,7 @@ def turn_between(old: Array, new: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _gone_on(seen: Array, since_s: float) -> Array:
+def _gone_on(seen: F8, since_s: float) -> F8:
     """Return a pose (13,) some time after it came in: it goes on as it did, and comes to rest where no other follows."""
     moving_s, share, late_s = since_s, 1.0, since_s - _COAST_S
     if late_s > 0.0:
@@ -133,7 +133,7 @@ def _gone_on(seen: Array, since_s: float) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s: float) -> Array:
+def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: float) -> F8:
     """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
 
     What position and quaternion are off from the prediction dies away as a critically damped oscillator, which is solved

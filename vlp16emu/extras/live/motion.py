@@ -18,7 +18,7 @@ from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, fo
 from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 
 LOST_NS = S_NS  # without a pose for so long, poses are lost
@@ -39,7 +39,7 @@ _FARTHEST_M = 1e6  # as far out as a scene may lie
 class SeenPose:
     """A pose that came in."""
 
-    state: Array  # (13,) as a knot has it; rates are those since poses before
+    state: F8  # (13,) as a knot has it; rates are those since poses before
     at_ns: int  # when it was true, on the monotonic clock of this machine
     arrived_ns: int  # when it came, on the same clock
 
@@ -62,7 +62,7 @@ class PoseInput:
     def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._clock_ns, self._lock = clock_ns, threading.Lock()
         self.came = threading.Event()  # set by the first pose
-        self._before = deque[tuple[int, Array]]()
+        self._before = deque[tuple[int, F8]]()
         self._jumped = False
         self._offset_ns: int | None = None
         self._offset_at_ns = 0
@@ -112,7 +112,7 @@ class PoseInput:
         self.came.set()
         return True
 
-    def _with_rates(self, at_ns: int, pose: Array) -> Array:
+    def _with_rates(self, at_ns: int, pose: F8) -> F8:
         """Add to a pose (7,) the rates since the youngest pose that is old enough, and keep it for those to come."""
         before = self._before
         while before and at_ns - before[0][0] > _MOST_BASE_NS:
@@ -133,7 +133,7 @@ class PoseInput:
         before.append((at_ns, pose))
         return state
 
-    def _is_jump(self, at_ns: int, pose: Array) -> bool:
+    def _is_jump(self, at_ns: int, pose: F8) -> bool:
         """Return whether no body gets from the last pose to a pose (7,) in time: then the step says nothing of its rates."""
         if self.last is None:
             return False
@@ -215,18 +215,18 @@ class LiveMotion:
         return 0 if self.knots is None else self._clock_ns() - self._zero_ns
 
     @property
-    def state(self) -> Array:
+    def state(self) -> F8:
         """(13,) of the last knot, or before the beginning of the last pose."""
         return self._seen().state if self.knots is None else self.knots.last_state
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
+    def poses_at(self, t_ns: I8) -> Poses:
         """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
 
         Raises `TrajectoryError` if nobody streams, and `CancelledError` if the stream ends before there is a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses at UTC instants (n,) with their derivatives; the rest as of `poses_at`."""
         return self._knots_until(int(t_ns.max())).kinematics_at(t_ns)
 
@@ -260,7 +260,7 @@ class LiveMotion:
             self._sleep(early_ns / S_NS)
 
 
-def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> Array:
+def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> F8:
     """Put a pose into one array (7,), its quaternion scaled to unit length."""
     numbers = [*map(float, position_m), *map(float, quaternion)]
     if len(position_m) != 3 or len(quaternion) != 4:

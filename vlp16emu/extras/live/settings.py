@@ -10,7 +10,7 @@ from vlp16emu.settings import Place, SceneFile
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.motion.pose import Motion
-    from vlp16emu.types import Array
+    from vlp16emu.types import F8
     from vlp16emu.world.settings import Site
 
 _Place = Annotated[tuple[Place, Place], Field(strict=False)]
@@ -35,7 +35,7 @@ class Live(MotionSection):
         """True if poses come in, and nothing is repeated."""
         return self.flown is None
 
-    def carrier(self, site: "Site", *, start_ns: int, **_: object) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
+    def carrier(self, site: "Site", *, start_ns: int, **_: object) -> "tuple[Motion, F8]":  # noqa: ARG002  # it flies over any ground
         """Return the motion that follows the poses, and `path_m`."""
         import numpy as np
 

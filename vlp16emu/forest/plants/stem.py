@@ -19,7 +19,7 @@ from vlp16emu.forest.plants.species import Table, Trees, stem_keys, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import normal, uniform
-from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart
+from vlp16emu.types import F8, I8, HeightField, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m, unit
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
@@ -47,27 +47,27 @@ class StemForms:
     outline of a section and never its area.
     """
 
-    bole_m: Array  # (n,) height of the crown base
-    bends: Array  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
-    oval: Array  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
-    lobes: Array  # (n, 3) number, amplitude at the ground over the radius, phase
-    surface_roots: Array  # (n,) share of the lobes that have one
-    bark: Array  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
-    forks: Array
+    bole_m: F8  # (n,) height of the crown base
+    bends: F8  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
+    oval: F8  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
+    lobes: F8  # (n, 3) number, amplitude at the ground over the radius, phase
+    surface_roots: F8  # (n,) share of the lobes that have one
+    bark: F8  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
+    forks: F8
     """(n, 6) whether there is one, its height over that of the tree, share of the section that the second leader takes,
     slope and distance in m of that leader from the first, its direction in rad."""
 
-    def aside_m(self, above_m: Array) -> Array:
+    def aside_m(self, above_m: F8) -> F8:
         """Distance (n, r, 2), east and north, of axes from straight ones at heights (n, r) over their feet."""
         u = np.minimum(above_m / np.maximum(self.bole_m, 1e-6)[:, None], 1.0)
         bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, level with the line at its end
         to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
         butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)
         bends = self.bends[:, None]
-        aside: Array = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
+        aside: F8 = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
         return aside + butt[..., None] * bends[:, :, 2]
 
-    def outline(self, angle: Array, above_m: Array, radius_m: Array, breast_m: Array) -> Array:
+    def outline(self, angle: F8, above_m: F8, radius_m: F8, breast_m: F8) -> F8:
         """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
 
         Vertices are at angles (n, sides) evenly all around, circles of radii (n, r) at heights (n, r) over the foot; `breast_m`
@@ -92,7 +92,7 @@ class StemForms:
         size_m = radius_m * np.sqrt(np.pi / polygon_m2(shape, step))
         return shape * size_m[..., None]
 
-    def of(self, which: IntArray) -> "StemForms":
+    def of(self, which: I8) -> "StemForms":
         """Return the forms of some of the stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
 
@@ -135,12 +135,12 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
     )
 
 
-def polygon_m2(away_m: Array, step: float) -> Array:
+def polygon_m2(away_m: F8, step: float) -> F8:
     """Area (...) of polygons whose corners (..., sides) are so far from a point, by even steps in rad around it."""
     return sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
 
 
-def tape_m(away_m: Array) -> Array:
+def tape_m(away_m: F8) -> F8:
     """Diameter (n,) that a taut tape shows around polygons (n, sides) as of `polygon_m2`: the mean width of the hull (Cauchy)."""
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
@@ -174,13 +174,13 @@ STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
 class StemRings:
     """Rings of n stems."""
 
-    above_ground_m: Array  # (n, r) height over the foot at which each meets the axis; the first is buried
-    radius_m: Array  # (n, r) of the circle that has the ring's area
-    sides: IntArray  # (n,) of the cross-section
+    above_ground_m: F8  # (n, r) height over the foot at which each meets the axis; the first is buried
+    radius_m: F8  # (n, r) of the circle that has the ring's area
+    sides: I8  # (n,) of the cross-section
     flare_rings: int  # how many of the rings belong to the root flare
     forms: StemForms
-    forked: IntArray  # (m,) which stems have a second leader
-    fork_m: Array  # (m,) where that begins, a ring's height over the foot
+    forked: I8  # (m,) which stems have a second leader
+    fork_m: F8  # (m,) where that begins, a ring's height over the foot
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,11 +189,11 @@ class Leaders:
 
     trees: Trees  # (m,).
     forms: StemForms
-    fork_m: Array  # (m,) height over the foot at which they begin
-    above_ground_m: Array  # (m, k) heights of the circles
-    radius_m: Array  # (m, k).
+    fork_m: F8  # (m,) height over the foot at which they begin
+    above_ground_m: F8  # (m, k) heights of the circles
+    radius_m: F8  # (m, k).
 
-    def axis_m(self, above_m: Array) -> Array:
+    def axis_m(self, above_m: F8) -> F8:
         """Points (m, r, 3) of their axes relative to the feet, at heights (m, r)."""
         middle_m = axis_m(self.trees, self.forms, above_m)
         slope, gap_m, towards = (column[:, None] for column in self.forms.forks.T[3:])
@@ -220,7 +220,7 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
     return StemRings(above_m, radius_m, sides, flare_rings, forms, forked, fork_m)
 
 
-def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:
+def second_leaders(trees: Trees, rings: StemRings, shares: F8, *, table: Table | None = None) -> Leaders:
     """Second leaders of stems, with circles at shares (k,) of the way from fork to tip; with the first they are as thick as one stem."""
     own, forms = trees[rings.forked], rings.forms.of(rings.forked)
     length_m = (rings.fork_m + _LEADER_TOP * (own["height_m"] - rings.fork_m)) - rings.fork_m
@@ -251,7 +251,7 @@ def stem_circles(trees: Trees, *, table: Table | None = None) -> NDArray[np.void
     return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
 
 
-def axis_m(trees: Trees, forms: StemForms, above_m: Array) -> Array:
+def axis_m(trees: Trees, forms: StemForms, above_m: F8) -> F8:
     """Points (n, r, 3) of stems' axes relative to their feet, at heights (n, r)."""
     slope = tan(np.radians(trees["lean_deg"]))
     towards = np.radians(trees["lean_towards_deg"])
@@ -259,12 +259,12 @@ def axis_m(trees: Trees, forms: StemForms, above_m: Array) -> Array:
     return np.concatenate([above_m[..., None] * lean[:, None] + forms.aside_m(above_m), above_m[..., None]], axis=2)
 
 
-def tip_radius_m(trees: Trees, *, table: Table | None = None) -> Array:
+def tip_radius_m(trees: Trees, *, table: Table | None = None) -> F8:
     """Radius (n,) at the tip: 0 of a whole tree, more of one that has broken off."""
     return _radius_m(trees, trees["height_m"][:, None], table)[:, 0]
 
 
-def _radius_m(trees: Trees, above_m: Array, table: Table | None) -> Array:
+def _radius_m(trees: Trees, above_m: F8, table: Table | None) -> F8:
     return taper_radius_m(tapers(trees, table=table), trees["dbh_m"], trees["height_m"], above_m)
 
 
@@ -284,7 +284,7 @@ _TOP_M = 0.3
 """Over the foot above which no root reaches, lest it be part of a section at breast height: uphill it dives."""
 
 
-def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[IntArray, Array]:
+def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[I8, F8]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
     Of each (k,) the stem, and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
@@ -313,12 +313,12 @@ def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[
     return stem, _root_pipes(np.concatenate([line_m, z_m[..., None]], axis=2), wide_m, high_m)
 
 
-def _unit(azimuth: Array) -> Array:
+def _unit(azimuth: F8) -> F8:
     """Level vectors (k, 1, 2) in directions (k,)."""
     return np.stack([cos(azimuth), sin(azimuth)], axis=-1)[:, None]
 
 
-def _root_pipes(middle_m: Array, wide_m: Array, high_m: Array) -> Array:
+def _root_pipes(middle_m: F8, wide_m: F8, high_m: F8) -> F8:
     """Vertices of roots about middles (k, rings, 3), upright ellipses of half axes (k, rings) across them."""
     ahead = unit(np.gradient(middle_m[..., :2], axis=1))
     angle = (np.arange(ROOT_SIDES) + 0.5) * 2 * np.pi / ROOT_SIDES
@@ -350,7 +350,7 @@ class StemKey:
     number: int  # among the trees of the tile
 
 
-def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
+def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
     """Rotations (n, 3, 3) that tip the vertical by `lean_deg` towards an angle from east, without twist."""
     tilt, towards = np.radians(lean_deg), np.radians(towards_deg)
     c, s = cos(towards), sin(towards)
@@ -359,7 +359,7 @@ def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def stem_meshes(trees: Trees, origin_m: Array, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
+def stem_meshes(trees: Trees, origin_m: F8, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
     rings = stem_rings(trees, table=table)
     # Each foot lies in the ground all around the flare, lobes and all.
@@ -383,17 +383,17 @@ def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh
     return _meshes(trees, rings, np.zeros((len(trees), 3)), table)
 
 
-def stem_slopes(axis: Callable[[Array], Array], above_m: Array) -> Array:
+def stem_slopes(axis: Callable[[F8], F8], above_m: F8) -> F8:
     """Return the slopes of axes, east and north (n, r, 2), in metres aside per metre up at heights (n, r)."""
     return (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
 
 
-def vertex_angles(trees: Trees, sides: int) -> Array:
+def vertex_angles(trees: Trees, sides: int) -> F8:
     """Angles (n, sides) of a ring's vertices around the axis, from east, counter-clockwise."""
     return np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
 
 
-def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) -> list[Mesh]:
+def _meshes(trees: Trees, rings: StemRings, foot_m: F8, table: Table | None) -> list[Mesh]:
     """Meshes of `STEM_PARTS`, tree by tree, of stems whose feet are at (n, 3)."""
     tip_m = axis_m(trees, rings.forms, trees["height_m"][:, None])[:, 0]
     # The tip of a broken stem is off the axis.
@@ -421,7 +421,7 @@ def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) 
     return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
 
 
-def _leaders(trees: Trees, rings: StemRings, table: Table | None) -> Array:
+def _leaders(trees: Trees, rings: StemRings, table: Table | None) -> F8:
     """Vertices (m, v, 3) of the second leaders, relative to the foot, of stems that fork."""
     leaders = second_leaders(trees, rings, np.array([*_LEADER_RINGS, 1.0]), table=table)
     above_m, radius_m = leaders.above_ground_m[:, :-1], leaders.radius_m[:, :-1]
@@ -431,7 +431,7 @@ def _leaders(trees: Trees, rings: StemRings, table: Table | None) -> Array:
     return np.concatenate([pipes_m, leaders.axis_m(leaders.above_ground_m[:, -1:])], axis=1)
 
 
-def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:
+def _pipes(axis: Callable[[F8], F8], above_m: F8, away_m: F8, angle: F8) -> F8:
     """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis, vertices `away_m` (n, rings, sides) from it."""
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)

@@ -47,7 +47,7 @@ from vlp16emu.forest.stand.points import PointPattern, patchy, pattern_of, scatt
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.random import generator
 from vlp16emu.settings import Section
-from vlp16emu.types import Array, IntArray, Semantic
+from vlp16emu.types import F8, I8, Semantic
 from vlp16emu.world.vectors import places_m
 
 _CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
@@ -94,7 +94,7 @@ class Layer:
         return self.kind.lay(self, site, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
 
 
-def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def lay_saplings(layer: Layer, site: Site, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out young trees."""
     height_m = between(layer.section.height_m, draws[:, 0])
     room_m = np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
@@ -108,7 +108,7 @@ def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedT
     return PlacedThings(*distinct(keys), world_T, plant_surfaces(trees, SAPLING_PARTS, layer.plants), trees)
 
 
-def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def lay_shrubs(layer: Layer, site: Site, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out bushes of several stems."""
     shrubs = [layer.species[i] for i in (len(layer.species) * draws[:, 1]).astype(int)]
     low_m, high_m = np.array([one.height_m for one in shrubs]).reshape(-1, 2).T
@@ -126,8 +126,8 @@ def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
 
 
 def _grown(
-    layer: Layer, site: Site, xy_m: Array, height_m: Array, draws: Array
-) -> tuple[NDArray[np.void], list[tuple[Any, int, float]], Array]:
+    layer: Layer, site: Site, xy_m: F8, height_m: F8, draws: F8
+) -> tuple[NDArray[np.void], list[tuple[Any, int, float]], F8]:
     """Return saplings or shrubs as `TREE`; of each the species, variant and height of its prototype; and their `world_T_shape`."""
     kind = (len(layer.species) * draws[:, 1]).astype(int)
     plants = np.zeros(len(xy_m), TREE)
@@ -172,21 +172,21 @@ _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
 class _Pieces:
     """Whole logs and pieces of broken ones, (n,) each."""
 
-    log: IntArray  # which log it is of
+    log: I8  # which log it is of
     is_top: Mask  # whether it is the upper piece of a broken one
-    xy_m: Array  # (n, 2) middle
-    towards: Array  # from butt to top, rad from east
-    length_m: Array
-    wide_m: Array
-    high_m: Array
-    sunk: Array  # share of the half height
+    xy_m: F8  # (n, 2) middle
+    towards: F8  # from butt to top, rad from east
+    length_m: F8
+    wide_m: F8
+    high_m: F8
+    sunk: F8  # share of the half height
 
-    def along_m(self) -> Array:
+    def along_m(self) -> F8:
         """Places (n, 9, 2) along them."""
         return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
 
 
-def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -> PlacedThings:
+def lay_logs(layer: Layer, site: Site, xy_m: F8, draws: F8, fate: F8) -> PlacedThings:
     """Lay trunks along the ground under them, some with their root plate, some broken in two, some rotten."""
     own = layer.section
     diameter_m = between(own.diameter_m, draws[:, 0])
@@ -225,7 +225,7 @@ def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -
     )
 
 
-def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def lay_stumps(layer: Layer, site: Site, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out what is left of trees that were felled or broke."""
     own, species = layer.section, _sampled_species(layer, draws)
     diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
@@ -238,12 +238,12 @@ def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     return together([labelled(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
 
 
-def _sampled_species(layer: Layer, draws: Array) -> IntArray:
+def _sampled_species(layer: Layer, draws: F8) -> I8:
     numbers = np.array([tree.number for tree in layer.species], np.int64)
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
 
-def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
+def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) say where, how far apart, and at what angle."""
     log = np.append(whole.log, np.flatnonzero(is_broken))
     is_top, towards, whole_m = np.arange(len(log)) >= len(whole.log), whole.towards[log], whole.length_m[log]
@@ -260,7 +260,7 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
     return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log])
 
 
-def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
+def _laid_down(pieces: _Pieces, site: Site, plate_m: F8) -> F8:
     """`world_T_shape` (n, 3, 4) of pieces on the ground; the butts of those with plates of diameters (logs,) are raised."""
     station_m = pieces.length_m[:, None] * _STATIONS
     ground_m = site.height_m(*np.moveaxis(pieces.along_m(), -1, 0))
@@ -275,14 +275,14 @@ def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
     return placements(np.column_stack([pieces.xy_m, z_m]), world_R_log, size)
 
 
-def _are_clear(line_m: Array, radius_m: Array, site: Site) -> Mask:
+def _are_clear(line_m: F8, radius_m: F8, site: Site) -> Mask:
     """Return which of lines of places (n, k, 2) keep a radius (n,) clear of the path and of trunks all along."""
     reach_m = np.repeat(radius_m, line_m.shape[1])
     clear = site.clear(line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
 
 
-def _are_plates_clear(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
+def _are_plates_clear(pieces: _Pieces, plate_m: F8, site: Site) -> Mask:
     """Return a mask (n,) of pieces whose root plate keeps clear of the path and of trunks, or that have none."""
     clear = np.ones(len(pieces.log), np.bool_)
     own = np.flatnonzero(~pieces.is_top & (plate_m[pieces.log] > 0))
@@ -293,7 +293,7 @@ def _are_plates_clear(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
     return clear
 
 
-def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
+def _line_m(xy_m: F8, towards: F8, along_m: F8) -> F8:
     """Places (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
     away = np.stack([cos(towards), sin(towards)], axis=-1)
     return xy_m[:, None] + along_m[..., None] * away[:, None]
@@ -312,7 +312,7 @@ _TAILS = (
 """Numerators and denominators, highest power first (Moshier, Cephes Mathematical Library, ndtri.c)."""
 
 
-def normal_quantile(probability: Array) -> Array:
+def normal_quantile(probability: F8) -> F8:
     """Return the standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, within 1e-15 of their size."""
     off = probability - 0.5
     square = off * off
@@ -421,13 +421,13 @@ def _stone_area_m2() -> float:
     return math.pi / 4 * _STONE_WIDTH * float(np.mean(np.square(length_m)) * np.mean(seen))
 
 
-def _stone_length_m(probability: Array) -> Array:
+def _stone_length_m(probability: F8) -> F8:
     """Quantiles of the log-normal distribution cut at `_STONE_M`."""
     low, high = _STONE_SHARES
     return _STONE_MEDIAN_M * exp(_STONE_SIGMA * normal_quantile(low + (high - low) * probability))
 
 
-def _lay_stones(_layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_stones(_layer: Layer, site: Site, xy_m: F8, draws: F8) -> PlacedThings:
     length_m = _stone_length_m(draws[:, 0])
     size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
     keep = site.clear(xy_m, length_m / 2, length_m / 2)
@@ -436,7 +436,7 @@ def _lay_stones(_layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedT
     return labelled(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= _LARGE_STONE_M)
 
 
-def _lay_low(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_low(layer: Layer, site: Site, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out what is lower than a person and covers the ground beside the path; what is ground lies on it too, along its slope."""
     height_m, kind = between(layer.section.height_m, draws[:, 0]), layer.kind
     keep = site.path.distance_m(xy_m) < kind.reach_m
