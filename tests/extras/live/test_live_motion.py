@@ -118,18 +118,6 @@ def test_without_poses_the_body_comes_to_rest_and_goes_on_without_a_jump():
     assert (end_ns - begin_ns) * 1e-9 == pytest.approx(1.21, abs=1e-6)
 
 
-def test_a_knot_is_never_changed():
-    """What was asked for once is the same later, whatever poses have come since."""
-    bench = Bench()
-    bench.fly(at_speed, 0.5)
-    t_ns = START_NS + np.arange(0, 400_000_000, 777_777)
-    before = bench.motion.kinematics_at(t_ns)
-    bench.fly(lambda t: ((9.0, t, 3.0), LEVEL), 1.0)
-    after = bench.motion.kinematics_at(t_ns)
-    for name in ("world_p_body_m", "world_R_body", "world_v_body_m_s", "body_w_rad_s"):
-        assert getattr(before, name).tobytes() == getattr(after, name).tobytes()
-
-
 def test_old_knots_are_dropped_and_young_ones_stay():
     """Over 100 s of knots the memory stays that of 43 s, and the last 20 s are as they were."""
     rng = np.random.default_rng(1)
