@@ -34,20 +34,12 @@ _OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PartMesh:
-    """One geometry of a file."""
-
-    name: str
-    mesh: Mesh  # in metres from the whole mesh's centre, z up
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class UserMesh:
     """A file of meshes, ready to be placed."""
 
     path: Path
     centre_m: F8  # (3,) middle of the bounding box in the file's frame, turned z up
-    parts: tuple[PartMesh, ...]  # in alphabetical order
+    parts: tuple[tuple[str, Mesh], ...]  # in alphabetical order of their names; in metres from the centre, z up
     radius_m: float  # radius of a sphere about the centre that holds everything
 
 
@@ -72,14 +64,13 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     low, high = corners.min(axis=0), corners.max(axis=0)
     _check_size(path, high - low, unit)
     centre = (low + high) / 2
-    made = tuple(
-        PartMesh(name, Mesh((vertices - centre).astype(np.float32), faces.astype(np.uint32)))
-        for name, vertices, faces, _ in z_up
-    )
+    made = []
     for name, vertices, faces, dropped in z_up:
-        for finding in _findings(vertices - centre, faces, dropped):
+        own_m = vertices - centre
+        made.append((name, Mesh(own_m.astype(np.float32), faces.astype(np.uint32))))
+        for finding in _findings(own_m, faces, dropped):
             _log.warning("%s: %s: %s", path, name, finding)
-    return UserMesh(path, centre, made, float(norm(high - low)) / 2)
+    return UserMesh(path, centre, tuple(made), float(norm(high - low)) / 2)
 
 
 def _parts(path: Path) -> list[tuple[str, tuple[F8, Faces]]]:

@@ -43,7 +43,7 @@ class Furniture:
 
     def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
         self.section, self.mesh = section, mesh
-        names = [part.name for part in mesh.parts]
+        names = [name for name, _ in mesh.parts]
         self.labels = [f"{mesh.path.name} {name}" for name in names]  # (parts,) names of their materials
         self.things = [mesh.path.name] if section.one_thing else self.labels
         """Names of what is a thing of its own at each place."""
@@ -160,7 +160,7 @@ class Furnished:
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""
         if isinstance(key, MeshKey):
-            return tuple(part.mesh for part in self._mesh_of[key].parts)
+            return tuple(mesh for _, mesh in self._mesh_of[key].parts)
         return self.bare.shape(key)
 
 

@@ -17,7 +17,7 @@ from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
-from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
@@ -62,7 +62,7 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
     trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
     table : species; the program's own if None
     """
-    forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
+    stems, order = Stems(trees, table=table), np.argsort(trees["id"])
     cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
     first = _SECTORS * np.cumsum([0, *cells.tolist()])
     hit, breast = np.zeros(first[-1], np.bool_), np.zeros((len(trees), _SECTORS), np.bool_)
@@ -72,7 +72,7 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
             which, at_m = _of_stems(returns, trees["id"][order])
             which = order[which]
             rows["returns_stem"] += np.bincount(which, minlength=len(trees)).astype(np.uint32)
-            up_m, aside_m, sector = _about_axes(trees, forms, which, at_m)
+            up_m, aside_m, sector = _about_axes(stems, which, at_m)
             near = aside_m < trees["dbh_m"][which] + _ASIDE_M
             if len(near) and near.mean() < 0.5:
                 found = f"returns from stems {np.median(aside_m):.1f} m off the axes of the scene's trees"
@@ -96,12 +96,11 @@ def _of_stems(returns: dict[str, F8], ids: U4) -> tuple[I8, F8]:
     return np.searchsorted(ids, returns["instance"][is_stem]), at_m
 
 
-def _about_axes(trees: Trees, forms: StemForms, which: I8, at_m: F8) -> tuple[F8, F8, I8]:
+def _about_axes(stems: Stems, which: I8, at_m: F8) -> tuple[F8, F8, I8]:
     """Return height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
-    own = trees[which]
-    from_foot_m = at_m - places_m(own)
+    from_foot_m = at_m - places_m(stems.trees[which])
     up_m = from_foot_m[:, 2]
-    aside_m = from_foot_m[:, :2] - axis_m(own, forms.of(which), up_m[:, None])[:, 0, :2]
+    aside_m = from_foot_m[:, :2] - stems.axis_m(up_m[:, None], which)[:, 0, :2]
     turn = np.arctan2(aside_m[:, 1], aside_m[:, 0]) / (2 * np.pi) % 1.0
     sector = np.minimum(_SECTORS * turn, _SECTORS - 1).astype(np.int64)
     return up_m, np.hypot(*aside_m.T), sector
@@ -178,7 +177,7 @@ class Survey:
         """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of the near ones, by tree."""
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        stems = stem_circles(grown, table=self.plants.trees)
+        stems = Stems(grown, table=self.plants.trees).circles()
         near = grown[np.isin(grown["id"], self.near["id"])]
         branches = branch_circles(near, self._crowns(near), seed=self.seed, table=self.plants.trees)
         circles = np.concatenate([stems, self.models.circles(trees[is_modelled]), branches])

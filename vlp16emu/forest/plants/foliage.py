@@ -7,7 +7,7 @@ import numpy as np
 from vlp16emu.elementary import cos, exp, power, sin
 from vlp16emu.forest.plants.branches import Branches, points_along, quads
 from vlp16emu.forest.plants.species import Foliage, Table, Trees
-from vlp16emu.forest.plants.stem import axis_m, stem_rings
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import generator, uniform
@@ -114,7 +114,7 @@ def ivy_meshes(
     trees: Trees, tops_m: F8, origin_m: F8, *, seed: int, tile: TileKey, table: Table | None = None
 ) -> list[Mesh]:
     """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none where that is 0."""
-    rings = stem_rings(trees, table=table)
+    stems = Stems(trees, table=table)
     small_m, large_m = _LEAF_M
     mean_m2 = _LEAF_WIDTH / 2 * (small_m * small_m + small_m * large_m + large_m * large_m) / 3
     meshes = []
@@ -125,10 +125,9 @@ def ivy_meshes(
         turn, way = rng.uniform(0, 2 * np.pi, count), power(rng.random(count), _UPWARDS)
         edge = 1 - _SHORTER * (0.5 + 0.5 * sin(_TONGUES * turn + rng.uniform(0, 2 * np.pi)))
         up_m = top_m * edge * way
-        one = trees[i : i + 1]
-        middle_m = axis_m(one, rings.forms.of(np.array([i])), up_m[None])[0]
-        away_m = np.interp(up_m, rings.above_ground_m[i], rings.radius_m[i]) + rng.uniform(*_AWAY_M, count)
-        foot_m = places_m(one)[0] - origin_m
+        middle_m = stems.axis_m(up_m[None], np.array([i]))[0]
+        away_m = np.interp(up_m, stems.above_ground_m[i], stems.radius_m[i]) + rng.uniform(*_AWAY_M, count)
+        foot_m = places_m(trees[i : i + 1])[0] - origin_m
         outward = np.column_stack([cos(turn), sin(turn), np.zeros(count)])
         corners = _leaves(rng, foot_m + middle_m + away_m[:, None] * outward, outward)
         meshes.append(quads(corners))

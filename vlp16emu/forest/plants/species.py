@@ -275,6 +275,11 @@ class Flora:
         """Names of all plants by number."""
         return {plant.number: name for table in (self.trees, self.shrubs) for name, plant in table.items()}
 
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
+        return (*GROUND_MATERIALS, *(f"{name} {part}" for name in self.names.values() for part in ("bark", "leaf")))
+
     @cached_property
     def bark(self) -> I8:
         """Material number of the bark by species number; that of the leaf is the next."""
@@ -366,19 +371,7 @@ def tapers(trees: Trees, *, table: Table | None = None) -> F8:
     return own
 
 
-def stem_keys(numbers: NDArray[np.uint16], *, table: Table | None = None) -> F8:
-    """Return the row of `StemForm` (n, 10) by species number (n,)."""
-    rows = {one.number: one.stem.row for one in (table or species_table()).values()}
-    return np.array([rows[number] for number in numbers.tolist()]).reshape(-1, 10)
-
-
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
 """Names of the first numbers."""
 BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
 """Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
-
-
-def material_names(plants: Flora) -> tuple[str, ...]:
-    """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
-    parts = (f"{name} {what}" for name in (*plants.trees, *plants.shrubs) for what in ("bark", "leaf"))
-    return (*GROUND_MATERIALS, *parts)

@@ -18,7 +18,7 @@ from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.branches import merged
 from vlp16emu.forest.plants.species import GROUND_MATERIALS
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
+from vlp16emu.forest.stand.placed import PlacedThings
 from vlp16emu.random import generator
 from vlp16emu.types import F8, I8, SURFACE, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import closed, unit
@@ -195,7 +195,7 @@ def labelled(
     """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
     larges = [False] * len(variants) if large is None else large[keep].tolist()
-    keys, shape = distinct([FloorKey(kind, *how) for how in zip(variants, larges, strict=True)])
+    keys = [FloorKey(kind, *how) for how in zip(variants, larges, strict=True)]
     own = _SHAPES[kind]
     rows = np.zeros((len(variants), 1), SURFACE)
     rows["semantic"], rows["part"] = own.semantic, own.part
@@ -203,7 +203,7 @@ def labelled(
     rows["reflectance"] = _REFLECTANCE[own.material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
     if species is not None:
         rows["species"] = species[keep, None]
-    return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES, is_ground=kind in GROUND_KINDS)
+    return PlacedThings(keys, world_T[keep], rows, is_ground=kind in GROUND_KINDS)
 
 
 def _stone(rng: Generator, splits: int = _STONE_SPLITS) -> Mesh:

@@ -7,7 +7,7 @@ Stochastic Geometry and its Applications, 3rd ed., sections 5.3 and 5.4.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -15,14 +15,29 @@ import numpy as np
 
 from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.terrain import Trails, sum_of_waves, waves
+from vlp16emu.forest.plants.species import Flora, flora
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
-from vlp16emu.types import F8, I8
+from vlp16emu.types import F8, I8, HeightField
 
 TilePoints = Callable[[int, int], F8]
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """What a forest grows on."""
+
+    seed: int
+    height_m: HeightField  # ground
+    path: Corridor  # of the sensor as a whole, fine enough that its chords are as good as the path
+    plants: Flora = field(default_factory=flora)  # trees and shrubs, those of the program by default
+    trails: Trails | None = None  # where no trees and shrubs grow
+
+
 _SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
 _JITTER_M = 0.15  # half-range of the error of planting along and across a row; assumption
 _LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
@@ -146,12 +161,10 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
     return PointPattern(per_ha, points)
 
 
-def pattern_of(
-    section: Pattern, *, seed: int, purpose: Growth, per_ha: float, trails: Trails | None = None
-) -> PointPattern:
+def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) -> PointPattern:
     """Make a point pattern of some density, counted over all the ground but with points off the trails alone."""
-    share = trails.free_share if trails else 1.0
-    how: dict[str, Any] = {"seed": seed, "purpose": purpose, "per_ha": per_ha / share}
+    share = land.trails.free_share if land.trails else 1.0
+    how: dict[str, Any] = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
     match section:
         case Clusters():
             pattern = clustered(section, **how)
@@ -159,7 +172,7 @@ def pattern_of(
             pattern = planted(section, free_share=share, **how)
         case Scattered(kind=kind):
             pattern = hard_core(**how) if kind == "hard_core" else scattered(**how)
-    if trails is None or share == 1:
+    if (trails := land.trails) is None or share == 1:
         return pattern
     off_trails = pattern.per_ha * share
     return PointPattern(off_trails, lambda ix, iy: (xy_m := pattern.points(ix, iy))[trails.are_free(xy_m)])

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
-from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, known, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
-from vlp16emu.forest.stand.points import PointPattern, pattern_of
+from vlp16emu.forest.stand.points import Land, PointPattern, pattern_of
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
-from vlp16emu.types import F8, HeightField
+from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
 TREE = np.dtype(  # one tree
@@ -165,27 +164,18 @@ def _stem_m2(storey: Storey) -> float:
 class Stand:
     """A mixed stand on a terrain, without edge, that keeps path and trails free of stems.
 
-    Where two stems would grow into each other, the thicker one is left. Plants are those of the program if none are given. Raises
-    GeometryError for a species that is not in the table, and for more stems than there may be.
+    Where two stems would grow into each other, the thicker one is left. Raises GeometryError for a species that is not in the table,
+    and for more stems than there may be.
     """
 
-    def __init__(
-        self,
-        section: Forest,
-        *,
-        seed: int,
-        height_m: HeightField,
-        path: Corridor,
-        plants: Flora | None = None,
-        trails: Trails | None = None,
-    ) -> None:
-        self._seed, self._height_m, self._path, self._plants = seed, height_m, path, plants or flora()
+    def __init__(self, section: Forest, land: Land) -> None:
+        self._section, self._land = section, land
         storeys: list[Storey] = [section, *section.storeys]
         self._patterns = [
-            pattern_of(storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey), trails=trails)
+            pattern_of(storey.pattern, land, purpose=purpose, per_ha=density_per_ha(storey))
             for storey, purpose in zip(storeys, _STOREYS, strict=False)
         ]
-        self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
+        self._cohorts = [[_Cohort(share, land.plants) for share in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         self.species = [share.species for share in section.species]  # of the canopy
@@ -197,7 +187,6 @@ class Stand:
         self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
         self._rivals_m2, cover = per_ha_m2[:, :2], float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
-        self._section = section
         self._crown = cache(self.crown)
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
@@ -222,7 +211,7 @@ class Stand:
         ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[of]
         own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
         trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
-        clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
+        clear = path_gap_m(trees, own[:, 2], self._land.path) >= self._land.path.clearance_m
         return trees[~beaten & clear]
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, F8]:
@@ -236,15 +225,17 @@ class Stand:
         for i, cohort in enumerate(self._all_cohorts):
             own = trees["cohort"] == i
             rival_m2[own] = cohort.species.rival_m2(100 * trees["dbh_m"][own])
-        return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"], rival_m2, ratio])
+        return trees, np.column_stack(
+            [foot_discs(trees, table=self._land.plants.trees), trees["dbh_m"], rival_m2, ratio]
+        )
 
     def _sow_storey(self, number: int, ix: int, iy: int) -> tuple[Trees, F8]:
         position = self._patterns[number].points(ix, iy)
-        rng = generator(self._seed, Growth.TREE, ix, iy, number)
+        rng = generator(self._land.seed, Growth.TREE, ix, iy, number)
         uniform, normal = rng.random((len(position), 5)), rng.standard_normal((len(position), 6))
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
-        trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
+        trees["z_m"] = self._land.height_m(trees["x_m"], trees["y_m"])
         lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, :2].T
         trees["lean_deg"] = hypot(lean_x, lean_y)
         trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360

@@ -15,7 +15,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT, STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.species import Flora, Species, Trees, flora, known
-from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, lean_rotation
+from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, circles_of, lean_rotation
 from vlp16emu.forest.settings import Season, TreeModelFile
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
 from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
@@ -116,15 +116,15 @@ class TreeModel:
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
         self.path, self.species = Path(section.file), species
         mesh = door("load_mesh")(self.path, unit=section.unit, up=section.up)
-        own, names = {part.name: part.part for part in section.parts}, [part.name for part in mesh.parts]
+        own, names = {part.name: part.part for part in section.parts}, [name for name, _ in mesh.parts]
         for name in own.keys() - set(names):
             raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
         parts = [PlantPart[own.get(name, "stem").upper()] for name in names]
         stems = [i for i, part in enumerate(parts) if part in STEM_PARTS]
         if not stems:
             raise GeometryError(f"{self.path}: parts", "no stem", "a part of the file that is the stem")
-        placed = [part.mesh.vertices_m.astype(np.float64) + mesh.centre_m for part in mesh.parts]
-        faces = [part.mesh.faces for part in mesh.parts]
+        placed = [part.vertices_m.astype(np.float64) + mesh.centre_m for _, part in mesh.parts]
+        faces = [part.faces for _, part in mesh.parts]
         low_m, high_m = (end([end(placed[i][:, 2]) for i in stems]) for end in (min, max))
         ground_m = 0.0 if low_m <= 0.0 < high_m else low_m
         self.height_m = float(max(vertices[:, 2].max() for vertices in placed)) - ground_m
@@ -166,11 +166,9 @@ class TreeModel:
         profile_m = self._profile_m[self._profile_m[:, 2] >= 0.0]
         world_T, across = self.world_T_model(trees), self.scale(trees)[:, 0]
         up_m = matvec(world_T[:, None, :, :3], profile_m[:, :3])
-        circles = np.zeros(up_m.shape[:2], STEM_CIRCLE)
-        circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], 1, PlantPart.STEM
-        for axis, name in enumerate("xyz"):
-            circles[f"{name}_m"] = trees[f"{name}_m"][:, None] + up_m[..., axis]
-        circles["above_foot_m"], circles["radius_m"] = up_m[..., 2], across[:, None] * profile_m[:, 3]
+        at_m, radius_m = places_m(trees)[:, None] + up_m, across[:, None] * profile_m[:, 3]
+        circles = circles_of(trees, 1, PlantPart.STEM, at_m, radius_m)
+        circles["above_foot_m"] = up_m[..., 2]
         return circles.ravel()
 
     def scale(self, trees: Trees) -> F8:
@@ -296,9 +294,8 @@ class TreeModels:
         placed = []
         for i, own in self._by_model(trees):
             model = self._models[i]
-            rows, shape = plant_surfaces(own, model.parts, self._plants), np.zeros(len(own), np.int64)
-            key, world_T = ModelKey(i, model.content), model.world_T_model(own)
-            placed.append(PlacedThings((key,), shape, world_T, rows, own, is_exact=is_exact))
+            keys, rows = [ModelKey(i, model.content)] * len(own), plant_surfaces(own, model.parts, self._plants)
+            placed.append(PlacedThings(keys, model.world_T_model(own), rows, own, is_exact=is_exact))
         return placed
 
     def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
