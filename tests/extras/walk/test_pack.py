@@ -1,6 +1,5 @@
 """Straps: the trunk's spline, and the exact swing about it; and the trunk of a walking person."""
 
-
 import numpy as np
 import pytest
 from extras.walk.kit import gait, straps
