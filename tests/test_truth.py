@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import velodyne_decoder
+from listening import parse_rmc
 from scipy.spatial.transform import Rotation, Slerp
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
 from vlp16emu.errors import ScenarioError
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
 from vlp16emu.motion.gnss import to_geodetic

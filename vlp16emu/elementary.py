@@ -72,15 +72,16 @@ class _Broadcast(_Both):
     """Function of float64 that Python calls too, with numbers and arrays that broadcast."""
 
     def __call__(self, *numbers: Any) -> Any:
-        arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
-        if arrays[0].ndim and self.function.__name__ in _LOOPS:
-            out = np.empty(arrays[0].shape)
-            flat = [np.ascontiguousarray(x).reshape(-1) for x in arrays]
-            _fill(_LOOPS.index(self.function.__name__), flat[0], flat[-1], out.reshape(-1))
-            return out
-        with np.errstate(all="ignore"):
-            value = self.function(*(x[()] for x in arrays))
-            return value if arrays[0].ndim else float(value)
+        arrays = [np.asarray(x, np.float64) for x in numbers]
+        if self.function.__name__ in _LOOPS:
+            value = np.empty(np.broadcast(*arrays).shape)
+            whole = (x if x.shape == value.shape else np.broadcast_to(x, value.shape) for x in arrays)
+            flat = [np.ascontiguousarray(x).reshape(-1) for x in whole]
+            _fill(_LOOPS.index(self.function.__name__), flat[0], flat[-1], value.reshape(-1))
+        else:
+            with np.errstate(all="ignore"):
+                value = self.function(*(x[()] for x in arrays))
+        return value if np.ndim(value) else float(value)
 
 
 @numba.extending.typeof_impl.register(_Both)  # type: ignore[untyped-decorator]
@@ -310,8 +311,8 @@ def hypot(x: Any, y: Any) -> Any:
     return np.sqrt(x * x + y * y)
 
 
-_LOOPS = "cos", "sin", "atan2", "exp", "log"
-"""Functions of arrays that are compiled, in the order of `_fill`; the others are few operations on these."""
+_LOOPS = "cos", "sin", "atan2", "exp", "log", "power"
+"""Functions that are compiled for numbers and arrays too, in the order of `_fill`; the others are few operations on these."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[untyped-decorator]  # numba has no types
@@ -326,8 +327,10 @@ def _fill(which: int, x: _Floats, y: _Floats, out: _Floats) -> None:
             out[i] = atan2(x[i], y[i])
         elif which == 3:
             out[i] = exp(x[i])
-        else:
+        elif which == 4:
             out[i] = log(x[i])
+        else:
+            out[i] = power(x[i], y[i])
 
 
 def norm(vectors: _Floats) -> Any:

@@ -17,7 +17,7 @@ from vlp16emu.types import Firings, Mesh
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall
 
-Array = NDArray[np.float64]
+F8 = NDArray[np.float64]
 
 _TWIG_M, _AWAY_M = 1e-3, 100.0
 _SIGMA_M = (0.0127 + 0.003 * _AWAY_M) / 4
@@ -25,7 +25,7 @@ _SIGMA_M = (0.0127 + 0.003 * _AWAY_M) / 4
 _PANE_QUADS = 8
 
 
-def _before_a_twig(y_m: Array) -> Firings:
+def _before_a_twig(y_m: F8) -> Firings:
     n = len(y_m)
     return pulses(np.column_stack([0 * y_m, y_m, 0 * y_m]), np.tile([1.0, 0.0, 0.0], (n, 1)))
 

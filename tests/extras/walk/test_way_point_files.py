@@ -5,8 +5,8 @@ import pytest
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.walk.way_points import read_way_points
-from vlp16emu.motion import Gps
 from vlp16emu.motion.gnss import to_geodetic
+from vlp16emu.motion.settings import Gps
 
 ORIGIN = Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=100.0)
 

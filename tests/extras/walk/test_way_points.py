@@ -9,7 +9,7 @@ from vlp16emu.extras.walk import LawnMower, Stop, Walk
 from vlp16emu.extras.walk.path import Path
 from vlp16emu.extras.walk.route import Route
 from vlp16emu.extras.walk.way_points import lawn_mower, way_points
-from vlp16emu.motion import Gps
+from vlp16emu.motion.settings import Gps
 
 
 def test_pauses_are_added_by_number(tmp_path):

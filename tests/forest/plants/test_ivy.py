@@ -6,7 +6,7 @@ from forest.kit import areas_m2, corners, trees_of
 from scipy import stats
 
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
-from vlp16emu.forest.plants.stem import axis_m, stem_forms, stem_rings
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.settings import Ivy
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
@@ -45,15 +45,15 @@ def test_leaves_hang_on_the_bark(trees):
     """Quads of twice the area of the bark, by the DBH, start 2 to 12 cm off it, from the ground to the top; without ivy there are none."""
     few = trees[:3]
     meshes = ivy_meshes(few, np.array([5.0, 0.0, 3.0]), np.zeros(3), seed=6, tile=TileKey(0, 0))
-    rings, forms = stem_rings(few), stem_forms(few)
+    stems = Stems(few)
     assert len(meshes[1].faces) == 0
     for i, top_m in ((0, 5.0), (2, 3.0)):
         leaves = corners(meshes[i])
         assert areas_m2(leaves).sum() == pytest.approx(2 * np.pi * 0.35 * top_m, rel=0.05)
         base = leaves[:, 0] - [few["x_m"][i], few["y_m"][i], 0.0]
-        axis = axis_m(few[i : i + 1], forms.of(np.array([i])), base[None, :, 2])[0]
+        axis = stems.axis_m(base[None, :, 2], np.array([i]))[0]
         away = np.hypot(*(base - axis)[:, :2].T)
-        off = away - np.interp(base[:, 2], rings.above_ground_m[i], rings.radius_m[i])
+        off = away - np.interp(base[:, 2], stems.above_ground_m[i], stems.radius_m[i])
         assert 0.019 < off.min() < 0.03
         assert 0.11 < off.max() < 0.121
         assert 0 <= base[:, 2].min() < 0.05

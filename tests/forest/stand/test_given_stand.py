@@ -7,10 +7,11 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
-from vlp16emu.forest.plants.species import flora, species_table
+from vlp16emu.forest.plants.species import species_table
 from vlp16emu.forest.settings import Plot
 from vlp16emu.forest.stand.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
+from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import TREE
 
 LIST = """\
@@ -161,10 +162,7 @@ def make(tmp_path):
         path.write_text(TREE_HEADER + rows, encoding="utf-8")
         return GivenStand(
             Plot(kind="plot", stem_list=str(path), on_conflict=on_conflict),
-            seed=1,
-            height_m=lambda x, y: 0.1 * x + 0.01 * y,
-            path=Corridor(path_xy_m, path_clearance_m),
-            plants=flora(),
+            Land(1, lambda x, y: 0.1 * x + 0.01 * y, Corridor(path_xy_m, path_clearance_m)),
         )
 
     return make_stand

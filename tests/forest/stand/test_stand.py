@@ -16,7 +16,7 @@ from vlp16emu.forest.plants.species import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Forest, Plantation, Scattered, SpeciesShare, Storey, Terrain
-from vlp16emu.forest.stand.points import scattered
+from vlp16emu.forest.stand.points import Land, scattered
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 
 FAR_XY_M = np.array([[0.0, 1e5]])
@@ -32,10 +32,7 @@ def make_stand(
     species = [one.model_copy(update={"share": one.share / whole}) for one in species]
     return Stand(
         Forest(kind="forest", stems_per_ha=stems_per_ha, species=species, path_clearance_m=clearance_m, **section),
-        seed=14,
-        height_m=lambda x, y: 0.01 * x + 0.02 * y,
-        path=Corridor(path_xy_m, clearance_m),
-        trails=trails,
+        Land(14, lambda x, y: 0.01 * x + 0.02 * y, Corridor(path_xy_m, clearance_m), trails=trails),
     )
 
 

@@ -12,7 +12,7 @@ from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.splines import interpolant
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 from vlp16emu.world.settings import Site
 
@@ -24,12 +24,36 @@ _LEAST_NORM = 0.5
 _LOOKS = 8  # between two poses, for that norm
 
 
-class RecordedMotion:
+class Pieces:
+    """Motion by powers of the time between knots: (4, n - 1, 7) of position and quaternion, highest first.
+
+    Before its first knot and after its last one the body is at rest.
+    """
+
+    moves = True
+
+    def __init__(self, start_ns: int, knots_ns: I8, powers: F8) -> None:
+        self._start_ns, self._arrays = start_ns, (knots_ns, powers)
+
+    def poses_at(self, t_ns: I8) -> Poses:
+        """Poses at UTC instants (n,)."""
+        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
+        fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
+        return Poses(t_ns, turn, position_m)
+
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
+        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
+        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
+        fill_rates(*self._arrays, t_ns - self._start_ns, rates)
+        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
+
+
+class RecordedMotion(Pieces):
     """Recorded poses, interpolated with two continuous derivatives in position and rotation.
 
     Positions are a cubic spline. So are the quaternions, each taken with the sign that is nearer to the
     one before; scaled to unit length they are the rotation. On a steady turn of 10 degrees from pose to
-    pose the rotation is right within 1e-6 rad. Before the first pose and after the last one the body is at rest.
+    pose the rotation is right within 1e-6 rad.
 
     Raises TrajectoryError if poses are farther apart in time than the greatest gap, turn by more than 90 degrees from
     one to the next, or are spaced too unevenly for a smooth turn.
@@ -41,8 +65,6 @@ class RecordedMotion:
     start_ns : UTC of the first pose
     """
 
-    moves = True
-
     def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
         knots_ns = poses.t_ns - poses.t_ns[0]
         self.run_time_s = float(knots_ns[-1] / S_NS)
@@ -51,53 +73,41 @@ class RecordedMotion:
         position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
         powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
         powers = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
-        _check_norm(poses, knots_ns, powers[:, :, 3:])
-        self._start_ns, self._pieces = start_ns, (knots_ns, powers)
+        super().__init__(start_ns, knots_ns, powers)
+        self._check_norm(poses)
         self.position_m = np.ascontiguousarray(powers[3, :, :3])  # (n - 1, 3) of all poses but the last, in the world
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
-        """Poses at UTC instants (n,)."""
-        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-        fill_poses(*self._pieces, t_ns - self._start_ns, position_m, turn)
-        return Poses(t_ns, turn, position_m)
-
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
-        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
-        fill_rates(*self._pieces, t_ns - self._start_ns, rates)
-        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
+    def _check_norm(self, poses: RecordedPoses) -> None:
+        (knots_ns, powers), found = self._arrays, "no smooth turn leads here from the pose before: times are too uneven"
+        steps_s, c = np.diff(knots_ns) / S_NS, powers[:, :, 3:]
+        for look in range(1, _LOOKS):
+            d = (look / _LOOKS * steps_s)[:, None]
+            off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
+            _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
 
 
-def _refuse(poses: RecordedPoses, values: Array, most: float, found: str, expected: str) -> None:
+def _refuse(poses: RecordedPoses, values: F8, most: float, found: str, expected: str) -> None:
     """Refuse the first step (n - 1,) from pose to pose whose value, which may stand in `found`, is above the most."""
     if (values > most).any():
         i = int((values > most).argmax())
         raise TrajectoryError(poses.where[i + 1], found.format(values[i]), expected)
 
 
-def _continuous(quaternion: Array) -> Array:
+def _continuous(quaternion: F8) -> F8:
     """Return the same rotations (n, 4), each with the sign that is nearer to the one before."""
     flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
     sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
     return quaternion * sign[:, None]
 
 
-def _check_steps(poses: RecordedPoses, knots_ns: IntArray, quaternion: Array, max_gap_s: float) -> None:
+def _check_steps(poses: RecordedPoses, knots_ns: I8, quaternion: F8, max_gap_s: float) -> None:
     _refuse(poses, np.diff(knots_ns) / S_NS, max_gap_s, "found a gap of {:g} s", f"at most {max_gap_s:g} s")
     turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
     expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
     _refuse(poses, turn_deg, _MOST_TURN_DEG + 1e-6, "turns by {:.1f} degrees from the pose before", expected)
 
 
-def _check_norm(poses: RecordedPoses, knots_ns: IntArray, c: Array) -> None:
-    found = "no smooth turn leads here from the pose before: times are too uneven"
-    for look in range(1, _LOOKS):
-        d = (look / _LOOKS * np.diff(knots_ns) / S_NS)[:, None]
-        off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
-        _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
-
-
-def check_places(position_m: Array, site: Site, reach_m: float) -> None:
+def check_places(position_m: F8, site: Site, reach_m: float) -> None:
     """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - site.height_m(*plan_m.T)
@@ -115,7 +125,7 @@ def check_places(position_m: Array, site: Site, reach_m: float) -> None:
         )
 
 
-def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[Array, Array]:
+def _placed(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]:
     """Positions (n, 3) and quaternions (n, 4) in axes of the world, about the recording's origin."""
     if recorded.axes == "camera":
         # Forward is the camera's z, left its -x, up its -y, in the recording's frame and in the body's:
@@ -135,7 +145,7 @@ def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[A
 
 
 @numba.njit(cache=True, nogil=True)
-def _piece(knots_ns: IntArray, elapsed_ns: int) -> tuple[int, float]:
+def _piece(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
     """Piece that holds an instant, and seconds into it; instants beyond the ends fall on them."""
     t = min(max(elapsed_ns, 0), knots_ns[-1])
     piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
@@ -143,7 +153,7 @@ def _piece(knots_ns: IntArray, elapsed_ns: int) -> tuple[int, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_poses(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, position_m: Array, turn: Array) -> None:
+def fill_poses(knots_ns: I8, coefficients: F8, elapsed_ns: I8, position_m: F8, turn: F8) -> None:
     """Evaluate the pieces, each instant alone."""
     value = np.empty(7)
     for i in range(elapsed_ns.size):
@@ -164,7 +174,7 @@ def fill_poses(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, po
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_rates(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, rates: Array) -> None:
+def fill_rates(knots_ns: I8, coefficients: F8, elapsed_ns: I8, rates: F8) -> None:
     """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.
 
     With Q of any length and N = |Q|^2, the rate is w = 2 vec(Q* Q') / N, and as Q'* Q' has no vector part,

@@ -17,7 +17,7 @@ from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
-from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
@@ -62,7 +62,7 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
     trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
     table : species; the program's own if None
     """
-    forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
+    stems, order = Stems(trees, table=table), np.argsort(trees["id"])
     cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
     first = _SECTORS * np.cumsum([0, *cells.tolist()])
     hit, breast = np.zeros(first[-1], np.bool_), np.zeros((len(trees), _SECTORS), np.bool_)
@@ -72,7 +72,7 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
             which, at_m = _of_stems(returns, trees["id"][order])
             which = order[which]
             rows["returns_stem"] += np.bincount(which, minlength=len(trees)).astype(np.uint32)
-            up_m, aside_m, sector = _about_axes(trees, forms, which, at_m)
+            up_m, aside_m, sector = _about_axes(stems, which, at_m)
             near = aside_m < trees["dbh_m"][which] + _ASIDE_M
             if len(near) and near.mean() < 0.5:
                 found = f"returns from stems {np.median(aside_m):.1f} m off the axes of the scene's trees"
@@ -96,12 +96,11 @@ def _of_stems(returns: dict[str, F8], ids: U4) -> tuple[I8, F8]:
     return np.searchsorted(ids, returns["instance"][is_stem]), at_m
 
 
-def _about_axes(trees: Trees, forms: StemForms, which: I8, at_m: F8) -> tuple[F8, F8, I8]:
+def _about_axes(stems: Stems, which: I8, at_m: F8) -> tuple[F8, F8, I8]:
     """Return height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
-    own = trees[which]
-    from_foot_m = at_m - places_m(own)
+    from_foot_m = at_m - places_m(stems.trees[which])
     up_m = from_foot_m[:, 2]
-    aside_m = from_foot_m[:, :2] - axis_m(own, forms.of(which), up_m[:, None])[:, 0, :2]
+    aside_m = from_foot_m[:, :2] - stems.axis_m(up_m[:, None], which)[:, 0, :2]
     turn = np.arctan2(aside_m[:, 1], aside_m[:, 0]) / (2 * np.pi) % 1.0
     sector = np.minimum(_SECTORS * turn, _SECTORS - 1).astype(np.int64)
     return up_m, np.hypot(*aside_m.T), sector
@@ -178,7 +177,7 @@ class Survey:
         """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of the near ones, by tree."""
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        stems = stem_circles(grown, table=self.plants.trees)
+        stems = Stems(grown, table=self.plants.trees).circles()
         near = grown[np.isin(grown["id"], self.near["id"])]
         branches = branch_circles(near, self._crowns(near), seed=self.seed, table=self.plants.trees)
         circles = np.concatenate([stems, self.models.circles(trees[is_modelled]), branches])
@@ -196,8 +195,8 @@ class Survey:
         return np.asarray(Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m)
 
 
-def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: F8 | None = None) -> Survey:
-    """Survey the surroundings of the path of a scenario's sensor, or of `path_xy_m` (n, 2) if its motion is not known yet.
+def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
+    """Survey the surroundings of the path of a scenario's sensor.
 
     InputError if a part of the scenario cannot be made, or the radius exceeds the sensor's range.
     """
@@ -208,10 +207,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path
     beams_deg, world = parts.head.beams.elevation_deg, parts.world
     bare = world.bare if isinstance(world, Furnished) else world
     assert isinstance(bare, ForestWorld | HallWorld)
-    if path_xy_m is None:
-        path_m = way_m(scenario, parts.motion)
-    else:
-        path_m = np.column_stack([path_xy_m, bare.height_m(*path_xy_m.T)])
+    path_m = _way_m(scenario, parts.motion)
     path, window = Polyline(path_m[:, :2]), world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
@@ -231,7 +227,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path
     )
 
 
-def way_m(scenario: Scenario, motion: Motion) -> F8:
+def _way_m(scenario: Scenario, motion: Motion) -> F8:
     """Return positions (n, 3) of the sensor over the scene's duration; one if it stands still."""
     if not motion.moves:
         return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m

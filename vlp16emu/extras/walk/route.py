@@ -11,7 +11,7 @@ from vlp16emu.extras.splines import Spline, powers
 from vlp16emu.extras.walk.gait import AXES
 from vlp16emu.extras.walk.path import Path, limit_slope
 from vlp16emu.extras.walk.settings import Walk
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 Stops = Sequence[tuple[float, float]]
 _PLACED = [0, 1, 2, 5]  # of x, y, z, roll, pitch and yaw those that a path gives
@@ -45,7 +45,7 @@ class Route:
     pause_s : (n,) how long the person stops at each waypoint of the path
     """
 
-    def __init__(self, path: Path, walk: Walk, pause_s: Array) -> None:
+    def __init__(self, path: Path, walk: Walk, pause_s: F8) -> None:
         if walk.laps > 1 and not path.closed:
             found = f"found {walk.laps} on an open path"
             raise TrajectoryError("laps", found, "1, back_and_forth = true, or a last waypoint on the first")
@@ -76,7 +76,7 @@ class Route:
         at = knots[_DEGREE:-_DEGREE]
         self._along_m = Spline(at, powers(at, knots, control_m[:, None], _DEGREE))
 
-    def at(self, elapsed_s: Array) -> tuple[Array, Array]:
+    def at(self, elapsed_s: F8) -> tuple[F8, F8]:
         """Foot point at times (n,) since the start, before any gait; before the first step and after the run time at rest.
 
         Returns
@@ -104,7 +104,7 @@ _PADDING_S = (2 * _REACH - 1) * _KNOT_S
 class _Leg:
     """The part of the path from one rest to the next, in equal cells."""
 
-    def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk) -> None:
+    def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[F8], F8], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
         blocks = np.array_split(looked_m, 1 + len(looked_m) // _BLOCK)  # a path of 100 km has 20 million places
@@ -115,7 +115,7 @@ class _Leg:
         self.at_m = looked_m[::_LOOKS]
         self._gain = np.full(cells, walk.acceleration_m_s2 * self._cell_m)
 
-    def speeds_m_s(self, cruise_m_s: float) -> Array:
+    def speeds_m_s(self, cruise_m_s: float) -> F8:
         """Return the speeds (n,) at the cells' edges before smoothing.
 
         Smoothing mixes speeds from `2 * _REACH` steps of time, so the limits reach as far as the person then gets.
@@ -129,13 +129,13 @@ class _Leg:
         limit_slope(energy, self._gain)
         return np.sqrt(2 * energy)
 
-    def times_s(self, speeds_m_s: Array) -> Array:
+    def times_s(self, speeds_m_s: F8) -> F8:
         """Return the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
         with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
 
 
-def _least_within(values: Array, reach: int) -> Array:
+def _least_within(values: F8, reach: int) -> F8:
     """Find the least value (n,) within `reach` neighbours to either side, in windows that double in width.
 
     As `minimum_filter1d` of scipy.ndimage does, whose import would take 40 ms of each start.
@@ -147,7 +147,7 @@ def _least_within(values: Array, reach: int) -> Array:
     return np.minimum(least[: len(values)], least[-len(values) :])
 
 
-def _rests(stops: Stops, length_m: float) -> tuple[Array, Array]:
+def _rests(stops: Stops, length_m: float) -> tuple[F8, F8]:
     """Arc lengths (r,) at which the person rests, both ends among them, and for how long before smoothing."""
     for stop_m, _ in stops:
         if not 0.0 <= stop_m <= length_m:
@@ -179,7 +179,7 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
     return high
 
 
-def _sampled(legs: Sequence[_Leg], pauses_s: Array, cruise_m_s: float) -> tuple[float, Array]:
+def _sampled(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[float, F8]:
     """Duration before smoothing, and the control points (c,): arc lengths at equal times."""
     begin_s, begins, runs = pauses_s[0], [], []
     for leg, pause_s in zip(legs, pauses_s[1:], strict=True):
