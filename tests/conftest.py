@@ -130,6 +130,21 @@ def _memory_is_kept():
         yield
 
 
+@pytest.fixture
+def refused(capsys):
+    """Run a command line that is bad input, and return the one line that says so."""
+    from vlp16emu.cli.app import run
+
+    def line_of(words):
+        capsys.readouterr()
+        assert run([str(word) for word in words]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        return error
+
+    return line_of
+
+
 @pytest.fixture(scope="session")
 def workers():
     """Threads that build shapes."""

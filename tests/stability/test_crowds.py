@@ -9,7 +9,7 @@ from stability.lab import cast, faces, opened, pulses
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.meshes.files import UserMesh
-from vlp16emu.extras.meshes.furnished import Furnished, Furniture
+from vlp16emu.extras.meshes.furnished import Furnished
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.types import Mesh
 from vlp16emu.world.hall import HallWorld
@@ -50,4 +50,4 @@ def test_too_many():
     section = MeshFile(file="stone.obj", unit="m", up="z", semantic="stone", places=places)
     hall = HallWorld(Hall(kind="hall", length_m=9.0, width_m=9.0, height_m=9.0))
     with pytest.raises(InputError, match="at most 65536"):
-        Furnished(hall, furniture=[Furniture(section, stone)], reach_m=100.0)
+        Furnished(hall, meshes=[(section, stone)], reach_m=100.0)
