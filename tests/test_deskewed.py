@@ -1,6 +1,5 @@
 """Captures put into the world by `vlp16emu points` with a trajectory, and their labels from the truth behind each record."""
 
-import json
 from threading import Event
 
 import dpkt
@@ -157,6 +156,9 @@ def test_each_unit_of_a_rig_has_its_own_trajectory(tmp_path):
     assert gap_m.max() < 0.005
     with pytest.raises(InputError, match="--unit: found 3; expected at most 2"):
         Trajectory(tmp_path / "truth", 3, TrajectoryErrors())
+    (tmp_path / "rig.json").write_text('{"units": 3}')
+    with pytest.raises(InputError, match="no description of a rig"):
+        Trajectory(tmp_path, 1, TrajectoryErrors())
 
 
 def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
@@ -194,13 +196,6 @@ def test_what_makes_no_sense_is_refused_in_one_line(walk, capsys, options, line)
     assert line in err
     assert err.count("\n") == 1
     assert not (folder / "no.ply").exists()
-
-
-def test_a_damaged_rig_is_named(tmp_path):
-    """A rig.json of something else is no truth of ours."""
-    (tmp_path / "rig.json").write_text(json.dumps({"units": 3}))
-    with pytest.raises(InputError, match="no description of a rig"):
-        Trajectory(tmp_path, 1, TrajectoryErrors())
 
 
 @pytest.fixture(scope="module")

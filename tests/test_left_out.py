@@ -62,22 +62,6 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
         first("beam.model=adaptive")
 
 
-def test_one_ray_is_held_once(monkeypatch):
-    """Of a pulse that is one ray one hit is held, in arrays that have room for no more."""
-    seen = []
-    monkeypatch.setattr(page, "detect", lambda firings, hits, *_, **__: seen.append((firings.t_ns.size, hits)))
-    first()
-    first("beam={ model = 'fixed', rays = 8 }")
-    sizes = {
-        (
-            len(hits.range_m) / pulses,
-            memoryview(hits.range_m if hits.range_m.base is None else hits.range_m.base).nbytes / pulses,
-        )
-        for pulses, hits in seen
-    }
-    assert sizes == {(1, 4), (8, 12 * 8)}  # of several, range, surface and cosine in one array
-
-
 def depends_on_seed(*settings):
     """Whether returns of the hall are others with another seed."""
     one, other = (
@@ -128,22 +112,23 @@ def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
     assert len(Emulator(birch(), threads=1).parts.motion.poses_at(t_ns).t_ns) == 1000
 
 
-def test_without_gait_nothing_swings(monkeypatch):
-    """A bare walk, with straps too, asks neither the trunk nor the pack for anything; one with a gait does."""
-    forbid(monkeypatch, (gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_sit"))
-    t_ns = birch().start_ns + np.arange(10, dtype=np.int64)
-    Emulator(birch("motion.gait={ preset = 'none' }", "motion.harness={}"), threads=1).parts.motion.poses_at(t_ns)
-    with pytest.raises(TouchedError):
-        Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
+BARE, STRAPS = "motion.gait={ preset = 'none' }", "motion.harness={}"
 
 
-def test_without_a_harness_nothing_is_solved(monkeypatch):
-    """Straps are solved only where there are some."""
-    forbid(monkeypatch, (pack, "_swing"))
+@pytest.mark.parametrize(
+    ("places", "without", "beside"),
+    [
+        ([(gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_sit")], [BARE, STRAPS], []),
+        ([(pack, "_swing")], [], [STRAPS]),
+    ],
+)
+def test_a_walk_computes_no_sway_that_it_has_not(monkeypatch, places, without, beside):
+    """Without gait neither trunk nor pack is asked, with straps too, and straps are solved only where there are some."""
+    forbid(monkeypatch, *places)
     t_ns = birch().start_ns + 2 * 10**9 + np.arange(10, dtype=np.int64)
-    Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
+    Emulator(birch(*without), threads=1).parts.motion.poses_at(t_ns)
     with pytest.raises(TouchedError):
-        Emulator(birch("motion.harness={}"), threads=1).parts.motion.poses_at(t_ns)
+        Emulator(birch(*beside), threads=1).parts.motion.poses_at(t_ns)
 
 
 @pytest.mark.parametrize("setting", ["gps.connected=false", "gps={ connected = true, canopy_loss = false }"])

@@ -27,17 +27,10 @@ def test_philox_gives_its_authors_answers(counter, key, answer):
     assert philox4x32(*(np.uint32(word) for word in (*counter, *key))) == answer
 
 
-def test_uniform_numbers_are_uniform():
-    """100 000 numbers pass a Kolmogorov-Smirnov test against the uniform distribution on [0, 1)."""
-    numbers = uniform(1, Growth.STAND, 0, 100_000)
-    assert stats.kstest(numbers, "uniform").pvalue > 0.001
-    assert numbers.min() >= 0.0
-    assert numbers.max() < 1.0
-
-
-def test_normal_numbers_are_normal():
-    """100 000 numbers pass a Kolmogorov-Smirnov test against the standard normal distribution."""
-    assert stats.kstest(normal(1, Purpose.AZIMUTH_READING, 0, 100_000), "norm").pvalue > 0.001
+@pytest.mark.parametrize(("draw", "law"), [(uniform, "uniform"), (normal, "norm")])
+def test_numbers_follow_their_law(draw, law):
+    """100 000 numbers pass a Kolmogorov-Smirnov test against the uniform distribution on [0, 1), or the standard normal one."""
+    assert stats.kstest(draw(1, Purpose.AZIMUTH_READING, 0, 100_000), law).pvalue > 0.001
 
 
 @pytest.mark.parametrize("draw", [uniform, normal])

@@ -22,30 +22,9 @@ if TYPE_CHECKING:
     from vlp16emu.scenario import Scenario, load
     from vlp16emu.types import Labels, Scan
 
-__all__ = [
-    "Emulator",
-    "Finding",
-    "GpsIn",
-    "Http",
-    "Labels",
-    "Live",
-    "Outlets",
-    "PosesIn",
-    "Recording",
-    "Replayed",
-    "Scan",
-    "Scenario",
-    "TruthTo",
-    "Verification",
-    "decode",
-    "load",
-    "replay",
-    "stream",
-    "verify",
-    "write_images",
-    "write_points",
-    "write_truth",
-]
+__all__ = ["Emulator", "decode", "load", "replay", "stream", "verify", "write_images", "write_points", "write_truth"]
+__all__ += ["GpsIn", "Http", "Outlets", "PosesIn", "TruthTo"]  # options
+__all__ += ["Finding", "Labels", "Live", "Recording", "Replayed", "Scan", "Scenario", "Verification"]
 
 _MODULES = {
     "run.emulator": "Emulator",

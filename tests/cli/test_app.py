@@ -177,11 +177,17 @@ def test_a_reader_that_has_had_enough_is_no_error(main_here):
         assert main_here("schema", stdout=stdout) == (1, "")
 
 
-@pytest.mark.parametrize("line", ["--help", "schema", "stream static_bench --duration 0.1"])
-def test_output_that_cannot_be_written_is_one_line(main_here, line):
+@pytest.mark.parametrize(
+    ("line", "more"),
+    [
+        *((line, "") for line in ("--help", "schema", "stream static_bench --duration 0.1")),
+        ("record static_bench - --duration 0.1", " at packet 1; no file is written"),
+    ],
+)
+def test_output_that_cannot_be_written_is_one_line(main_here, line, more):
     """A full disk under stdout is told in one line, be it at the first word, midway or only at the end, and the run has failed."""
     with Path("/dev/full").open("w") as full:
-        said = "error: standard output: No space left on device\n"
+        said = f"error: standard output: No space left on device{more}\n"
         assert main_here(*line.split(), stdout=full) == (1, said)
 
 

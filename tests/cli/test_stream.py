@@ -64,6 +64,7 @@ def test_a_stream_is_a_recording_on_the_wire(cli, bench, listeners, ports):
     data, position = assert_recorded(listeners, bench)
     assert (report["packets"], report["position_packets"]) == (len(data), len(position))
     assert (report["to"], report["interrupted"]) == ("127.0.0.1", False)
+    assert report["units"][0]["turn"]["revolutions"] == pytest.approx(10 * report["sent"]["simulated_s"])
 
 
 def test_people_read_where_it_goes_and_how_it_went(cli, ports):

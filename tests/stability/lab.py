@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.forest.stand.twin import AllNear
 from vlp16emu.packets import LASERS
-from vlp16emu.raycast import Beam
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LENS_RADIUS_M
 from vlp16emu.types import SURFACE, Firings, Hits, Mesh, Returns, Window
 
-Array = NDArray[np.float64]
+F8 = NDArray[np.float64]
 
 PULSES = 24 * LASERS
 """Of a packet of single return: pulses come in multiples of it."""
@@ -38,7 +38,7 @@ def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
     return light if has_width else light.changed(spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0))
 
 
-def faces(corners_m: Array) -> Mesh:
+def faces(corners_m: F8) -> Mesh:
     """Return a mesh of quads (n, 4, 3) or triangles (n, 3, 3)."""
     numbers = np.arange(corners_m.shape[0] * corners_m.shape[1], dtype=np.uint32).reshape(corners_m.shape[:2])
     return Mesh(corners_m.reshape(-1, 3).astype(np.float32), numbers)
@@ -78,7 +78,7 @@ def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) 
     return caster(AllNear(window, lambda _key: tuple(meshes)), _WORKERS).open(window)
 
 
-def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firings:
+def pulses(origin_m: F8, direction: F8, *, lasers: int = LASERS) -> Firings:
     """Pulses (n, 3) as firing sequences, n a multiple of 8 a laser, or to be packed of `PULSES`.
 
     The level axis of their light is across z.

@@ -10,14 +10,14 @@ from scipy.stats import norm
 from stability.lab import PULSES, beam, cast, faces, opened, pulses, wall
 
 from vlp16emu.errors import InputError
-from vlp16emu.extras.meshes.files import PartMesh, UserMesh
+from vlp16emu.extras.meshes.files import UserMesh
 from vlp16emu.extras.meshes.furnished import Furnished, Furniture
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.types import Firings, Mesh
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall
 
-Array = NDArray[np.float64]
+F8 = NDArray[np.float64]
 
 _TWIG_M, _AWAY_M = 1e-3, 100.0
 _SIGMA_M = (0.0127 + 0.003 * _AWAY_M) / 4
@@ -25,7 +25,7 @@ _SIGMA_M = (0.0127 + 0.003 * _AWAY_M) / 4
 _PANE_QUADS = 8
 
 
-def _before_a_twig(y_m: Array) -> Firings:
+def _before_a_twig(y_m: F8) -> Firings:
     n = len(y_m)
     return pulses(np.column_stack([0 * y_m, y_m, 0 * y_m]), np.tile([1.0, 0.0, 0.0], (n, 1)))
 
@@ -75,7 +75,7 @@ def test_crowd():
 
 def test_too_many():
     """More things of the user's own than have numbers are refused."""
-    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (PartMesh("stone", _pane()),), 1.0)
+    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (("stone", _pane()),), 1.0)
     places = [MeshPlace(x_m=50.0, y_m=0.0, z_m=0.0)] * 65_537
     section = MeshFile(file="stone.obj", unit="m", up="z", semantic="stone", places=places)
     hall = HallWorld(Hall(kind="hall", length_m=9.0, width_m=9.0, height_m=9.0))

@@ -8,7 +8,7 @@ from vlp16emu import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import Firings
 
-Array = NDArray[np.float64]
+F8 = NDArray[np.float64]
 
 _FLOOR_M = 150.0
 _FLOAT32 = 2.0**-23

@@ -18,7 +18,7 @@ from vlp16emu.sensor.beams import LASER_NS, SEQUENCE_NS
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-Array = NDArray[np.float64]
+F8 = NDArray[np.float64]
 
 _STEP_HZ, _SWAY_M = 1.8, 0.02
 _AT_S = 300
@@ -30,7 +30,7 @@ _STEPS = 1 + _LAST_NS / BLOCK_PERIOD_NS / (BLOCKS_PER_PACKET - 1)
 """Of the azimuth: the one that is floored, and what the last pulse of a block adds to it over the gaps of a packet."""
 
 
-def _sway(first: int, count: int) -> Array:
+def _sway(first: int, count: int) -> F8:
     """Sine on all axes from knot 0 on."""
     t_s = np.maximum(np.arange(first, first + count), 0) / KNOTS_PER_S
     return np.repeat((_SWAY_M * np.sin(2 * np.pi * _STEP_HZ * t_s))[:, None], 6, axis=1)

@@ -15,7 +15,7 @@ from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
-from vlp16emu.types import Array, World
+from vlp16emu.types import F8, World
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class ForestSite:
         return _digest(own, _content(section.dem.file if section.dem else None), str(self._seed))
 
     @property
-    def obstacles(self) -> tuple[Array, Array] | None:
+    def obstacles(self) -> tuple[F8, F8] | None:
         """Stems that the path leads around, with errors as of `stems_in_the_way`; None if it keeps its way."""
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
@@ -51,7 +51,7 @@ class ForestSite:
         return None
 
     def world(
-        self, path_xy_m: Array, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
+        self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
     ) -> tuple[World, TreeSway | None]:
         """Return the forest, and what moves its trees; parameters and errors as of `Site`."""
         section, ground = self._section, self._ground

@@ -1,12 +1,12 @@
 """The receiver wired to the sensor, and what happens to its line."""
 
 import pytest
+from listening import parse_rmc
 
-from vlp16emu.engine import GpsInput
 from vlp16emu.errors import PacketError
 from vlp16emu.extras.bench.changes import DisturbedGps
-from vlp16emu.extras.bench.gps_in import parse_rmc
-from vlp16emu.motion import Gps
+from vlp16emu.motion.settings import Gps
+from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import GnssFix, PpsState
 from vlp16emu.units import MS_NS, S_NS
@@ -39,17 +39,6 @@ def fix(second):
     return GnssFix(START_NS + second * S_NS, True, 62.24, 25.75, 1.1, 90.0)
 
 
-def test_sentence_names_the_preceding_second():
-    """Until the delay has passed the buffer holds the sentence of the second before; without a receiver it is empty."""
-    gps = GpsInput(True, 350 * MS_NS)
-    assert gps.second_ns(100 * S_NS + 349 * MS_NS) == 99 * S_NS
-    assert gps.second_ns(100 * S_NS + 350 * MS_NS) == 100 * S_NS
-    assert gps.second_ns(101 * S_NS) == 100 * S_NS
-    assert gps.pps_at(100 * S_NS) is LOCKED
-    alone = GpsInput(False, 350 * MS_NS)
-    assert (alone.pps_at(100 * S_NS), alone.second_ns(100 * S_NS)) == (ABSENT, None)
-
-
 def test_a_lost_pulse_is_absent_and_then_synchronizing():
     """From the first edge that is missed the pulse is absent, and locked again when it was steady for the window."""
     made = gps_input({"kind": "pps_loss", "at_s": 1.3, "duration_s": 3.0}, pps_window_s=4.0)
@@ -65,7 +54,7 @@ def test_garbled_sentences_are_an_error():
     assert parse_rmc(made.sentence(fix(2), 1)).t_ns == START_NS + 2 * S_NS
     for second in (3, 4):
         with pytest.raises(PacketError):
-            parse_rmc(made.sentence(fix(second), 1))
+            rmc_time(made.sentence(fix(second), 1))
 
 
 @pytest.mark.parametrize("characters", [1, 2, 5, 40])
@@ -79,7 +68,7 @@ def test_as_many_characters_are_garbled_as_wanted(characters):
         assert text.endswith(b"\r\n")
         assert characters <= differ <= characters + 1
         with pytest.raises(PacketError):
-            parse_rmc(text)
+            rmc_time(text)
         seen.add(text)
     assert len(seen) > 30
 

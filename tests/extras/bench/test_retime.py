@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from listening import parse_rmc
 from pynmea2 import NMEASentence
 
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
 from vlp16emu.packets import data_fields, decode_position
 from vlp16emu.types import Packet, PacketKind

@@ -13,9 +13,9 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.walk import Gait, Walk
 from vlp16emu.extras.walk.gait import Trunk, step_rate_hz
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack, response
-from vlp16emu.motion import Gps
-from vlp16emu.world import Hall
+from vlp16emu.motion.settings import Gps
 from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.settings import Hall
 
 NODES_S = np.arange(1001) / 1000
 

@@ -270,7 +270,7 @@ def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, star
     power_up_ns, own_ppm = start_ns - seconds_to_ns(section.powered_for_s or 0.0), section.clock_error_ppm or 0.0
     ppm = own_ppm
     locked_ns = gps.spans_ns(PpsState.LOCKED)
-    pulsed_ns = tuple((-(-begin // S_NS) * S_NS, end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
+    pulsed_ns = tuple((_ceil(begin), end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
     turns: list[tuple[int, Event | None]] = [(t_ns, None) for span in locked_ns + pulsed_ns for t_ns in span]
     turns += [(start_ns + event.end_ns, event) for event in events if event.effect in ("clock", "power")]
     spans = list[ClockSpan]()

@@ -72,19 +72,16 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
     now_ns : UTC at which the packet is sent, where the date of the sentence may be another one than that of the
         capture: then the sentence is moved by whole hours too, to that hour
     """
-    if packet.kind is PacketKind.PPS:
-        return packet
+    payload = bytearray(packet.payload)
     if packet.kind is PacketKind.NMEA:
-        return replace(packet, payload=_moved_sentence(packet.payload, by_s, now_ns))
-    if packet.kind is PacketKind.IMU:
-        return replace(packet, payload=moved_imu(packet.payload, by_s))
-    if not has_stamp(packet):
-        return packet
-    at, payload = _STAMP_AT[packet.kind], bytearray(packet.payload)
-    _STAMP.pack_into(payload, at, (stamp_ns(packet) + by_s * S_NS) % HOUR_NS // US_NS)
-    if packet.kind is PacketKind.POSITION:
-        sentence = _moved_sentence(bytes(payload[_SENTENCE]), by_s, now_ns)
-        payload[_SENTENCE] = sentence
+        payload[:] = _moved_sentence(packet.payload, by_s, now_ns)
+    elif packet.kind is PacketKind.IMU:
+        payload[:] = moved_imu(packet.payload, by_s)
+    elif has_stamp(packet):
+        stamp_us = (stamp_ns(packet) + by_s * S_NS) % HOUR_NS // US_NS
+        _STAMP.pack_into(payload, _STAMP_AT[packet.kind], stamp_us)
+        if packet.kind is PacketKind.POSITION:
+            payload[_SENTENCE] = _moved_sentence(packet.payload[_SENTENCE], by_s, now_ns)
     return replace(packet, payload=bytes(payload))
 
 

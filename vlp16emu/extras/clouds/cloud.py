@@ -4,12 +4,12 @@ import shutil
 import tempfile
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from enum import IntEnum
-from functools import cache, partial
+from functools import cache
 from importlib.resources import files
 from itertools import chain
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.doors import door, has_door
+from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
 from vlp16emu.packets import PointFrame
@@ -215,7 +215,7 @@ class PointWriter(ABC):
         """Write what needs the number of points."""
 
 
-class _Csv(PointWriter):
+class CsvFile(PointWriter):
     """One line per point; the header names the units."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack) -> None:
@@ -223,6 +223,7 @@ class _Csv(PointWriter):
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
+        """Write a line for each point."""
         formats, fields = list[str](), list[list[Any]]()
         for column in self._columns:
             values, unit = block[column.name], 10**column.decimals
@@ -245,7 +246,7 @@ class _Csv(PointWriter):
 _PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<u4": "uint"}
 
 
-class _Ply(PointWriter):
+class PlyFile(PointWriter):
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
@@ -256,6 +257,7 @@ class _Ply(PointWriter):
         file.write(self._header())
 
     def write(self, block: Block) -> None:
+        """Write a record for each point."""
         vertices = np.empty(len(block[self._columns[0].name]), self._vertex)
         for column in self._columns:
             for name, values in column.properties(block[column.name]).items():
@@ -284,7 +286,7 @@ class _Ply(PointWriter):
         return "\n".join(lines).encode("ascii")
 
 
-class _Pcd(_Ply):
+class PcdFile(PlyFile):
     """Binary PCD 0.7, which differs from PLY in its header alone; coordinates are float32, which PCL's types have.
 
     Source: pointclouds.org, The PCD (Point Cloud Data) file format.
@@ -313,7 +315,7 @@ class _Pcd(_Ply):
         return "\n".join(lines).encode("ascii")
 
 
-class _Npz(PointWriter):
+class NpzFile(PointWriter):
     """Numpy arrays by the names of the columns.
 
     The format wants all of one array before the next, so each waits on the disk, beside the file to come.
@@ -324,11 +326,13 @@ class _Npz(PointWriter):
         self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
+        """Put the arrays aside, each behind what came before."""
         for column, waiting in zip(self._columns, self._waiting, strict=True):
             waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
         self.points += len(block[self._columns[0].name])
 
     def finish(self) -> None:
+        """Write the archive."""
         with zipfile.ZipFile(self._file, "w") as archive:
             for column, waiting in zip(self._columns, self._waiting, strict=True):
                 shape = (self.points, len(column.csv)) if len(column.csv) > 1 else (self.points,)
@@ -337,24 +341,6 @@ class _Npz(PointWriter):
                     np.lib.format.write_array_header_1_0(member, header)
                     waiting.seek(0)
                     shutil.copyfileobj(waiting, member, 1 << 20)
-
-
-def _las(
-    file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack, *, laz: bool = False
-) -> PointWriter:
-    from vlp16emu.extras.clouds.las import LasFile
-
-    return LasFile(file, columns, about, compressed=laz)
-
-
-_WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack], PointWriter]] = {
-    ".csv": _Csv,
-    ".npz": _Npz,
-    ".ply": _Ply,
-    ".pcd": _Pcd,
-    ".las": _las,
-    ".laz": partial(_las, laz=True),
-}
 
 
 @contextmanager
@@ -367,9 +353,9 @@ def point_file(
     the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
     its library is not there, OutputError and RunError as of `OutputFile`.
     """
-    if path.suffix not in _WRITERS and not has_door(path.suffix, "clouds"):
-        raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
-    make = _WRITERS.get(path.suffix) or door(path.suffix, "clouds")
+    if not has_door(path.suffix, "clouds"):
+        raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(DOORS["clouds"]))
+    make = door(path.suffix, "clouds")
     with OutputFile(path, where=where, inputs=inputs) as output:
         failed: Exception | None = None
         with output.writing() as file, ExitStack() as stack:

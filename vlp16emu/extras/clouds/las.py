@@ -6,10 +6,10 @@ dimensions by the names of .ply.
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import IO, Any
+from typing import IO, Any, ClassVar
 
 import numpy as np
 
@@ -50,16 +50,18 @@ class LasFile(PointWriter):
     sensor is one, and has no angle about a line of flight.
     """
 
-    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, *, compressed: bool) -> None:
+    compressed: ClassVar[bool] = False
+
+    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
         try:
             import laspy
 
-            if compressed:
+            if self.compressed:
                 import lazrs  # laspy looks for it too late
         except ImportError:
             raise MissingExtraError("laspy[lazrs]", "cloud", "writing LAS and LAZ") from None
-        self._laspy, self._file, self._compressed = laspy, file, compressed
-        self._failures: tuple[type[Exception], ...] = (lazrs.LazrsError,) if compressed else ()
+        self._laspy, self._file = laspy, file
+        self._failures: tuple[type[Exception], ...] = (lazrs.LazrsError,) if self.compressed else ()
         self._about = about
         self._writer: Any = None
         self._columns = [column for column in columns if column.ply]
@@ -132,10 +134,16 @@ class LasFile(PointWriter):
         self._writer = laspy.LasWriter(
             self._file,
             header,
-            do_compress=self._compressed,
-            laz_backend=laspy.LazBackend.Lazrs if self._compressed else None,  # one thread, block by block
+            do_compress=self.compressed,
+            laz_backend=laspy.LazBackend.Lazrs if self.compressed else None,  # one thread, block by block
             closefd=False,
         )
+
+
+class LazFile(LasFile):
+    """LAS compressed as LAZ, by lazrs."""
+
+    compressed = True
 
 
 def echoes_of(block: Block) -> tuple[U1, U1]:

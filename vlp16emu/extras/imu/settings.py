@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.motion import Mount
+from vlp16emu.motion.settings import Mount
 from vlp16emu.settings import NonNegative, Preset
 
 _Error = Annotated[float, Field(ge=0, le=1000)]

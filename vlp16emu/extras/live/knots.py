@@ -8,7 +8,7 @@ from vlp16emu.elementary import atan2, exp
 from vlp16emu.extras.recorded.motion import Pieces
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 STEP_NS = 5_308_416  # from knot to knot: 96 firing sequences of a VLP-16, four packets of single return
@@ -33,7 +33,7 @@ class Knots(Pieces):
     states : (n, 13) the first knots, at least one
     """
 
-    def __init__(self, start_ns: int, states: Array) -> None:
+    def __init__(self, start_ns: int, states: F8) -> None:
         self._first = self._count = 0
         room = max(_MOST, len(states))
         self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
@@ -53,11 +53,11 @@ class Knots(Pieces):
         """Time of the last knot since the first one."""
         return self.last * STEP_NS
 
-    def states(self, first: int, stop: int) -> Array:
+    def states(self, first: int, stop: int) -> F8:
         """Knots (n, 13) from number `first` until before `stop`, not older than 20 s."""
         return self._states[first - self._first : stop - self._first]
 
-    def append(self, state: Array) -> None:
+    def append(self, state: F8) -> None:
         """Add a knot (13,), a step after the last one."""
         if self._count == len(self._states):  # drop the older half, in new arrays: others may be reading these
             half = self._count // 2
@@ -73,18 +73,18 @@ class Knots(Pieces):
 
 
 @numba.njit(cache=True, nogil=True)
-def _multiply(a: Array, b: Array, out: Array) -> None:
-    """Fill the product of two quaternions x, y, z, w."""
+def _product(a: F8, b: F8) -> F8:
+    """Multiply two quaternions x, y, z, w."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
-    out[0] = aw * bx + ax * bw + ay * bz - az * by
-    out[1] = aw * by - ax * bz + ay * bw + az * bx
-    out[2] = aw * bz + ax * by - ay * bx + az * bw
-    out[3] = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    return np.array([x, y, z, aw * bw - ax * bx - ay * by - az * bz])
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
+def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
     value, rate = np.empty((2, 7)), np.empty((2, 7))
     turning = np.zeros(4)
@@ -92,7 +92,7 @@ def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
         value[side] = knot[:7]
         rate[side, :3] = knot[7:10]
         turning[:3] = 0.5 * knot[10:]
-        _multiply(knot[3:7], turning, rate[side, 3:])
+        rate[side, 3:] = _product(knot[3:7], turning)
     if (value[0, 3:] * value[1, 3:]).sum() < 0.0:
         value[1, 3:], rate[1, 3:] = -value[1, 3:], -rate[1, 3:]
     for a in range(7):
@@ -103,19 +103,18 @@ def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def _exp(vector: Array, out: Array) -> None:
-    """Fill the quaternion of a rotation vector (3,)."""
+def _exp(vector: F8) -> F8:
+    """Return the quaternion of a rotation vector (3,)."""
     angle = math.sqrt((vector * vector).sum())
     cosine, sine = cos_sin(0.5 * angle)
     share = 0.5 - angle * angle / 48.0 if angle < _SMALL else sine / angle
-    out[:3], out[3] = share * vector, cosine
+    return np.append(share * vector, cosine)
 
 
 @numba.njit(cache=True, nogil=True)
-def turn_between(old: Array, new: Array) -> Array:
+def turn_between(old: F8, new: F8) -> F8:
     """Rotation vector (3,), in body axes, from one quaternion (4,) to another, the short way round."""
-    q, back = np.empty(4), np.append(-old[:3], old[3])
-    _multiply(back, new, q)
+    q = _product(np.append(-old[:3], old[3]), new)
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = -1.0 if q[3] < 0.0 else 1.0
     angle = 2.0 * atan2(sine, abs(q[3]))
@@ -123,12 +122,12 @@ def turn_between(old: Array, new: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: F8, b: F8) -> F8:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 @numba.njit(cache=True, nogil=True)
-def _turned_back(by: Array, vector: Array) -> Array:
+def _turned_back(by: F8, vector: F8) -> F8:
     """Apply the inverse of the rotation by a vector (3,) to a vector (3,)."""
     angle = math.sqrt((by * by).sum())
     if angle < _SMALL:
@@ -138,7 +137,7 @@ def _turned_back(by: Array, vector: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _rate_of(phi: Array, change: Array) -> Array:
+def _rate_of(phi: F8, change: F8) -> F8:
     """Body rate (3,) of exp(phi) from the change of phi: the right Jacobian (Sola et al., arXiv:1812.01537, eq. 143)."""
     angle = math.sqrt((phi * phi).sum())
     across = _cross(phi, change)
@@ -150,7 +149,7 @@ def _rate_of(phi: Array, change: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _change_of(phi: Array, rate: Array) -> Array:
+def _change_of(phi: F8, rate: F8) -> F8:
     """Change of phi from the body rate (3,) of exp(phi): the inverse of `_rate_of` (eq. 144)."""
     angle = math.sqrt((phi * phi).sum())
     across = _cross(phi, rate)
@@ -170,7 +169,7 @@ def _coast(since_s: float) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _settle(error: Array, change: Array, per_s: float, step_s: float) -> tuple[Array, Array]:
+def _settle(error: F8, change: F8, per_s: float, step_s: float) -> tuple[F8, F8]:
     """Solve e'' + 2 w e' + w^2 e = 0, critically damped, over a step: the error (3,) and its change."""
     push = change + per_s * error
     fade = exp(-per_s * step_s)
@@ -178,8 +177,8 @@ def _settle(error: Array, change: Array, per_s: float, step_s: float) -> tuple[A
 
 
 @numba.njit(cache=True, nogil=True)
-def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s: float, out: Array) -> None:
-    """Fill the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
+def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: float) -> F8:
+    """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
 
     The last pose goes on as it did, and comes to rest where no other follows. What the body is off from it dies away as a
     critically damped oscillator, which is solved exactly over the step.
@@ -196,17 +195,13 @@ def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s
     error, change = state[:3] - seen[:3] - begin_s * seen[7:10], state[7:10] - begin * seen[7:10]
     off = math.sqrt((error * error).sum()) / GAP_M
     error, change = _settle(error, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
+    out = np.empty(STATE)
     out[:3], out[7:10] = seen[:3] + end_s * seen[7:10] + error, end * seen[7:10] + change
-    target, turn, both = np.empty(4), np.empty(4), np.empty(4)
-    _exp(begin_s * seen[10:], turn)
-    _multiply(seen[3:7], turn, target)
-    phi = turn_between(target, state[3:7])
+    phi = turn_between(_product(seen[3:7], _exp(begin_s * seen[10:])), state[3:7])
     change = _change_of(phi, state[10:] - _turned_back(phi, begin * seen[10:]))
     off = math.sqrt((phi * phi).sum()) / GAP_RAD
     phi, change = _settle(phi, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
-    _exp(end_s * seen[10:], turn)
-    _multiply(seen[3:7], turn, target)
-    _exp(phi, turn)
-    _multiply(target, turn, both)
+    both = _product(_product(seen[3:7], _exp(end_s * seen[10:])), _exp(phi))
     out[3:7] = both / math.sqrt((both * both).sum())
     out[10:] = _rate_of(phi, change) + _turned_back(phi, end * seen[10:])
+    return out

@@ -15,9 +15,9 @@ from vlp16emu.extras.meshes.files import UserMesh, load_mesh
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.types import (
+    F8,
     FIRST_FREE_INSTANCE,
     SURFACE,
-    Array,
     HeightField,
     Mesh,
     PlantPart,
@@ -43,7 +43,7 @@ class Furniture:
 
     def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
         self.section, self.mesh = section, mesh
-        names = [part.name for part in mesh.parts]
+        names = [name for name, _ in mesh.parts]
         self.labels = [f"{mesh.path.name} {name}" for name in names]  # (parts,) names of their materials
         self.things = [mesh.path.name] if section.one_thing else self.labels
         """Names of what is a thing of its own at each place."""
@@ -120,7 +120,7 @@ class Furnished:
         self.materials = tuple(materials)
         self._world_T_mesh, self._radius_m = np.reshape(placed, (-1, 3, 4)), np.array(radius_m)
 
-    def check(self, path_xy_m: Array) -> None:
+    def check(self, path_xy_m: F8) -> None:
         """Warn of each mesh that is out of sight all along the path (n, 2)."""
         gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m if self._keys else np.zeros(0)
         for key in self._mesh_of:
@@ -132,7 +132,7 @@ class Furnished:
                     *(key.path, nearest_m, self._reach_m),
                 )
 
-    def window(self, track_m: Array) -> Window:
+    def window(self, track_m: F8) -> Window:
         """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""
         window = self.bare.window(track_m)
         gap_m = distance_m(self._world_T_mesh[:, :2, 3], track_m[:, :2]) - self._radius_m
@@ -160,11 +160,11 @@ class Furnished:
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""
         if isinstance(key, MeshKey):
-            return tuple(part.mesh for part in self._mesh_of[key].parts)
+            return tuple(mesh for _, mesh in self._mesh_of[key].parts)
         return self.bare.shape(key)
 
 
-def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
+def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> F8:
     z_m = place.z_m
     if z_m is None:
         z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])
@@ -175,7 +175,7 @@ def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
     return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])
 
 
-def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: Array, reach_m: float) -> World:
+def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: F8, reach_m: float) -> World:
     """Put the user's own meshes into a world, and warn of those that are out of sight along a path (n, 2).
 
     Raises GeometryError if a mesh cannot be read.

@@ -195,8 +195,8 @@ class Survey:
         return np.asarray(Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m)
 
 
-def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: F8 | None = None) -> Survey:
-    """Survey the surroundings of the path of a scenario's sensor, or of `path_xy_m` (n, 2) if its motion is not known yet.
+def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
+    """Survey the surroundings of the path of a scenario's sensor.
 
     InputError if a part of the scenario cannot be made, or the radius exceeds the sensor's range.
     """
@@ -207,10 +207,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path
     beams_deg, world = parts.head.beams.elevation_deg, parts.world
     bare = world.bare if isinstance(world, Furnished) else world
     assert isinstance(bare, ForestWorld | HallWorld)
-    if path_xy_m is None:
-        path_m = way_m(scenario, parts.motion)
-    else:
-        path_m = np.column_stack([path_xy_m, bare.height_m(*path_xy_m.T)])
+    path_m = _way_m(scenario, parts.motion)
     path, window = Polyline(path_m[:, :2]), world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
@@ -230,7 +227,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path
     )
 
 
-def way_m(scenario: Scenario, motion: Motion) -> F8:
+def _way_m(scenario: Scenario, motion: Motion) -> F8:
     """Return positions (n, 3) of the sensor over the scene's duration; one if it stands still."""
     if not motion.moves:
         return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m

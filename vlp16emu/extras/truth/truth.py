@@ -21,9 +21,9 @@ from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, fau
 from vlp16emu.extras.imu.sampler import ImuSampler, Inertial
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
 from vlp16emu.extras.truth.slots import SlotTable
-from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
+from vlp16emu.motion.settings import Gps, Mount
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import TruthPlace, TruthTo

@@ -167,6 +167,3 @@ class CaptureSweeps:
         for scan in scans_in(reader, labels_of):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
-
-
-Sweeps = SceneSweeps | CaptureSweeps

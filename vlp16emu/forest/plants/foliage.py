@@ -11,7 +11,7 @@ from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import generator, uniform
-from vlp16emu.types import Array, Mesh
+from vlp16emu.types import F8, Mesh
 from vlp16emu.world.vectors import places_m, unit
 
 _WIDEST_AT = 0.4  # where a blade is widest, from its base; assumption
@@ -47,7 +47,7 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     return quads(corners)
 
 
-def _blades(rng: np.random.Generator, base: Array, mu_nu: tuple[float, float], length: Array, width: Array) -> Array:
+def _blades(rng: np.random.Generator, base: F8, mu_nu: tuple[float, float], length: F8, width: F8) -> F8:
     """Kites (n, 4, 3) whose normals are inclined as measured and whose tips hang."""
     n, (mu, nu) = len(base), mu_nu
     tilt = rng.beta(nu, mu, n) * (np.pi / 2)
@@ -62,7 +62,7 @@ def _blades(rng: np.random.Generator, base: Array, mu_nu: tuple[float, float], l
     return np.stack([base, middle + half, base + length * along, middle - half], axis=1)
 
 
-def _shoots(rng: np.random.Generator, base: Array, tangent: Array, length: Array, width: Array) -> Array:
+def _shoots(rng: np.random.Generator, base: F8, tangent: F8, length: F8, width: F8) -> F8:
     """Pairs of crossed rectangles (2n, 4, 3) that leave their twig forwards."""
     n = len(base)
     first = unit(np.cross(tangent, [0.0, 0.0, 1.0]))
@@ -96,7 +96,7 @@ class IvyKey:
     number: int  # among the trees of the tile
 
 
-def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> Array:
+def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> F8:
     """Height over the foot (n,) up to which ivy covers a share of the stems, no higher than the crown base; 0 where none grows.
 
     A tree's depends on its place alone, and is within a range.
@@ -111,7 +111,7 @@ def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, see
 
 
 def ivy_meshes(
-    trees: Trees, tops_m: Array, origin_m: Array, *, seed: int, tile: TileKey, table: Table | None = None
+    trees: Trees, tops_m: F8, origin_m: F8, *, seed: int, tile: TileKey, table: Table | None = None
 ) -> list[Mesh]:
     """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none where that is 0."""
     stems = Stems(trees, table=table)
@@ -134,7 +134,7 @@ def ivy_meshes(
     return meshes
 
 
-def _leaves(rng: np.random.Generator, base: Array, outward: Array) -> Array:
+def _leaves(rng: np.random.Generator, base: F8, outward: F8) -> F8:
     n = len(base)
     tilt, aside = np.radians(rng.uniform(*_TILT_DEG, n))[:, None], rng.normal(0.0, 0.4, n)[:, None]
     across = np.cross([0.0, 0.0, 1.0], outward)

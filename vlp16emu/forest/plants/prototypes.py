@@ -26,7 +26,7 @@ from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season
 from vlp16emu.random import generator
-from vlp16emu.types import Array, Mesh, PlantPart
+from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import closed, places_m
 
 VARIANTS = 3  # different crowns of the same species and diameter class, of short to long ones
@@ -89,14 +89,14 @@ def crown_wood_m3(seed: int, key: CrownKey, *, table: Table | None = None) -> fl
     return sum(volume_m3(branches) for branches in (*orders, *(dead if key.dead_branches else ())))
 
 
-def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]:
+def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[F8, F8]:
     """Stretch of each tree's crown over its prototype: across (n,), and along the axis (n,), which leans while heights are vertical."""
     width_m, length_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2).T
     upright = cos(np.radians(trees["lean_deg"]))
     return trees["crown_width_m"] / width_m, (trees["height_m"] - trees["crown_base_m"]) / upright / length_m
 
 
-def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
+def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
     """`world_T_shape` of the crowns, (n, 3, 4): scaled to the tree's size, turned, and leaning with the stem."""
     wide, long = crown_scale(trees, crowns)
     lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
@@ -182,7 +182,7 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
     )
 
 
-def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
+def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
     """Return a sapling that leans, bows and reaches further to the light; its stem has the same sections and height."""
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m

@@ -19,7 +19,7 @@ from vlp16emu.explain import explain
 from vlp16emu.forest.plants.allometry import Biomass, CrownBase, CrownWidth, HeightCurve, Taper, taper_radius_m
 from vlp16emu.forest.settings import Season
 from vlp16emu.settings import Fraction, Section, toml
-from vlp16emu.types import Array, IntArray
+from vlp16emu.types import F8, I8
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
@@ -135,7 +135,7 @@ class StemForm(Section):
     """From ridge to ridge around the stem; coarser where the mesh has fewer than three vertices to a ridge."""
 
     @property
-    def row(self) -> Array:
+    def row(self) -> F8:
         """(10,) of all numbers in order."""
         return np.hstack([getattr(self, name) for name in type(self).model_fields])
 
@@ -200,31 +200,29 @@ class Species(Plant):
     foliage: Foliage | None = None  # none on a dead tree
     biomass: Biomass | None = None
 
-    def crown_width_m(self, dbh_cm: Array, residual: Array | None = None) -> Array:
+    def crown_width_m(self, dbh_cm: F8, residual: F8 | None = None) -> F8:
         """Crown width of forest-grown trees; residuals (n,) are in sigmas, and without them it is the mean."""
         if residual is None:
             return self.crown_width(dbh_cm)
         sigma = self.spread.crown_width
         return self.crown_width(dbh_cm) * exp(sigma * residual - sigma * sigma / 2)
 
-    def crown_base_m(
-        self, dbh_cm: Array, height_m: Array, rivals: tuple[Array, Array], residual: Array | float = 0.0
-    ) -> Array:
+    def crown_base_m(self, dbh_cm: F8, height_m: F8, rivals: tuple[F8, F8], residual: F8 | float = 0.0) -> F8:
         """Height of the lowest living branch, under `competition`; residuals (n,) of the crown ratio are in sigmas."""
         logit = self.crown_base(dbh_cm, height_m, *rivals) - self.spread.crown_ratio * residual
         return height_m / (1 + exp(-logit))
 
-    def rival_m2(self, dbh_cm: Array) -> Array:
+    def rival_m2(self, dbh_cm: F8) -> F8:
         """Return what trees compete with, (n, 2) in m2: section at breast height, crown projection if open-grown; 0 of dead ones."""
         log_a, b = self.open_crown
         sizes_m = np.column_stack([dbh_cm / 100, exp(log_a + b * log(dbh_cm))])
         return np.pi / 4 * np.square(sizes_m) * (self.foliage is not None)
 
-    def taper_of(self, residual: Array) -> Array:
+    def taper_of(self, residual: F8) -> F8:
         """`taper` (n,) of stems whose volume has residuals (n,), in sigmas: more taper is less volume."""
         return -self.spread.form / _VOLUME_PER_TAPER * residual
 
-    def biomass_kg(self, dbh_m: Array, height_m: Array, crown_base_m: Array, taper: Array | float = 0.0) -> Array:
+    def biomass_kg(self, dbh_m: F8, height_m: F8, crown_base_m: F8, taper: F8 | float = 0.0) -> F8:
         """Dry mass above ground (n,), NaN where no equation is known; `taper` (n,) is each tree's own."""
         if self.biomass is None:
             return np.full(len(dbh_m), np.nan)
@@ -272,7 +270,7 @@ class Flora:
         return (*GROUND_MATERIALS, *(f"{name} {part}" for name in self.names.values() for part in ("bark", "leaf")))
 
     @cached_property
-    def bark(self) -> IntArray:
+    def bark(self) -> I8:
         """Material number of the bark by species number; that of the leaf is the next."""
         numbers = list(self.names)
         material = np.zeros(max(numbers) + 1, np.int64)
@@ -354,7 +352,7 @@ def _plain(name: str) -> str:
     return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
-def tapers(trees: Trees, *, table: Table | None = None) -> Array:
+def tapers(trees: Trees, *, table: Table | None = None) -> F8:
     """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` is that of the program if none is given."""
     rows = {one.number: one.taper.row for one in (table or species_table()).values()}
     own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)

@@ -19,7 +19,7 @@ from vlp16emu.forest.plants.species import Table, Trees, species_table, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import normal, uniform
-from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart
+from vlp16emu.types import F8, I8, HeightField, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m, unit
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
@@ -47,27 +47,27 @@ class StemForms:
     outline of a section and never its area.
     """
 
-    bole_m: Array  # (n,) height of the crown base
-    bends: Array  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
-    oval: Array  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
-    lobes: Array  # (n, 3) number, amplitude at the ground over the radius, phase
-    surface_roots: Array  # (n,) share of the lobes that have one
-    bark: Array  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
-    forks: Array
+    bole_m: F8  # (n,) height of the crown base
+    bends: F8  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
+    oval: F8  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
+    lobes: F8  # (n, 3) number, amplitude at the ground over the radius, phase
+    surface_roots: F8  # (n,) share of the lobes that have one
+    bark: F8  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
+    forks: F8
     """(n, 6) whether there is one, its height over that of the tree, share of the section that the second leader takes,
     slope and distance in m of that leader from the first, its direction in rad."""
 
-    def aside_m(self, above_m: Array) -> Array:
+    def aside_m(self, above_m: F8) -> F8:
         """Distance (n, r, 2), east and north, of axes from straight ones at heights (n, r) over their feet."""
         u = np.minimum(above_m / np.maximum(self.bole_m, 1e-6)[:, None], 1.0)
         bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, level with the line at its end
         to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
         butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)
         bends = self.bends[:, None]
-        aside: Array = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
+        aside: F8 = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
         return aside + butt[..., None] * bends[:, :, 2]
 
-    def outline(self, angle: Array, above_m: Array, radius_m: Array, breast_m: Array) -> Array:
+    def outline(self, angle: F8, above_m: F8, radius_m: F8, breast_m: F8) -> F8:
         """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
 
         Vertices are at angles (n, sides) evenly all around, circles of radii (n, r) at heights (n, r) over the foot; `breast_m`
@@ -92,7 +92,7 @@ class StemForms:
         size_m = radius_m * np.sqrt(np.pi / polygon_m2(shape, step))
         return shape * size_m[..., None]
 
-    def of(self, which: IntArray | slice) -> "StemForms":
+    def of(self, which: I8 | slice) -> "StemForms":
         """Return the forms of some of the stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
 
@@ -136,12 +136,12 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
     )
 
 
-def polygon_m2(away_m: Array, step: float) -> Array:
+def polygon_m2(away_m: F8, step: float) -> F8:
     """Area (...) of polygons whose corners (..., sides) are so far from a point, by even steps in rad around it."""
     return sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
 
 
-def tape_m(away_m: Array) -> Array:
+def tape_m(away_m: F8) -> F8:
     """Diameter (n,) that a taut tape shows around polygons (n, sides) as of `polygon_m2`: the mean width of the hull (Cauchy)."""
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
@@ -172,7 +172,7 @@ STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
 
 
 def circles_of(
-    trees: Trees, leader: int, part: PlantPart, at_m: Array, radius_m: Array, branch: IntArray | int = 0
+    trees: Trees, leader: int, part: PlantPart, at_m: F8, radius_m: F8, branch: I8 | int = 0
 ) -> NDArray[np.void]:
     """Return circles (n, r) `STEM_CIRCLE` of trees (n,): middles (n, r, 3) in the world, radii and numbers of branches (n, r)."""
     circles = np.zeros(radius_m.shape, STEM_CIRCLE)
@@ -211,16 +211,16 @@ class Stems:
         self.radius_m[self.forked] *= np.sqrt(np.where(over, 1 - second_share[:, None], 1.0))
         self.sides = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])]
 
-    def _radius_m(self, which: IntArray | slice, above_m: Array) -> Array:
+    def _radius_m(self, which: I8 | slice, above_m: F8) -> F8:
         own = self.trees[which]
         return taper_radius_m(self._taper[which], own["dbh_m"], own["height_m"], above_m)
 
     @property
-    def tip_radius_m(self) -> Array:
+    def tip_radius_m(self) -> F8:
         """Radius (n,) at the tip: 0 of a whole tree, more of one that has broken off."""
         return self._radius_m(slice(None), self.trees["height_m"][:, None])[:, 0]
 
-    def axis_m(self, above_m: Array, which: IntArray | slice = slice(None)) -> Array:
+    def axis_m(self, above_m: F8, which: I8 | slice = slice(None)) -> F8:
         """Points (k, r, 3) of the axes of some stems (k,), all if not given, relative to their feet, at heights (k, r)."""
         own = self.trees[which]
         slope, towards = tan(np.radians(own["lean_deg"])), np.radians(own["lean_towards_deg"])
@@ -228,7 +228,7 @@ class Stems:
         aside_m = self.forms.of(which).aside_m(above_m)
         return np.concatenate([above_m[..., None] * lean[:, None] + aside_m, above_m[..., None]], axis=2)
 
-    def leader_axis_m(self, above_m: Array) -> Array:
+    def leader_axis_m(self, above_m: F8) -> F8:
         """Points (m, r, 3) of the axes of second leaders relative to their feet, at heights (m, r)."""
         middle_m = self.axis_m(above_m, self.forked)
         slope, gap_m, towards = (column[:, None] for column in self.forms.forks[self.forked].T[3:])
@@ -236,7 +236,7 @@ class Stems:
         middle_m[..., :2] += away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
         return middle_m
 
-    def leaders(self, shares: Array) -> tuple[Array, Array]:
+    def leaders(self, shares: F8) -> tuple[F8, F8]:
         """Heights over the foot and radii (m, k) of second leaders at shares (k,) of the way from fork to tip.
 
         With the first leaders they are as thick as one stem.
@@ -263,11 +263,11 @@ class Stems:
         circles = np.concatenate(parts)
         return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
 
-    def angles(self, which: IntArray | slice, sides: int) -> Array:
+    def angles(self, which: I8 | slice, sides: int) -> F8:
         """Angles (k, sides) of a ring's vertices around the axes of some stems (k,), from east, counter-clockwise."""
         return np.radians(self.trees["crown_azimuth_deg"][which])[:, None] + np.arange(sides) * 2 * np.pi / sides
 
-    def outlines(self, which: IntArray | slice, sides: int) -> Array:
+    def outlines(self, which: I8 | slice, sides: int) -> F8:
         """Distances (k, r, sides) of the vertices of rings of some stems (k,) from their axes."""
         above_m, radius_m = self.above_ground_m[which], self.radius_m[which]
         breast_m = self.trees["dbh_m"][which] / 2
@@ -290,7 +290,7 @@ _TOP_M = 0.3
 """Over the foot above which no root reaches, lest it be part of a section at breast height: uphill it dives."""
 
 
-def root_points(stems: Stems, height_m: HeightField) -> tuple[IntArray, Array]:
+def root_points(stems: Stems, height_m: HeightField) -> tuple[I8, F8]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
     Of each (k,) the stem, and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
@@ -319,12 +319,12 @@ def root_points(stems: Stems, height_m: HeightField) -> tuple[IntArray, Array]:
     return stem, _root_pipes(np.concatenate([line_m, z_m[..., None]], axis=2), wide_m, high_m)
 
 
-def _unit(azimuth: Array) -> Array:
+def _unit(azimuth: F8) -> F8:
     """Level vectors (k, 1, 2) in directions (k,)."""
     return np.stack([cos(azimuth), sin(azimuth)], axis=-1)[:, None]
 
 
-def _root_pipes(middle_m: Array, wide_m: Array, high_m: Array) -> Array:
+def _root_pipes(middle_m: F8, wide_m: F8, high_m: F8) -> F8:
     """Vertices of roots about middles (k, rings, 3), upright ellipses of half axes (k, rings) across them."""
     ahead = unit(np.gradient(middle_m[..., :2], axis=1))
     angle = (np.arange(ROOT_SIDES) + 0.5) * 2 * np.pi / ROOT_SIDES
@@ -356,7 +356,7 @@ class StemKey:
     number: int  # among the trees of the tile
 
 
-def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
+def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
     """Rotations (n, 3, 3) that tip the vertical by `lean_deg` towards an angle from east, without twist."""
     tilt, towards = np.radians(lean_deg), np.radians(towards_deg)
     c, s = cos(towards), sin(towards)
@@ -365,7 +365,7 @@ def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def stem_meshes(trees: Trees, origin_m: Array, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
+def stem_meshes(trees: Trees, origin_m: F8, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
     stems = Stems(trees, table=table)
     # Each foot lies in the ground all around the flare, lobes and all.
@@ -389,12 +389,12 @@ def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh
     return _meshes(stems, np.zeros((len(trees), 3)))
 
 
-def stem_slopes(axis: Callable[[Array], Array], above_m: Array) -> Array:
+def stem_slopes(axis: Callable[[F8], F8], above_m: F8) -> F8:
     """Return the slopes of axes, east and north (n, r, 2), in metres aside per metre up at heights (n, r)."""
     return (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
 
 
-def _meshes(stems: Stems, foot_m: Array) -> list[Mesh]:
+def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
     """Meshes of `STEM_PARTS`, tree by tree, of stems whose feet are at (n, 3)."""
     trees = stems.trees
     tip_m = stems.axis_m(trees["height_m"][:, None])[:, 0]
@@ -421,7 +421,7 @@ def _meshes(stems: Stems, foot_m: Array) -> list[Mesh]:
     return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
 
 
-def _leaders(stems: Stems) -> Array:
+def _leaders(stems: Stems) -> F8:
     """Vertices (m, v, 3) of the second leaders, relative to the foot, of stems that fork."""
     above_m, radius_m = stems.leaders(np.array([*_LEADER_RINGS, 1.0]))
     angle, breast_m = stems.angles(stems.forked, _LEADER_SIDES), stems.trees["dbh_m"][stems.forked] / 2
@@ -430,7 +430,7 @@ def _leaders(stems: Stems) -> Array:
     return np.concatenate([pipes_m, stems.leader_axis_m(above_m[:, -1:])], axis=1)
 
 
-def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:
+def _pipes(axis: Callable[[F8], F8], above_m: F8, away_m: F8, angle: F8) -> F8:
     """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis, vertices `away_m` (n, rings, sides) from it."""
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)

@@ -1,7 +1,7 @@
 """A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and what is kept of it."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import TypeVar
 
@@ -24,7 +24,7 @@ from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
 from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recalled
-from vlp16emu.types import FIRST_FREE_INSTANCE, Array, IntArray, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKey
 
 _NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 _DENSEST_PER_HA = 125_000
@@ -95,18 +95,11 @@ class ForestWorld:
         """Names by `SURFACE` material number."""
         return self.plants.materials
 
-    def trees(self, track_m: Array) -> Trees:
+    def trees(self, track_m: F8) -> Trees:
         """Return the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
         return np.concatenate([np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))])
 
-    def growing(self, track_m: Array) -> Iterator[float]:
-        """Grow the tiles in the window of positions (m, 2 or 3) one by one, and give the share that is there after each."""
-        names = self._in_view(track_m)
-        for done, name in enumerate(names, 1):
-            self._tile(*name)
-            yield done / len(names)
-
-    def window(self, track_m: Array) -> TiledWindow:
+    def window(self, track_m: F8) -> TiledWindow:
         """Return everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
         names = self._in_view(track_m)
         tiles = [self._tile(*name) for name in names]
@@ -190,7 +183,7 @@ class ForestWorld:
                 return floor_meshes(self.seed, key)
         raise KeyError(key)
 
-    def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
+    def _in_view(self, track_m: F8) -> list[tuple[int, int]]:
         return list(map(tuple, tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()))
 
     def _grow_tile(self, ix: int, iy: int) -> Tile:
@@ -241,11 +234,11 @@ class ForestWorld:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
         return ivy_meshes(trees, self._ivy_m(trees), origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
-    def _ivy_m(self, trees: Trees) -> Array:
+    def _ivy_m(self, trees: Trees) -> F8:
         return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
     def _in_tile(
-        self, kind: type[StemKey | IvyKey], key: TileKey, numbers: IntArray, trees: Trees, parts: tuple[PlantPart, ...]
+        self, kind: type[StemKey | IvyKey], key: TileKey, numbers: I8, trees: Trees, parts: tuple[PlantPart, ...]
     ) -> PlacedThings:
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
@@ -256,7 +249,7 @@ class ForestWorld:
         )
 
 
-def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
+def _numbered_tiles(path_xy_m: F8, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
     """First tile and number of tiles, in x and y, of the box around all that the walk can see."""
     if not np.isfinite(path_xy_m).all():
         row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])

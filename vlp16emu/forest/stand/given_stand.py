@@ -20,7 +20,7 @@ from vlp16emu.forest.stand.stand import RIVALS_M, TREE, competition, foot_discs,
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
 from vlp16emu.tables import Column, Table, optional, read_table
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
 _APART_M = 0.05  # two stems nearer to each other are one that was listed twice
@@ -79,7 +79,7 @@ def read_stem_list(
     return trees
 
 
-def _with_heights(table: Table, species: list[Species]) -> Array:
+def _with_heights(table: Table, species: list[Species]) -> F8:
     dbh_cm, height_m = 100 * table.numbers("dbh_m"), table.numbers("height_m")
     of, unknown = np.array([one.number for one in species]), np.isnan(height_m)
     for one in {one.number: one for one in species}.values():
@@ -215,7 +215,7 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     return trees
 
 
-def stems_in_the_way(section: Plot, seed: int) -> tuple[Array, Array]:
+def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:
     """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
 
     Raises GeometryError for a list that is wrong.

@@ -32,7 +32,7 @@ from vlp16emu.forest.plants.stem import (
     tape_m,
 )
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.types import Array, Mesh, PlantPart
+from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import determinant, places_m, unit
 
 INVENTORY = np.dtype(  # one tree of the inventory. Tops, volumes and areas are those of its meshes.
@@ -134,7 +134,7 @@ def volume_m3(mesh: Mesh) -> float:
 
 
 def _measure_crowns(
-    rows: NDArray[np.void], span_m: Array, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
+    rows: NDArray[np.void], span_m: F8, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
 ) -> None:
     """Fill in wood and leaves, prototype by prototype, each stretched as its trees stretch it; widen spans (n, 2, 3) to them."""
     wide, long = crown_scale(trees, crowns)
@@ -163,12 +163,12 @@ def _measure_crowns(
             rows["leaf_m2"][which] = foliage.clumping * np.array(areas_m2)
 
 
-def hull_m(points_m: Array) -> Array:
+def hull_m(points_m: F8) -> F8:
     """Return the points (n, 2 or 3) that span their convex hull; all if they span no area or volume."""
     from scipy.spatial import ConvexHull, QhullError  # here: it takes a while to load
 
     try:
-        hull: Array = points_m[ConvexHull(points_m).vertices]
+        hull: F8 = points_m[ConvexHull(points_m).vertices]
     except (QhullError, ValueError):  # few or flat
         return points_m
     return hull
@@ -214,7 +214,7 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
     return np.concatenate([first, second])
 
 
-def profiles(foot_m: Array, middle_m: Array, radius_m: Array, begin: int) -> NDArray[np.void]:
+def profiles(foot_m: F8, middle_m: F8, radius_m: F8, begin: int) -> NDArray[np.void]:
     """Make `STEM`s of circles (n, 16) with middles (n, 16, 3) relative to feet (n, 3); `begin` is that of their lines."""
     stems = np.zeros(len(foot_m), STEM)
     from_m = middle_m[:, begin]

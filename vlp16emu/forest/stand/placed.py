@@ -11,7 +11,7 @@ from vlp16emu.forest.plants.species import Flora, Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.types import SURFACE, Array, IntArray, PlantPart, Semantic, ShapeKey
+from vlp16emu.types import F8, I8, SURFACE, PlantPart, Semantic, ShapeKey
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
 
@@ -21,7 +21,7 @@ class PlacedThings:
     """Things of one kind on one tile."""
 
     keys: Sequence[ShapeKey]  # (n,) shape of each
-    world_T_shape: Array  # (n, 3, 4).
+    world_T_shape: F8  # (n, 3, 4).
     surfaces: NDArray[np.void]  # (n, parts) `SURFACE`, of each thing's meshes in order; instance still 0
     trees: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, TREE))
     """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
@@ -29,18 +29,18 @@ class PlacedThings:
     is_exact: bool = False  # whether they are cast as they are from any distance, and are no part of the `FarTile`
 
 
-def between(limits: tuple[float, float], draw: Array) -> Array:
+def between(limits: tuple[float, float], draw: F8) -> F8:
     """Return values evenly from limits[0] to limits[1], by draws in [0, 1)."""
     return limits[0] + (limits[1] - limits[0]) * draw
 
 
-def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], IntArray]:
+def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], I8]:
     """Split keys into the different ones, each once, and the index of each into them."""
     index_of = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     return tuple(index_of), np.array([index_of[key] for key in keys], np.int64)
 
 
-def placements(place_m: Array, world_R_thing: Array, size: Array) -> Array:
+def placements(place_m: F8, world_R_thing: F8, size: F8) -> F8:
     """`world_T_shape` (n, 3, 4) from places (n, 3), rotations (n, 3, 3) and scales along the axes (n, 3)."""
     return np.concatenate([world_R_thing * size[:, None, :], place_m[:, :, None]], axis=2)
 
@@ -54,12 +54,12 @@ def together(groups: Sequence[PlacedThings]) -> PlacedThings:
     return PlacedThings(keys, world_T_shape, surfaces)
 
 
-def turned(azimuth_deg: Array) -> Array:
+def turned(azimuth_deg: F8) -> F8:
     """Rotations (n, 3, 3) about the vertical, counter-clockwise."""
     return laid(np.radians(azimuth_deg), np.zeros(len(azimuth_deg)))
 
 
-def laid(towards: Array, slope: Array) -> Array:
+def laid(towards: F8, slope: F8) -> F8:
     """Rotations (n, 3, 3) that lay the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
     flat, c, s, zero = 1 / hypot(1, slope), cos(towards), sin(towards), np.zeros(len(towards))
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
@@ -73,15 +73,15 @@ class Tile:
 
     trees: Trees  # all trees by number, saplings last
     keys: tuple[ShapeKey, ...]  # different shapes, the tile's own first
-    shape: IntArray  # (n,) of each placement, index into `keys`
-    world_T_shape: Array  # (n, 3, 4).
-    first_surface: IntArray  # (n,) row of `surfaces`
+    shape: I8  # (n,) of each placement, index into `keys`
+    world_T_shape: F8  # (n, 3, 4).
+    first_surface: I8  # (n,) row of `surfaces`
     surfaces: NDArray[np.void]  # (m,) `SURFACE`
     far: NDArray[np.bool_]  # (n,) which of the placements are part of the `FarTile`
     low: NDArray[np.bool_]  # (n,) which are ground, and too low for the far medium
 
 
-def packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
+def packed(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
     """Join a tile: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND

@@ -22,9 +22,9 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
-from vlp16emu.types import Array, HeightField, IntArray
+from vlp16emu.types import F8, I8, HeightField
 
-TilePoints = Callable[[int, int], Array]
+TilePoints = Callable[[int, int], F8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
     band = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
     most_per_ha = even_per_ha + _DENSEST_PATCH * patchy_per_ha
 
-    def points(ix: int, iy: int) -> Array:
+    def points(ix: int, iy: int) -> F8:
         # A Poisson process as dense as the densest patch, thinned to the density at each point.
         mean = most_per_ha * TILE_M * TILE_M / 10_000
         draws = _sown(generator(seed, purpose, ix, iy), ix, iy, mean, columns=3)
@@ -97,12 +97,12 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
     intensity = -log1p(-density * area) / area if density else 0.0
 
     @lru_cache(maxsize=_TILES_KEPT)
-    def candidates(ix: int, iy: int) -> Array:
+    def candidates(ix: int, iy: int) -> F8:
         found = _sown(generator(seed, purpose, ix, iy), ix, iy, intensity * TILE_M * TILE_M, columns=3)
         found.flags.writeable = False
         return found
 
-    def points(ix: int, iy: int) -> Array:
+    def points(ix: int, iy: int) -> F8:
         own, rivals = candidates(ix, iy), around(ix, iy, candidates)
         dx, dy = (own[:, None, axis] - rivals[:, axis] for axis in (0, 1))
         beaten = (dx * dx + dy * dy < distance_m * distance_m) & (rivals[:, 2] < own[:, None, 2])
@@ -118,7 +118,7 @@ def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -
     """
 
     @lru_cache(maxsize=_TILES_KEPT)
-    def members(ix: int, iy: int) -> Array:
+    def members(ix: int, iy: int) -> F8:
         rng = generator(seed, purpose, ix, iy)
         middles = _sown(rng, ix, iy, per_ha / section.per_cluster * TILE_M * TILE_M / 10_000)
         each = rng.poisson(section.per_cluster, len(middles))
@@ -143,14 +143,14 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
     # Rows of the matrix: along and across the planted rows.
     row_R_world = np.array([[cos(towards), sin(towards)], [-sin(towards), cos(towards)]])
 
-    def row(number: int, plants: IntArray) -> Array:
+    def row(number: int, plants: I8) -> F8:
         """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""
         lane = number & 0xFFFFFFFF
         draws = uniform(seed, purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
         places = np.column_stack([plants, np.full(len(plants), number)]) * spacing_m
         return (places + _JITTER_M * (2 * draws[:, :2] - 1))[draws[:, 2] < per_ha / whole_per_ha]
 
-    def points(ix: int, iy: int) -> Array:
+    def points(ix: int, iy: int) -> F8:
         corners = matvec(row_R_world, TILE_M * np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)]))
         low = np.floor((corners.min(axis=0) - _JITTER_M) / spacing_m).astype(int)
         high = np.ceil((corners.max(axis=0) + _JITTER_M) / spacing_m).astype(int)
@@ -178,13 +178,13 @@ def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) 
     return PointPattern(off_trails, lambda ix, iy: (xy_m := pattern.points(ix, iy))[trails.are_free(xy_m)])
 
 
-def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> Array:
+def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> F8:
     """Random numbers in [0, 1), (n, columns), the first two scaled to places on a tile; n is `mean` on average."""
     draws = rng.random((rng.poisson(mean), columns))
     draws[:, :2] = (draws[:, :2] + np.array([ix, iy])) * TILE_M
     return draws
 
 
-def _inside(points: Array, ix: int, iy: int) -> Array:
+def _inside(points: F8, ix: int, iy: int) -> F8:
     low = np.array([ix, iy]) * TILE_M
     return points[((points >= low) & (points < low + TILE_M)).all(axis=1)]

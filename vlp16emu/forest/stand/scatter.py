@@ -36,7 +36,7 @@ from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.forest.tiles import tile_distance_m
 from vlp16emu.random import generator
 from vlp16emu.settings import Section
-from vlp16emu.types import Array, HeightField, IntArray, Semantic
+from vlp16emu.types import F8, I8, HeightField, Semantic
 from vlp16emu.world.vectors import places_m
 
 _CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
@@ -94,14 +94,14 @@ class Layer:
                 self.species = known(section.species or canopy, plants.trees, f"{self.kind.name}.species")
         self.pattern = _pattern(section, self.kind, land)  # before those on the path and in trunks are left out
 
-    def place(self, ix: int, iy: int, trunks: Array) -> PlacedThings:
+    def place(self, ix: int, iy: int, trunks: F8) -> PlacedThings:
         """Lay out the things of a tile, clear of trunks (m, 3): x, y and radius at the ground of stems on it and its neighbours."""
         near = tile_distance_m((ix, iy), self.land.path) < self.kind.reach_m
         xy_m = self.pattern.points(ix, iy) if near else np.zeros((0, 2))
         rng = generator(self.land.seed, self.kind.purpose, ix, iy, 1)
         return self.kind.lay(self, trunks, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
 
-    def are_clear(self, trunks: Array, xy_m: Array, reach_m: Array, foot_m: Array) -> Mask:
+    def are_clear(self, trunks: F8, xy_m: F8, reach_m: F8, foot_m: F8) -> Mask:
         """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
         free = np.asarray(self.land.path.distance_m(xy_m) - reach_m >= self.land.path.clearance_m)
         dx, dy = (xy_m[:, None, axis] - trunks[:, axis] for axis in (0, 1))
@@ -117,7 +117,7 @@ def layers_of(section: settings.Woods, land: Land, canopy: Sequence[str]) -> lis
     return [layer for layer in layers if layer.pattern.per_ha]
 
 
-def _lay_plants(layer: Layer, trunks: Array, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out young trees, or bushes of several stems."""
     own, kind = layer.section, (len(layer.species) * draws[:, 1]).astype(int)
     is_shrub = isinstance(own, settings.Shrubs)
@@ -180,21 +180,21 @@ _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
 class _Pieces:
     """Whole logs and pieces of broken ones, (n,) each."""
 
-    log: IntArray  # which log it is of
+    log: I8  # which log it is of
     is_top: Mask  # whether it is the upper piece of a broken one
-    xy_m: Array  # (n, 2) middle
-    towards: Array  # from butt to top, rad from east
-    length_m: Array
-    wide_m: Array
-    high_m: Array
-    sunk: Array  # share of the half height
+    xy_m: F8  # (n, 2) middle
+    towards: F8  # from butt to top, rad from east
+    length_m: F8
+    wide_m: F8
+    high_m: F8
+    sunk: F8  # share of the half height
 
-    def along_m(self) -> Array:
+    def along_m(self) -> F8:
         """Places (n, 9, 2) along them."""
         return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
 
 
-def _lay_logs(layer: Layer, trunks: Array, xy_m: Array, draws: Array, fate: Array) -> PlacedThings:
+def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> PlacedThings:
     """Lay trunks along the ground under them, some with their root plate, some broken in two, some rotten."""
     own = layer.section
     diameter_m = between(own.diameter_m, draws[:, 0])
@@ -234,7 +234,7 @@ def _lay_logs(layer: Layer, trunks: Array, xy_m: Array, draws: Array, fate: Arra
     )
 
 
-def _lay_stumps(layer: Layer, trunks: Array, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out what is left of trees that were felled or broke."""
     own, species = layer.section, _sampled_species(layer, draws)
     diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
@@ -247,12 +247,12 @@ def _lay_stumps(layer: Layer, trunks: Array, xy_m: Array, draws: Array) -> Place
     return together([labelled(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
 
 
-def _sampled_species(layer: Layer, draws: Array) -> IntArray:
+def _sampled_species(layer: Layer, draws: F8) -> I8:
     numbers = np.array([tree.number for tree in layer.species], np.int64)
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
 
-def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
+def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) say where, how far apart, and at what angle."""
     log = np.append(whole.log, np.flatnonzero(is_broken))
     is_top, towards, whole_m = np.arange(len(log)) >= len(whole.log), whole.towards[log], whole.length_m[log]
@@ -269,7 +269,7 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
     return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log])
 
 
-def _laid_down(pieces: _Pieces, height_m: HeightField, plate_m: Array) -> Array:
+def _laid_down(pieces: _Pieces, height_m: HeightField, plate_m: F8) -> F8:
     """`world_T_shape` (n, 3, 4) of pieces on the ground; the butts of those with plates of diameters (logs,) are raised."""
     station_m = pieces.length_m[:, None] * _STATIONS
     ground_m = height_m(*np.moveaxis(pieces.along_m(), -1, 0))
@@ -284,14 +284,14 @@ def _laid_down(pieces: _Pieces, height_m: HeightField, plate_m: Array) -> Array:
     return placements(np.column_stack([pieces.xy_m, z_m]), world_R_log, size)
 
 
-def _are_clear(layer: Layer, trunks: Array, line_m: Array, radius_m: Array) -> Mask:
+def _are_clear(layer: Layer, trunks: F8, line_m: F8, radius_m: F8) -> Mask:
     """Return which of lines of places (n, k, 2) keep a radius (n,) clear of the path and of trunks all along."""
     reach_m = np.repeat(radius_m, line_m.shape[1])
     clear = layer.are_clear(trunks, line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
 
 
-def _are_plates_clear(layer: Layer, trunks: Array, pieces: _Pieces, plate_m: Array) -> Mask:
+def _are_plates_clear(layer: Layer, trunks: F8, pieces: _Pieces, plate_m: F8) -> Mask:
     """Return a mask (n,) of pieces whose root plate keeps clear of the path and of trunks, or that have none."""
     clear = np.ones(len(pieces.log), np.bool_)
     own = np.flatnonzero(~pieces.is_top & (plate_m[pieces.log] > 0))
@@ -302,7 +302,7 @@ def _are_plates_clear(layer: Layer, trunks: Array, pieces: _Pieces, plate_m: Arr
     return clear
 
 
-def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
+def _line_m(xy_m: F8, towards: F8, along_m: F8) -> F8:
     """Places (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
     away = np.stack([cos(towards), sin(towards)], axis=-1)
     return xy_m[:, None] + along_m[..., None] * away[:, None]
@@ -321,7 +321,7 @@ _TAILS = (
 """Numerators and denominators, highest power first (Moshier, Cephes Mathematical Library, ndtri.c)."""
 
 
-def normal_quantile(probability: Array) -> Array:
+def normal_quantile(probability: F8) -> F8:
     """Return the standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, within 1e-15 of their size."""
     off = probability - 0.5
     square = off * off
@@ -392,13 +392,13 @@ def _stone_area_m2() -> float:
     return math.pi / 4 * _STONE_WIDTH * float(np.mean(np.square(length_m)) * np.mean(seen))
 
 
-def _stone_length_m(probability: Array) -> Array:
+def _stone_length_m(probability: F8) -> F8:
     """Quantiles of the log-normal distribution cut at `_STONE_M`."""
     low, high = _STONE_SHARES
     return _STONE_MEDIAN_M * exp(_STONE_SIGMA * normal_quantile(low + (high - low) * probability))
 
 
-def _lay_stones(layer: Layer, trunks: Array, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     length_m = _stone_length_m(draws[:, 0])
     size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
     keep = layer.are_clear(trunks, xy_m, length_m / 2, length_m / 2)
@@ -407,7 +407,7 @@ def _lay_stones(layer: Layer, trunks: Array, xy_m: Array, draws: Array) -> Place
     return labelled(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= _LARGE_STONE_M)
 
 
-def _lay_low(layer: Layer, trunks: Array, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_low(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out what is lower than a person and covers the ground beside the path; what is ground lies on it too, along its slope."""
     height_m, kind = between(layer.section.height_m, draws[:, 0]), layer.kind
     keep = layer.land.path.distance_m(xy_m) < kind.reach_m
