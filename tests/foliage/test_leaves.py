@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from raycast import lab
 
-from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.far import FarCaster
 from vlp16emu.foliage.lanes import lanes
 from vlp16emu.foliage.stems import seen
 from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
@@ -107,7 +107,7 @@ def leaves(workers):
     @cache
     def of(lad):
         world = Slab(lad)
-        far, window = Far(world, workers), world.window(np.zeros((1, 3)), tiles=[(0, 0)])
+        far, window = FarCaster(world, workers), world.window(np.zeros((1, 3)), tiles=[(0, 0)])
         return far.medium(window, far.tiles(window))
 
     return of

@@ -7,7 +7,7 @@ import pytest
 from forest.kit import trees_of
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.plants.species import flora, species_table, tapers
+from vlp16emu.forest.plants.species import flora, tapers
 
 TEXT = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
 
@@ -40,12 +40,12 @@ def test_a_users_plants_come_after_our_own(write):
     """A file of the same form adds its trees and shrubs, and changes none of those that are there."""
     hazel = re.findall(r"(?ms)^\[shrub\.hazel.*?(?=^\[shrub\.elder)", TEXT)[0]
     path = write(own_oak() + hazel.replace("hazel", "filbert").replace("number = 101", "number = 1001"))
-    table = species_table(path)
-    assert list(table) == [*species_table(), "holm_oak"]
-    assert table["holm_oak"].taper == species_table()["english_oak"].taper
+    table = flora(path).trees
+    assert list(table) == [*flora().trees, "holm_oak"]
+    assert table["holm_oak"].taper == flora().trees["english_oak"].taper
     assert list(flora(path).shrubs) == [*flora().shrubs, "filbert"]
     assert tapers(trees_of(["silver_birch"] * 2, species=[1000, 1]), table=table).shape == (2, 13)
-    assert "holm_oak" not in species_table()
+    assert "holm_oak" not in flora().trees
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_a_wrong_file_is_reported_by_file_species_and_key(write, old, new, messa
     assert old in text
     path = write(text.replace(old, new))
     with pytest.raises(GeometryError) as error:
-        species_table(path)
+        flora(path)
     assert str(error.value).startswith(f"{path}: ")
     assert message in str(error.value)
     assert "\n" not in str(error.value)
@@ -84,6 +84,6 @@ def test_two_plants_with_one_number_and_a_missing_file_are_refused(write, tmp_pa
     """Numbers of a file must differ among its trees and shrubs, and a path that leads nowhere is named."""
     path = write(own_oak() + own_oak().replace("holm_oak", "cork_oak"))
     with pytest.raises(GeometryError, match=r"cork_oak\.number: found 1000, which is that of holm_oak"):
-        species_table(path)
+        flora(path)
     with pytest.raises(GeometryError, match=r"none\.toml: no such file"):
-        species_table(tmp_path / "none.toml")
+        flora(tmp_path / "none.toml")

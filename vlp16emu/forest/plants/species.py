@@ -343,18 +343,13 @@ def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[
     return [rows[_plain(name)] for name in names]
 
 
-def species_table(path: Path | None = None) -> Mapping[str, Species]:
-    """Return all trees of `flora`."""
-    return flora(path).trees
-
-
 def _plain(name: str) -> str:
     return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
 def tapers(trees: Trees, *, table: Table | None = None) -> F8:
     """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` is that of the program if none is given."""
-    rows = {one.number: one.taper.row for one in (table or species_table()).values()}
+    rows = {one.number: one.taper.row for one in (table or flora().trees).values()}
     own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
     own[:, -1] = trees["taper"]
     return own
