@@ -10,8 +10,7 @@ import pytest
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import Batching
 from vlp16emu.errors import RunError
-from vlp16emu.extras.accuracy import Audit
-from vlp16emu.extras.accuracy.audit import Detections, Tally, apart_m, compare, errors_of
+from vlp16emu.extras.accuracy.audit import Audit, Detections, Tally, apart_m, compare, errors_of
 from vlp16emu.extras.accuracy.sweep import (
     GROUP,
     Bench,

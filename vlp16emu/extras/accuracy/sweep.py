@@ -127,7 +127,7 @@ def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
         for axes, (name, (title, label)) in zip(figure.subplots(1, 2), _PANELS.items(), strict=True):
             for row in accuracy.rows:
                 place, colour = (row.us_per_pulse, getattr(row.errors, name)), _STYLES[row.kind][0]
-                words: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour}
+                words: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour, "rotation": 45}
                 axes.annotate(row.name.rpartition("=")[2], place, (4, 5), **words)
                 if row.in_use:
                     axes.plot(*place, "o", ms=15, mfc="none", mec=CYCLE[3], mew=2, label="in use")
