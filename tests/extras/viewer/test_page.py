@@ -22,8 +22,7 @@ from websockets.sync.client import connect
 
 from vlp16emu import Emulator
 from vlp16emu.errors import OutputError
-from vlp16emu.extras.viewer.page import LOOPBACK, Page, guarded_server, is_ours
-from vlp16emu.extras.viewer.sweeps import SceneSweeps
+from vlp16emu.extras.viewer.page import LOOPBACK, capture_page, guarded_server, is_ours
 
 
 @pytest.fixture(scope="module")
@@ -93,15 +92,17 @@ def test_no_address_is_asked_for_and_no_file_is_taken(port, monkeypatch):
     assert made == []
 
 
-def test_values_out_of_range_are_drawn_as_the_nearest(server):
-    """Numbers and words that no control has, as a client may send them, give a picture of the least or the default."""
-    page = Page(server, SceneSweeps(Emulator("static_bench", {"duration_s": 0.5})), {})
+def test_a_capture_is_shown_whatever_a_client_sets(server, tmp_path):
+    """A capture has its points by range; numbers and words that no control has give a picture of the least or the default."""
+    Emulator("static_bench", {"duration_s": 0.5}).record(tmp_path / "bench.pcap")
+    page = capture_page(server, tmp_path / "bench.pcap", None, 1)
     page._slider.value, page._size.value, page._together.value, page._layer.value = float("nan"), -1e9, -3, "no layer"
     page._draw()
     points = server.scene._handle_from_node_name["/sweep"]
     assert len(points.points) > 5_000
+    assert len(np.unique(points.colors, axis=0)) > 20
     assert points.point_size == pytest.approx(0.01)
-    assert "by natural, sweep at 0.0 s" in page._text.content
+    assert "by range, sweep at 0.0 s" in page._text.content
 
 
 def test_a_port_in_use_is_one_clear_line():
