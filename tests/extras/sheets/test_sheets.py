@@ -13,7 +13,7 @@ from vlp16emu.extras.plots import colour_of_species
 from vlp16emu.extras.sheets.sheet import StandSection, draw_section, draw_sheet, draw_side, legend_entries, strip_along
 from vlp16emu.extras.sheets.survey import CELL_M, cells_near, clark_evans, relief, stand_rows, stems_seen
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
@@ -77,7 +77,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 def trees():
     """Two straight stems, the second leaning, with crowns from 5.3 m up: ten cells of 0.5 m over 0.3 m."""
     trees = np.zeros(2, TREE)
-    trees["id"], trees["species"] = [900, 300], species_table()["silver_birch"].number
+    trees["id"], trees["species"] = [900, 300], flora().trees["silver_birch"].number
     trees["x_m"], trees["z_m"], trees["dbh_m"], trees["height_m"] = [10.0, 20.0], 2.0, 0.4, 18.0
     trees["crown_base_m"], trees["lean_deg"] = 5.3, [0.0, 5.0]
     return trees

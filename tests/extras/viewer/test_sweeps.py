@@ -21,8 +21,7 @@ from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-FLAG = 42 + 100
-"""Of the second block, in a frame."""
+FLAG = 42 + 100  # of the second block, in a frame
 
 
 @pytest.fixture(scope="module")
