@@ -6,6 +6,7 @@ Colours are what people expect of a species, not what 903 nm would show.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.resources import files
+from importlib.util import find_spec
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any
 
@@ -72,11 +73,8 @@ _STYLE: Mapping[Any, Any] = MappingProxyType(
 
 def check_matplotlib() -> None:
     """Raise MissingExtraError if matplotlib is not installed."""
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise MissingExtraError("matplotlib", "picture", "a picture") from None
-    del mpl
+    if find_spec("matplotlib") is None:
+        raise MissingExtraError("matplotlib", "picture", "a picture")
 
 
 @contextmanager
