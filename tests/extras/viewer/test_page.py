@@ -119,21 +119,11 @@ def test_a_port_in_use_is_one_clear_line():
 CHROMIUM = shutil.which("chromium")
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WAIT_MS = 120_000
-SCENE = """schema = 1
-duration_s = 2.0
-[sensor]
-max_range_m = 12.0
-[beam]
-model = "none"
-[motion]
-kind = "walk"
-way_points_m = [[0, 0], [4, 0], [8, 1]]
-speed_m_s = 1.2
-[world]
-kind = "forest"
-stems_per_ha = 150
-species = [{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.0 }]
-"""
+BIRCH = '{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.0 }'
+BIRCHES = (
+    f'world={{ kind = "forest", stems_per_ha = 150, species = [{BIRCH}] }}',
+    *("motion.way_points_m=[[0, 0], [4, 0], [8, 1]]", "sensor.max_range_m=12", "beam.model=none", "duration_s=2"),
+)
 
 
 def seen_by(page, is_there, least):
@@ -155,12 +145,11 @@ def stem(r, g, b):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 @pytest.mark.usefixtures("kept_woods")
-def test_a_browser_shows_the_stand_and_plays_the_sweeps(tmp_path):
+def test_a_browser_shows_the_stand_and_plays_the_sweeps():
     """The page has stems and leaves, and the points of the sweep at the cursor, which goes on as it plays."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    (tmp_path / "birches.toml").write_text(SCENE)
-    words = "view", str(tmp_path / "birches.toml"), "--radius", "8", "--port", "0"
-    command = [sys.executable, "-m", "vlp16emu", *words]
+    settings = [word for setting in BIRCHES for word in ("--set", setting)]
+    command = [sys.executable, "-m", "vlp16emu", "view", "birch_walk", *settings, "--radius", "8", "--port", "0"]
     with (
         subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
         sync_api.sync_playwright() as playwright,
