@@ -47,12 +47,11 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
     """Serve the web interface of each sensor; errors as of `WebServer` and `Device`."""
     control = Control(feed, sink, under_way, http.saved)
     with ExitStack() as stack:
-        servers = []
         host, first = http.address
-        for number, device in enumerate(control.devices):
-            port, fault = first + number if first else 0, partial(control.fault, number)
-            servers.append(WebServer(device, host, port, fault=fault))
-            stack.enter_context(servers[-1])
+        servers = [
+            stack.enter_context(WebServer(device, host, first and first + number, fault=partial(control.fault, number)))
+            for number, device in enumerate(control.devices)
+        ]
         stack.enter_context(control.following())
         http.controlled(control)
         http.serving([server.address for server in servers])
