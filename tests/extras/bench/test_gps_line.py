@@ -8,7 +8,7 @@ import pytest
 from listening import MemorySink
 
 from vlp16emu.extras.bench.gps_in import GpsInSink, GpsLine
-from vlp16emu.motion import Gps
+from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import decode_position, pack_position
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
