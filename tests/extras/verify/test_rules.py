@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from vlp16emu.extras.verify import Rule
+from vlp16emu.extras.verify.frames import Rule
 
 HOUR_US = 3_600_000_000
 

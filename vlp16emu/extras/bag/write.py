@@ -18,7 +18,7 @@ from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
 from vlp16emu.extras.imu.sampler import Inertial
-from vlp16emu.extras.slam import Rig, written_beside
+from vlp16emu.extras.slam.configure import Rig, written_beside
 from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
 from vlp16emu.motion.pose import Kinematics

@@ -15,7 +15,8 @@ from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import LabelsOf, scans_in
 from vlp16emu.extras.options import TrajectoryErrors
-from vlp16emu.extras.verify import Rule, verify_units
+from vlp16emu.extras.verify.frames import Rule
+from vlp16emu.extras.verify.run import verify_units
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import load
