@@ -12,15 +12,14 @@ import vlp16emu.engine.engine as page
 from vlp16emu import Emulator
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.walk import gait, motion, pack
-from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.far import FarCaster
 from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.raycast import near as fast
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
 
-SPAN_S = 0.05
-"""Less than one block."""
+SPAN_S = 0.05  # less than one block
 
 
 class TouchedError(AssertionError):
@@ -158,7 +157,7 @@ def test_still_air_moves_nothing():
 @pytest.mark.usefixtures("kept_woods")
 def test_a_medium_out_of_sight_is_not_made(monkeypatch):
     """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they are."""
-    forbid(monkeypatch, (Far, "medium"))
+    forbid(monkeypatch, (FarCaster, "medium"))
     next(Emulator(birch("sensor.max_range_m=8", "world.near_m=8"), threads=1).returns(0.0, SPAN_S))
     with pytest.raises(TouchedError):
         next(Emulator(birch("sensor.max_range_m=8", "world.near_m=7.9"), threads=1).returns(0.0, SPAN_S))

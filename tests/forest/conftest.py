@@ -7,7 +7,7 @@ from forest.kit import REACH_M
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest import settings
 from vlp16emu.forest.ground.terrain import TerrainHeights
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import Stand
@@ -40,7 +40,7 @@ def rootless():
     """Species table of trees without roots on the ground."""
     return {
         name: one.model_copy(update={"stem": one.stem.model_copy(update={"surface_roots": 0.0})})
-        for name, one in species_table().items()
+        for name, one in flora().trees.items()
     }
 
 

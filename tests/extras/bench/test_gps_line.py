@@ -14,10 +14,8 @@ from vlp16emu.packets.nmea import rmc
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, US_NS
 
-UTC_NS = int(datetime(2026, 11, 23, 23, 59, 50, tzinfo=UTC).timestamp()) * S_NS
-"""Ten seconds before midnight."""
-HOST_NS = 123_456_789_012
-"""Of the host's clock at that instant."""
+UTC_NS = int(datetime(2026, 11, 23, 23, 59, 50, tzinfo=UTC).timestamp()) * S_NS  # ten seconds before midnight
+HOST_NS = 123_456_789_012  # of the host's clock at that instant
 
 
 def sentence(second, *, valid=True):

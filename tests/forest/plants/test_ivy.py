@@ -15,11 +15,6 @@ SECTION = Ivy(share=0.3, height_m=(2.0, 6.0))
 
 
 @pytest.fixture(scope="module")
-def covered(make_forest):
-    return make_forest(ivy=SECTION)
-
-
-@pytest.fixture(scope="module")
 def trees():
     """Trees with bent stems, anywhere."""
     rng, n = np.random.default_rng(3), 3000
@@ -60,11 +55,13 @@ def test_leaves_hang_on_the_bark(trees):
         assert 0.85 * top_m < base[:, 2].max() <= top_m
 
 
-def test_ivy_is_leaf_of_its_tree_and_in_the_medium(covered, track_m):
-    """In a forest its surfaces have class tree, part leaf and the number of a tree; a tile seen from afar has it too."""
-    forest = covered
+def test_ivy_is_leaf_of_its_tree_and_in_the_medium(make_forest, forest, track_m):
+    """Its surfaces have class tree, part leaf and the number of a tree, from afar too; all else stands as without ivy, the default."""
+    bare, forest = forest.window(track_m), make_forest(ivy=SECTION)
     window = forest.window(track_m)
-    own = np.flatnonzero([isinstance(window.shapes[i], IvyKey) for i in window.shape])
+    is_ivy = np.array([isinstance(window.shapes[i], IvyKey) for i in window.shape])
+    assert np.array_equal(window.world_T_shape[~is_ivy], bare.world_T_shape)
+    own = np.flatnonzero(is_ivy)
     rows, trees = window.surfaces[window.first_surface[own]], forest.trees(track_m)
     assert 0.2 * len(trees) < len(own) < 0.4 * len(trees)
     assert set(rows["part"]) == {PlantPart.LEAF}
@@ -77,11 +74,3 @@ def test_ivy_is_leaf_of_its_tree_and_in_the_medium(covered, track_m):
     tree = trees[trees["id"] == rows["instance"][0]][0]
     at_m = mesh.vertices_m @ window.world_T_shape[own[0], :, :3].T + window.world_T_shape[own[0], :, 3]
     assert np.hypot(*(at_m[:, :2].mean(axis=0) - [tree["x_m"], tree["y_m"]])) < 1.0
-
-
-def test_without_ivy_nothing_changes(covered, forest, track_m):
-    """By default no stem has ivy, and stems and crowns stand as they do beside it."""
-    bare, window = forest.window(track_m), covered.window(track_m)
-    assert not any(isinstance(key, IvyKey) for key in bare.shapes)
-    kept = [not isinstance(window.shapes[i], IvyKey) for i in window.shape]
-    assert np.array_equal(window.world_T_shape[kept], bare.world_T_shape)

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_branches, crown_meshes, crown_placements
-from vlp16emu.forest.plants.species import StemForm, species_table, tapers
+from vlp16emu.forest.plants.species import StemForm, flora, tapers
 from vlp16emu.forest.plants.stem import (
     ROOT_RINGS,
     ROOT_SIDES,
@@ -25,7 +25,7 @@ from vlp16emu.forest.plants.stem import (
 from vlp16emu.forest.stand.inventory import branch_circles, far_stems
 from vlp16emu.types import PlantPart
 
-TABLE = species_table()
+TABLE = flora().trees
 BREAST_RING = 6
 
 
@@ -277,7 +277,7 @@ def test_old_spruces_and_beeches_have_roots_and_no_others(old_trees):
     stem, _ = roots_of(old_trees)
     for first, share in ((0, 0.55), (1, 0.75)):
         assert (stem % 2 == first).sum() / (N_OLD / 2) == pytest.approx(4.5 * share, rel=0.1)
-    for changes in ({"dbh_m": 0.29}, {"species": species_table()["scots_pine"].number}, {"form": 0}):
+    for changes in ({"dbh_m": 0.29}, {"species": flora().trees["scots_pine"].number}, {"form": 0}):
         others = old_trees.copy()
         for name, value in changes.items():
             others[name] = value

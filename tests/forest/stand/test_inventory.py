@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.plants.stem import Stems, lean_rotation, stem_meshes
 from vlp16emu.forest.settings import Forest, SpeciesShare
 from vlp16emu.forest.stand.inventory import INVENTORY, inventory
@@ -112,7 +112,7 @@ def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
             assert row["leaf_m2"] == 0
             continue
         area_m2 = areas_m2(corners(leaves) * [w, w, h]).sum()
-        clumping = species_table()[key.species].foliage.clumping
+        clumping = flora().trees[key.species].foliage.clumping
         assert row["leaf_m2"] == pytest.approx(area_m2 * clumping, rel=1e-6)
 
 
@@ -156,7 +156,7 @@ def test_mass_wood_and_density_of_one_tree_agree(name, kg_m3, branches, stand):
     dbh_cm, height_m, per_ha = stand
     share = SpeciesShare(species=name, share=1.0, dbh_cm=dbh_cm, height_m=height_m)
     section = Forest(kind="forest", stems_per_ha=per_ha, species=[share])
-    path, species = Corridor(np.array([[0.0, 1e5]]), 0.8), species_table()[name]
+    path, species = Corridor(np.array([[0.0, 1e5]]), 0.8), flora().trees[name]
     key = Stand(section, Land(SEED, lambda x, _: 0 * x, path)).crown(0, 0, 1)
     sizes = ("dbh_m", "height_m", "crown_base_m", "crown_width_m")
     tree = trees_of([name], **{size: getattr(key, size) for size in sizes})

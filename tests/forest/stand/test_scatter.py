@@ -13,7 +13,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor, distance_m
 from vlp16emu.forest import settings
 from vlp16emu.forest.plants.prototypes import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
-from vlp16emu.forest.plants.species import flora, species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.scatter import Layer
@@ -64,7 +64,7 @@ def test_sapling_heights_are_even_and_their_species_as_frequent():
     trees = np.concatenate([tile.trees for tile in placed(saplings(*YOUNG))])
     far = trees[distance_m(np.column_stack([trees["x_m"], trees["y_m"]]), PATH) > 2]
     assert stats.kstest(far["height_m"], stats.uniform(0.5, 3.5).cdf).pvalue > 0.01
-    beeches = int((far["species"] == species_table()["european_beech"].number).sum())
+    beeches = int((far["species"] == flora().trees["european_beech"].number).sum())
     assert stats.binomtest(beeches, len(far), 0.5).pvalue > 0.01
     assert trees["z_m"] == pytest.approx(0.1 * trees["x_m"])
     assert set(trees["storey"]) == {REGENERATION}
@@ -341,7 +341,7 @@ def test_nothing_lies_in_a_trunk(section):
 )
 def test_labels_say_what_it_is(section, semantic, parts, species):
     """Each kind has its semantic class, parts and species, and reflectances even within 0.08 of those of its plant or material."""
-    plants = {one.number: one for one in (*species_table().values(), *flora().shrubs.values())}
+    plants = {one.number: one for one in (*flora().trees.values(), *flora().shrubs.values())}
     rows = np.concatenate([tile.surfaces for tile in things(section, path=NEAR)])
     assert (rows["semantic"] == semantic).all()
     assert (rows["part"] == parts).all()

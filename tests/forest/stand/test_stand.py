@@ -12,7 +12,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor, distance_m
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.species import species_table, tapers
+from vlp16emu.forest.plants.species import flora, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Forest, Plantation, Scattered, SpeciesShare, Storey, Terrain
@@ -49,7 +49,7 @@ def spruces():
 @pytest.mark.parametrize("mix", [BIRCH, SPRUCE])
 def test_diameters_follow_their_truncated_weibull(trees, mix):
     """Diameters pass a Kolmogorov-Smirnov test against scipy's truncated Weibull, scaled to the wanted mean."""
-    species = species_table()[mix.species]
+    species = flora().trees[mix.species]
     a0, a1, c0, c1, c2 = species.diameters
     weibull = stats.weibull_min(c0 + c1 * mix.dbh_cm + c2 * 1.6 * mix.dbh_cm, scale=a0 + a1 * mix.dbh_cm)
     cut = weibull.cdf(6.9)

@@ -159,13 +159,10 @@ class Plant(Section):
     number: Annotated[int, Field(ge=1, le=65535)]
     """In labels; never changes, and no other plant has it."""
     scientific_name: Text
-    fia: Annotated[int, Field(ge=1, le=9999)] | None = None
-    """Code of the Forest Inventory and Analysis programme of the USDA Forest Service."""
     leaf_area_index: Annotated[float, Field(ge=0, le=20)]
     """Of a closed stand, or of the ground that a shrub covers."""
     bark_reflectance: Fraction
     leaf_reflectance: Fraction
-    leaf_transmittance: Fraction
     _name: str = PrivateAttr()
 
     def model_post_init(self, context: Any, /) -> None:
@@ -184,14 +181,6 @@ class Plant(Section):
         if number < first:
             raise ValueError(f"{first} or more")
         return number
-
-    @field_validator("leaf_transmittance")
-    @classmethod
-    def _makes_no_light(cls, transmittance: float, info: ValidationInfo) -> float:
-        reflectance = info.data.get("leaf_reflectance", 0.0)  # absent where it is itself in error
-        if reflectance + transmittance > 1:
-            raise ValueError(f"at most 1 with leaf_reflectance = {reflectance:g}")
-        return transmittance
 
 
 class Species(Plant):
@@ -354,18 +343,13 @@ def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[
     return [rows[_plain(name)] for name in names]
 
 
-def species_table(path: Path | None = None) -> Mapping[str, Species]:
-    """Return all trees of `flora`."""
-    return flora(path).trees
-
-
 def _plain(name: str) -> str:
     return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
 def tapers(trees: Trees, *, table: Table | None = None) -> F8:
     """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` is that of the program if none is given."""
-    rows = {one.number: one.taper.row for one in (table or species_table()).values()}
+    rows = {one.number: one.taper.row for one in (table or flora().trees).values()}
     own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
     own[:, -1] = trees["taper"]
     return own

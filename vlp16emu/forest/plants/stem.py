@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, expm1, hypot, matvec, norm, sin, tan
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
 from vlp16emu.forest.plants.branches import merged, pipe_faces
-from vlp16emu.forest.plants.species import Table, Trees, species_table, tapers
+from vlp16emu.forest.plants.species import Table, Trees, flora, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import normal, uniform
@@ -99,7 +99,7 @@ class StemForms:
 
 def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
-    rows = {one.number: one.stem.row for one in (table or species_table()).values()}
+    rows = {one.number: one.stem.row for one in (table or flora().trees).values()}
     keys = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 10)
     keys[:, :9] *= (trees["form"] > 0)[:, None]
     bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T

@@ -9,17 +9,8 @@ import numpy as np
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
+from vlp16emu.forest.plants import prototypes
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
-from vlp16emu.forest.plants.prototypes import (
-    CROWN_PARTS,
-    CrownKey,
-    SaplingKey,
-    ShrubKey,
-    crown_meshes,
-    crown_placements,
-    sapling_meshes,
-    shrub_meshes,
-)
 from vlp16emu.forest.plants.species import Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.forest.settings import Woods
@@ -182,12 +173,12 @@ class ForestWorld:
                 return (self._ivy_meshes(key.tile)[key.number],)
             case ModelKey():
                 return self.models.shape(key)
-            case CrownKey():
-                return crown_meshes(self.seed, key, table=self.plants.trees)
-            case SaplingKey():
-                return sapling_meshes(self.seed, key, table=self.plants.trees)
-            case ShrubKey():
-                return shrub_meshes(self.seed, key, table=self.plants.shrubs)
+            case prototypes.CrownKey():
+                return prototypes.crown_meshes(self.seed, key, table=self.plants.trees)
+            case prototypes.SaplingKey():
+                return prototypes.sapling_meshes(self.seed, key, table=self.plants.trees)
+            case prototypes.ShrubKey():
+                return prototypes.shrub_meshes(self.seed, key, table=self.plants.shrubs)
             case FloorKey():
                 return floor_meshes(self.seed, key)
         raise KeyError(key)
@@ -208,7 +199,8 @@ class ForestWorld:
         grown = trees[~is_modelled]
         modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
         crowns = [self._crown(*name) for name in grown[["cohort", "crown_class", "crown_variant"]].tolist()]
-        world_T, rows = crown_placements(grown, crowns), plant_surfaces(grown, CROWN_PARTS, self.plants)
+        world_T = prototypes.crown_placements(grown, crowns)
+        rows = plant_surfaces(grown, prototypes.CROWN_PARTS, self.plants)
         placed = PlacedThings(crowns, world_T, rows, grown, is_exact=self._loose_stems)
         groups, rooted = [placed, *modelled], grown
         if self._loose_stems:

@@ -20,7 +20,7 @@ from vlp16emu.forest.plants.prototypes import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.forest.plants.species import Table, Trees, species_table
+from vlp16emu.forest.plants.species import Table, Trees, flora
 from vlp16emu.forest.plants.stem import (
     FLARE_TOP_M,
     STEM_CIRCLE,
@@ -72,7 +72,7 @@ _DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a
 
 def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
     """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
-    table = table or species_table()
+    table = table or flora().trees
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
         rows[name] = trees[name]
@@ -105,7 +105,7 @@ def write_csv(
     def text(value: float) -> str:
         return str(value) if isinstance(value, int) else "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
 
-    names = {species.number: name for name, species in (table or species_table()).items()}
+    names = {species.number: name for name, species in (table or flora().trees).items()}
     opened = TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(opened, lineterminator="\n")
     more = np.zeros(len(rows), []) if more is None else more
