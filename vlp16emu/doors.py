@@ -71,7 +71,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
     },
     "parts": {
         "audit": "vlp16emu.extras.accuracy.audit:Audit",
-        "bag": "vlp16emu.extras.bag:bag_of_run",
+        "bag": "vlp16emu.extras.bag.write:bag_of_run",
         "beside": "vlp16emu.extras.bench.outlets:Beside",
         "displace": "vlp16emu.extras.displace:displace",
         "events": "vlp16emu.extras.bench.changes:with_events",

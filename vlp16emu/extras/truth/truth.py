@@ -144,9 +144,9 @@ _GNSS_COLUMNS = (
     *("true_east_m_s", "true_north_m_s", "latitude_deg", "longitude_deg", "speed_m_s", "course_deg"),
 )
 _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
-_IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
-_IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
+_IMU_COLUMNS = ("t_utc_s", *IMU_AXES, *(f"true_{axis}" for axis in IMU_AXES), *(f"bias_{axis}" for axis in IMU_AXES))
 _OF_UNITS = ("name", "model", "serial_number", "address", "data_port", "position_port")  # keys of a unit in `rig.json`
 ATTITUDE = ("qx", "qy", "qz", "qw")  # columns behind them of a unit that reports its attitude: world_R_imu
 STAMP = "stamp_utc_s"  # column behind all others of a unit whose time stamps are late
