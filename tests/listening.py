@@ -10,8 +10,7 @@ from vlp16emu.packets.nmea import KNOT_M_S, utc_ns
 from vlp16emu.sinks import PacketSink
 from vlp16emu.types import GnssFix
 
-SO_RCVBUFFORCE = 33
-"""Source: asm-generic/socket.h."""
+SO_RCVBUFFORCE = 33  # source: asm-generic/socket.h
 
 
 class MemorySink(PacketSink):

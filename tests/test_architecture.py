@@ -47,8 +47,7 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("settings", "purpose", "ground", "tiles", "plants", "stand", "make")
-"""Rooms of `forest/` from the bottom."""
+FOREST = ("settings", "purpose", "ground", "tiles", "plants", "stand", "make")  # rooms of `forest/` from the bottom
 
 EXTRAS_TAKE = {
     "accuracy": {"plots"},

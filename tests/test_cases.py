@@ -27,8 +27,7 @@ class Case(NamedTuple):
     file: str
     options: str
     code: int
-    right: Callable[[Any], bool]
-    """Of the JSON object, or of the error line after exit code 2."""
+    right: Callable[[Any], bool]  # of the JSON object, or of the error line after exit code 2
     authority: str
 
 

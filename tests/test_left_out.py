@@ -19,8 +19,7 @@ from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
 
-SPAN_S = 0.05
-"""Less than one block."""
+SPAN_S = 0.05  # less than one block
 
 
 class TouchedError(AssertionError):

@@ -37,6 +37,7 @@ def walk():
         "gps.connected=true",
         "gps.canopy_half_cover=0.5",
         "start_utc=2026-05-20T09:00:00.25Z",
+        "beam.model=none",
     ]
     return Emulator(load("static_bench", settings))
 
@@ -102,7 +103,7 @@ def test_gnss_rows_are_what_the_sentences_say(walk, tmp_path):
 
 def test_the_inertial_unit_is_written_whole(tmp_path):
     """Every sample from the first pulse on stands in imu.csv as the unit reads it, at the unit's own rate."""
-    emulator = Emulator(load("static_bench", ["imu.rate_hz=130", "imu.preset=consumer"]))
+    emulator = Emulator(load("static_bench", ["imu.rate_hz=130", "imu.preset=consumer", "beam.model=none"]))
     packets = written(emulator, tmp_path, 0.0, 1.5)
     lines = (tmp_path / "imu.csv").read_text().splitlines()
     axes = "wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2"

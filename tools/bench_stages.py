@@ -29,8 +29,7 @@ SETTINGS = {
     "one ray": ["beam.model=none"],
     "one ray, ideal": ["beam.model=none", "noise.preset=ideal"],
 }
-RUNS = 4
-"""Over the window."""
+RUNS = 4  # over the window
 NEAR, CAST = "cast, near", "cast"
 
 

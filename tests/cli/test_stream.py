@@ -22,8 +22,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 PERIOD_NS = 1_327_104
 STOPPED_S = 2.0
-SO_TIMESTAMPNS = 35
-"""Source: asm-generic/socket.h."""
+SO_TIMESTAMPNS = 35  # source: asm-generic/socket.h
 
 
 @pytest.fixture

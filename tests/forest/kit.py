@@ -8,8 +8,7 @@ import trimesh
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.stand import TREE
 
-REACH_M = 15.0
-"""How far about a track windows of the room's forests reach."""
+REACH_M = 15.0  # how far about a track windows of the room's forests reach
 
 
 def trees_of(names, **fields):

@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.forest.stand.twin import AllNear
@@ -16,12 +15,9 @@ from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LENS_RADIUS_M
-from vlp16emu.types import SURFACE, Firings, Hits, Mesh, Returns, Window
+from vlp16emu.types import F8, SURFACE, Firings, Hits, Mesh, Returns, Window
 
-F8 = NDArray[np.float64]
-
-PULSES = 24 * LASERS
-"""Of a packet of single return: pulses come in multiples of it."""
+PULSES = 24 * LASERS  # of a packet of single return: pulses come in multiples of it
 _WORKERS = ThreadPoolExecutor(2)
 
 
@@ -48,14 +44,6 @@ def wall(x_m: float, half_m: float = 50.0) -> Mesh:
     """Upright square across the x axis."""
     corners = [(x_m, -half_m, -half_m), (x_m, half_m, -half_m), (x_m, half_m, half_m), (x_m, -half_m, half_m)]
     return faces(np.array([corners]))
-
-
-def box(low_m: Sequence[float], high_m: Sequence[float]) -> Mesh:
-    """Return an upright box."""
-    spans = np.stack([low_m, high_m])
-    corners = np.array([[spans[i, 0], spans[j, 1], spans[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    sides = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
-    return Mesh(corners.astype(np.float32), np.array(sides, np.uint32))
 
 
 def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) -> Geometry:

@@ -175,7 +175,7 @@ def images(
     say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
     """
     emulator = make_emulator(scene, args.EmulatorOptions(settings, threads=threads))
-    from vlp16emu.extras.images.images import write_images
+    from vlp16emu.extras.images import write_images
 
     with running(emulator, "casting", options) as hooks:
         run = write_images(emulator, folder, **vars(options), **hooks)
@@ -221,9 +221,6 @@ def picture(
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.extras.plots import check_matplotlib
-
-    check_matplotlib()
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
 

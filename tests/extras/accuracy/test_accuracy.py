@@ -155,7 +155,7 @@ def digest(packets):
 
 def test_an_audit_changes_no_byte_and_depends_on_no_thread(hall):
     """With an audit, on one thread or three, the packets are those without; and the audits find the same."""
-    audits = [Audit.of(hall), Audit.of(hall)]
+    audits = [Audit(hall), Audit(hall)]
     found = {
         digest(Engine.of(hall, threads=threads, taps=[audit] if audit else []).packets(0.0, 10 * BLOCK_S))
         for threads, audit in ((1, audits[0]), (3, audits[1]), (2, None))
@@ -168,7 +168,7 @@ def test_an_audit_changes_no_byte_and_depends_on_no_thread(hall):
 def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
     """A scene that chose one ray per pulse has no audit answers, and its report calls it exact."""
     scenario = load("static_bench")
-    audit = Audit.of(scenario)
+    audit = Audit(scenario)
     list(Engine.of(scenario, taps=[audit]).packets(0.0, 0.01))
     assert audit.exact
     assert audit.tally == Tally()
@@ -177,7 +177,7 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
 
 def test_audits_estimate_the_error_that_accuracy_measures(hall):
     """Six audits with different seeds together find the RMSE that is found on pulses of accuracy's own."""
-    audits, scenes = [Audit.of(hall) for _ in range(6)], []
+    audits, scenes = [Audit(hall) for _ in range(6)], []
 
     def look(job, firings, hits, scene):
         scenes.append(scene)

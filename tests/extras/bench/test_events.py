@@ -220,12 +220,12 @@ def test_pulses_without_sentences_set_the_part_below_a_second():
     assert stamp_us[pulled] == pytest.approx(fired_us[pulled], abs=1.0)
 
 
-def test_truth_knows_the_first_pulse_of_each_packet(tmp_path):
-    """Poses of packets are those of their first pulses, also where the field of view leaves some out."""
+def test_packets_know_their_first_pulse():
+    """A packet is stamped as its first pulse is fired, also where the field of view leaves some out."""
     run = emulator(setting(0.1, fov_deg=[90, 180]), setting(0.5, return_mode="dual"))
-    run.record(tmp_path / "x.pcap", duration_s=1.0, truth=tmp_path / "t")
-    fired = [packet.fired_ns for packet in run.packets(0.0, 1.0) if packet.kind is PacketKind.DATA]
-    payloads, _ = data_of(run.packets(0.0, 1.0))
+    packets = list(run.packets(0.0, 1.0))
+    fired = [packet.fired_ns for packet in packets if packet.kind is PacketKind.DATA]
+    payloads, _ = data_of(packets)
     assert [t_ns // US_NS % 3_600_000_000 for t_ns in fired] == stamps_us(payloads).tolist()
     slots = [row for some in run.parts.units[0].timeline.sequences(0, S_NS) for row in some[:, 0].tolist()]
     assert [run.scenario.start_ns + first * 55_296 for first in slots] == fired

@@ -1,6 +1,5 @@
 """Faults of packets on their way, found in what a run sends."""
 
-import socket
 from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
@@ -13,11 +12,10 @@ from listening import MemorySink
 from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.faults import arriving
-from vlp16emu.packets import FACTORY_LINK
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
-from vlp16emu.sinks import Pacer, UdpSink, stream
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.sinks import Pacer, stream
+from vlp16emu.types import PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
 DATA, POSITION = PacketKind.DATA, PacketKind.POSITION
@@ -238,15 +236,3 @@ def test_a_stream_sends_the_same(now):
     cut = [len(packet.payload) < (1204 if packet.kind is DATA else 202) for packet in expected]
     assert any(cut)
     assert all(same) if not now else same == cut
-
-
-def test_cut_packets_leave_by_udp():
-    """A datagram holds what is left of its payload, even nothing."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(5.0)
-        port = receiver.getsockname()[1]
-        with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
-            for size in (0, 1, 600):
-                sink.send(Packet(DATA, 0, bytes(range(200)) * 3 if size == 600 else bytes(size)))
-                assert len(receiver.recv(2000)) == size

@@ -8,16 +8,14 @@ import pytest
 from listening import MemorySink
 
 from vlp16emu.extras.bench.gps_in import GpsInSink, GpsLine
-from vlp16emu.motion import Gps
+from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import decode_position, pack_position
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, US_NS
 
-UTC_NS = int(datetime(2026, 11, 23, 23, 59, 50, tzinfo=UTC).timestamp()) * S_NS
-"""Ten seconds before midnight."""
-HOST_NS = 123_456_789_012
-"""Of the host's clock at that instant."""
+UTC_NS = int(datetime(2026, 11, 23, 23, 59, 50, tzinfo=UTC).timestamp()) * S_NS  # ten seconds before midnight
+HOST_NS = 123_456_789_012  # of the host's clock at that instant
 
 
 def sentence(second, *, valid=True):

@@ -191,14 +191,6 @@ def test_every_answer_has_its_length_and_leaves_in_one_piece(speak, sent):
     assert page or b"204" in head or json.loads(body)
 
 
-def test_a_line_is_kept_for_further_requests(web):
-    """Without `Connection: close` one connection serves requests one after another, also those sent at once."""
-    with socket.create_connection(web.address, timeout=60) as line:
-        line.sendall(get("/cgi/status.json") + get("/cgi/info.json") + get("/nothing", "Connection: close"))
-        received = b"".join(iter(lambda: line.recv(65_536), b""))
-    assert [part[:3] for part in received.split(b"HTTP/1.1 ")[1:]] == [b"200", b"200", b"404"]
-
-
 def test_an_answer_to_head_has_no_body(speak):
     """HEAD gives the header lines of GET, the length among them."""
     (segment,) = speak(b"HEAD /cgi/info.json HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")

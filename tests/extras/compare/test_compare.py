@@ -17,8 +17,7 @@ UNIT = {"noise.preset": "unit", "sensor.preset": "unit", "sensor.eccentricity_de
 BEAT = {"noise.range_beat_m": 0.0055, "noise.range_beat_phase_deg": 123.0}
 
 
-SHORT_SIGHTED = {"sensor.max_range_m": 14, "beam.model": "adaptive"}
-"""Some of the hall is out of reach."""
+SHORT_SIGHTED = {"sensor.max_range_m": 14, "beam.model": "adaptive"}  # some of the hall is out of reach
 
 
 @pytest.fixture(scope="module")

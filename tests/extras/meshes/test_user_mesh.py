@@ -1,6 +1,5 @@
 """Meshes that the user brings, and a world with them in it."""
 
-import json
 import struct
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import trimesh
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.extras.meshes.files import UserMesh, load_mesh
-from vlp16emu.extras.meshes.furnished import Furnished, Furniture, MeshKey
+from vlp16emu.extras.meshes.furnished import Furnished, MeshKey, surfaces_of
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPart, MeshPlace
 from vlp16emu.types import FIRST_FREE_INSTANCE, Mesh, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
@@ -150,16 +149,7 @@ def glb_with_nan():
 
 def glb_of_two_files():
     """A GLB whose coordinates are in a file beside it."""
-    tree = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "buffers": [{"uri": "ext.bin", "byteLength": 36}],
-    }
-    text = json.dumps(tree).encode()
+    text = trimesh.Scene(trimesh.creation.box()).export(file_type="gltf")["model.gltf"]
     text += b" " * (-len(text) % 4)
     return b"glTF" + struct.pack("<3I", 2, 20 + len(text), len(text)) + b"JSON" + text
 
@@ -243,7 +233,7 @@ def tree_of(*places, one_thing=True, parts=(LEAVES,)):
     mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0)
     kind = {"semantic": "tree", "part": "stem", "reflectance": 0.4, "one_thing": one_thing}
     section = MeshFile(file="tree.obj", unit="m", up="z", parts=[*parts], places=[*places], **kind)
-    return Furniture(section, mesh)
+    return section, mesh
 
 
 class Slope(HallWorld):
@@ -253,9 +243,9 @@ class Slope(HallWorld):
         return 0.1 * x_m + 0.0 * y_m
 
 
-def furnished(*furniture, reach_m=50.0):
+def furnished(*meshes, reach_m=50.0):
     hall = Slope(Hall(kind="hall", length_m=30.0, width_m=18.0, height_m=6.0))
-    return hall, Furnished(hall, furniture=furniture, reach_m=reach_m)
+    return hall, Furnished(hall, meshes=meshes, reach_m=reach_m)
 
 
 def test_meshes_come_after_what_is_there():
@@ -324,9 +314,9 @@ def test_only_what_is_in_reach_is_in_the_window():
 
 def test_parts_may_differ_from_the_rest():
     """A part has its own appearance where one is given and the file's where not; a part that is not there is refused."""
-    rows = tree_of(place(0, 0)).surfaces
+    rows = surfaces_of(*tree_of(place(0, 0)))
     assert rows["reflectance"] == pytest.approx([0.5, 0.4])
     assert rows["part"].tolist() == [PlantPart.LEAF, PlantPart.STEM]
     assert (rows["semantic"] == Semantic.TREE).all()
     with pytest.raises(GeometryError, match=r"tree.obj: parts: found 'leafs'; expected one of leaves, stem"):
-        tree_of(place(0, 0), parts=[MeshPart(name="leafs")])
+        surfaces_of(*tree_of(place(0, 0), parts=[MeshPart(name="leafs")]))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.path import Path, path_over
 from vlp16emu.store import user_store
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0], [66.0, 14.0]])
@@ -123,12 +123,12 @@ def test_a_path_from_the_store_is_the_same(tmp_path, monkeypatch):
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     user_store.cache_clear()
     try:
-        laid = Path(WAY_POINTS_M, hilly, "hills")
+        laid = path_over(WAY_POINTS_M, hilly, "hills")
         user_store().flush()
-        read = Path(WAY_POINTS_M, touched, "hills")
+        read = path_over(WAY_POINTS_M, touched, "hills")
         for wrong in ((WAY_POINTS_M[::-1].copy(), "hills"), (WAY_POINTS_M, "moon"), (WAY_POINTS_M, "")):
             with pytest.raises(AssertionError, match="asked"):
-                Path(wrong[0], touched, wrong[1])
+                path_over(wrong[0], touched, wrong[1])
     finally:
         user_store.cache_clear()
     at_m = np.linspace(-1.0, laid.length_m + 1.0, 500)

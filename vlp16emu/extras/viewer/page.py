@@ -130,10 +130,8 @@ def _draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
     # A hall is looked into through its ceiling.
     look: dict[str, Any] = {"lod": "off", "flat_shading": True, "material": "toon5"}
     look |= {"cast_shadow": False, "receive_shadow": False, "side": "double" if seen.hall is None else "front"}
-    for piece in pieces_of(seen):
-        mesh = piece.vertices_m, piece.faces, piece.wxyz, piece.position_m
-        own: dict[str, Any] = {"batched_scales": piece.scale, "batched_colors": piece.colour}
-        scene.add_batched_meshes_simple(f"/stand/{piece.name}", *mesh, **own, **look)
+    for name, piece in pieces_of(seen):
+        scene.add_batched_meshes_simple(f"/stand/{name}", **piece, **look)
     if len(way_m) > 1:
         scene.add_line_segments("/walk", np.stack([way_m[:-1], way_m[1:]], axis=1), _PATH, thickness=0.06)
     _look_from(server, way_m[0], way_m[min(len(way_m) - 1, 60)] - way_m[0])

@@ -8,7 +8,7 @@ import numpy as np
 
 from vlp16emu.extras.walk.gait import AXES, Trunk
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack
-from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.path import path_over
 from vlp16emu.extras.walk.route import Route
 from vlp16emu.extras.walk.settings import Gait, Mast, Walk
 from vlp16emu.extras.walk.way_points import around, way_points
@@ -126,7 +126,7 @@ def walk_over(walk: Walk, site: Site, gps: Gps, *, start_ns: int, seed: int) -> 
     points = way_points(walk, gps, site.origin_m[:2])
     if site.obstacles is not None:
         points = around(points, *site.obstacles)
-    path = Path(points.xy_m, site.height_m, site.name)
+    path = path_over(points.xy_m, site.height_m, site.name)
     return WalkMotion(walk, Route(path, walk, points.pause_s), start_ns=start_ns, seed=seed), path.xy_m
 
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,21 +35,13 @@ _GAUSS = (
 )  # places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)
 
 
-class _Laid(NamedTuple):
-    """What decides a path."""
-
-    curve: Spline  # by arc length
-    heading_rad: F8  # (m,) at its knots, continuous
-    closed: bool  # whether the path goes on at its start; then arc lengths may go on beyond the length
-    way_points_at_m: F8  # (n,) arc length of each waypoint
-    xy_m: F8  # (m, 2) points of the path 0.25 m apart at most
-
-
 class Path:
     """A curve through waypoints that follows the ground: four times continuously differentiable.
 
     It is a quintic spline whose parameter is its length, up and down included; a walker's
     hip smooths the ground, so the curve takes the mean of the heights from a pace behind to one ahead.
+    The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
+    quintic, since the second time derivative of the heading takes three derivatives of the position.
 
     Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, where the curve turns with a
     radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km.
@@ -60,15 +51,33 @@ class Path:
     way_points_m : (n, 2) float64, x and y in the world, n >= 2; where the last is the first (within
         1 cm), the path is a loop that closes smoothly
     height_m : ground height
-    ground : name of all that decides it; empty where nothing is kept on disk
     """
 
-    def __init__(self, way_points_m: F8, height_m: HeightField, ground: str = "") -> None:
-        name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
-        laid = recalled(name, lambda: _curve_through(way_points_m, height_m))
-        self._curve, self._heading_rad = laid.curve, laid.heading_rad
+    def __init__(self, way_points_m: F8, height_m: HeightField) -> None:
+        _check_way_points(way_points_m)
+        closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)
+        self.closed = closed  # whether the path goes on at its start; then arc lengths may go on beyond the length
+        origin_m = np.append(way_points_m[0], 0.0)
+        points_m = way_points_m - way_points_m[0]
+        if closed:
+            points_m[-1] = points_m[0]
+        # Centripetal parameters keep the curve from looping where waypoints are unevenly spaced
+        # (Lee, "Choosing nodes in parametric curve interpolation", CAD 21(6), 1989).
+        u = np.concatenate([[0.0], np.cumsum(np.sqrt(norm(np.diff(points_m, axis=0))))])
+        cubic = interpolant(u, points_m, ends="periodic" if closed else "natural")
+        knots, at_way_points = _knots(cubic, u, way_points_m, closed)
+        plan, along_m = _by_length(cubic, knots, closed)
+        z_m = _heights(plan, along_m, origin_m, height_m, closed)
+        solid = _spline(along_m, np.column_stack([plan(along_m), z_m(along_m)]), closed)
+        _check_slope(solid, along_m, origin_m)
+        self._curve, knots_m = _by_length(solid, along_m, closed)
+        self.xy_m = np.ascontiguousarray((self._curve(knots_m) + origin_m)[:, :2])
+        """(m, 2) points of the path 0.25 m apart at most."""
+        self._curve.powers[0] += origin_m
+        east, north, _ = self._curve(knots_m, 1).T
+        self._heading_rad = np.unwrap(atan2(north, east))  # (m,) at the knots, continuous
+        self.way_points_at_m = knots_m[at_way_points]  # (n,) arc length of each waypoint
         self.length_m = float(self._curve.breaks[-1])
-        self.closed, self.way_points_at_m, self.xy_m = laid.closed, laid.way_points_at_m, laid.xy_m
 
     def derivatives_at(self, s_m: F8) -> tuple[F8, F8]:
         """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
@@ -101,6 +110,12 @@ class Path:
         return lap, np.clip(s_m - lap * self.length_m, 0.0, self.length_m)
 
 
+def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
+    """Return the path over a ground of that name, laid once and then read from the user's store; empty if none is kept."""
+    name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
+    return recalled(name, lambda: Path(way_points_m, height_m))
+
+
 @numba.njit(cache=True, nogil=True)
 def limit_slope(values: F8, step: F8) -> None:
     """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] >= 0 at most."""
@@ -108,36 +123,6 @@ def limit_slope(values: F8, step: F8) -> None:
         values[i + 1] = min(values[i + 1], values[i] + step[i])
     for i in range(values.size - 2, -1, -1):
         values[i] = min(values[i], values[i + 1] + step[i])
-
-
-def _curve_through(way_points_m: F8, height_m: HeightField) -> _Laid:
-    """Curve through waypoints (w, 2) over the ground; closed where the last waypoint is the first.
-
-    The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
-    quintic, since the second time derivative of the heading takes three derivatives of the position.
-
-    Raises TrajectoryError if a person cannot walk through the waypoints.
-    """
-    _check_way_points(way_points_m)
-    closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)
-    origin_m = np.append(way_points_m[0], 0.0)
-    points_m = way_points_m - way_points_m[0]
-    if closed:
-        points_m[-1] = points_m[0]
-    # Centripetal parameters keep the curve from looping where waypoints are unevenly spaced
-    # (Lee, "Choosing nodes in parametric curve interpolation", CAD 21(6), 1989).
-    u = np.concatenate([[0.0], np.cumsum(np.sqrt(norm(np.diff(points_m, axis=0))))])
-    cubic = interpolant(u, points_m, ends="periodic" if closed else "natural")
-    knots, at_way_points = _knots(cubic, u, way_points_m, closed)
-    plan, along_m = _by_length(cubic, knots, closed)
-    z_m = _heights(plan, along_m, origin_m, height_m, closed)
-    solid = _spline(along_m, np.column_stack([plan(along_m), z_m(along_m)]), closed)
-    _check_slope(solid, along_m, origin_m)
-    spline, knots_m = _by_length(solid, along_m, closed)
-    xy_m = np.ascontiguousarray((spline(knots_m) + origin_m)[:, :2])
-    spline.powers[0] += origin_m
-    east, north, _ = spline(knots_m, 1).T
-    return _Laid(spline, np.unwrap(atan2(north, east)), closed, knots_m[at_way_points], xy_m)
 
 
 def _check_way_points(way_points_m: F8) -> None:
