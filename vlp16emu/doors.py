@@ -141,7 +141,7 @@ def added(group: str) -> Iterator[tuple[str, Any]]:
         try:
             yield name, _load(entry)
         except InputError as error:
-            _log.info("%s", error)  # whoever asks for it by name gets the line as an error
+            _log.info("%s", error)  # a scene or command that names it gets the line as an error
 
 
 @cache

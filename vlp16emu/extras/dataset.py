@@ -35,7 +35,7 @@ from vlp16emu.output import OutputFile, lock
 from vlp16emu.random import Purpose, generator
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, find, load
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import require_packets
 from vlp16emu.settings import Fraction, Section, toml
 from vlp16emu.types import U4
 from vlp16emu.units import S_NS
@@ -152,7 +152,7 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
         own = scene == Path(stand.scene)  # a path, not a name
         scenario = load(folder / scene if own else scene, settings)
         if spec.layout == "pcap+truth":
-            on_the_wire(scenario.sensor)
+            require_packets(scenario.sensor)
         names = stand.name, path.name, sensor.name
         walks.append(DatasetWalk(len(walks), *names, split_of[stand.name], spec.layout, scenario))
     return walks

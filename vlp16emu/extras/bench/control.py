@@ -25,7 +25,7 @@ from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import require_packets
 from vlp16emu.sinks import UdpSink, UnderWay
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -59,7 +59,7 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
 
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
-    sensor = on_the_wire(unit.section)
+    sensor = require_packets(unit.section)
     places = {key: getattr(sensor, key) for key in ("data_port", "position_port", "address")}
     return _showing(DeviceSettings(host=host, **places), InForce.of(sensor))
 
@@ -95,7 +95,7 @@ class Control:
         """What the web interface of each sensor shows and sets."""
 
     def _device(self, unit: Unit, saved: Path | None) -> Device:
-        sensor, n = on_the_wire(unit.section), unit.number
+        sensor, n = require_packets(unit.section), unit.number
         return Device(
             self._factory[n],
             status=partial(self.status, n),
