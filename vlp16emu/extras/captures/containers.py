@@ -15,7 +15,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, pcap_frames, read
+from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, not_a_capture, pcap_frames, read
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
