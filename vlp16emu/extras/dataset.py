@@ -182,11 +182,10 @@ def finished(out: Path, walk: DatasetWalk) -> Entry | None:
 
     OutputError if its place holds a file that is not listed, or not so: it is somebody else's.
     """
-    entry = _listed(out / walk.folder)
-    ours = _ours(out / walk.folder)
+    folder = out / walk.folder
+    entry, ours = _listed(folder), _ours(folder)
     if entry.items() >= identity(walk).items() and len(ours) == len(entry["files"]) + 1:
         return entry
-    folder = out / walk.folder
     if strange := {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()} - ours:
         found = f"{min(strange).relative_to(out)} is there, and no {_LIST} lists it so"
         raise OutputError(str(out), found, "a new folder, or one of an earlier run")
