@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 os.environ["VLP16EMU_CACHE_DIR"] = "off"
+os.environ.pop("VLP16EMU_CACHE_MB", None)
 # Two workers have a core each: threads of linear algebra would spin beside them for nothing.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # Hypothesis keeps paths of the machine beside the examples that it found: not in the checkout.
@@ -28,10 +29,8 @@ ALLOWED_SKIPS = {
 }
 """Parts of the reasons for which a test may be skipped with CI=true, and why."""
 
-WOODS = "VLP16EMU_TEST_WOODS"
-"""Variable that names the folder of `kept_woods` to workers."""
-GROWN = deque(maxlen=6)
-"""Engines whose worlds `kept_woods` lends to others of the same way through the same world."""
+WOODS = "VLP16EMU_TEST_WOODS"  # variable that names the folder of `kept_woods` to workers
+GROWN = deque(maxlen=6)  # engines whose worlds `kept_woods` lends to others of the same way through the same world
 
 
 def pytest_configure(config):
@@ -129,6 +128,21 @@ def _memory_is_kept():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("vlp16emu.raycast.embree.give_memory_back", lambda: None)
         yield
+
+
+@pytest.fixture
+def refused(capsys):
+    """Run a command line that is bad input, and return the one line that says so."""
+    from vlp16emu.cli.app import run
+
+    def line_of(words):
+        capsys.readouterr()
+        assert run([str(word) for word in words]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        return error
+
+    return line_of
 
 
 @pytest.fixture(scope="session")

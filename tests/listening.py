@@ -1,13 +1,16 @@
-"""Receivers on free ports of the loopback."""
+"""Receivers on free ports of the loopback, and of sentences."""
 
 import contextlib
 import socket
 import threading
 
-from vlp16emu.sinks import PacketSink
+import pynmea2
 
-SO_RCVBUFFORCE = 33
-"""Source: asm-generic/socket.h."""
+from vlp16emu.packets.nmea import KNOT_M_S, utc_ns
+from vlp16emu.sinks import PacketSink
+from vlp16emu.types import GnssFix
+
+SO_RCVBUFFORCE = 33  # source: asm-generic/socket.h
 
 
 class MemorySink(PacketSink):
@@ -19,6 +22,13 @@ class MemorySink(PacketSink):
     def send(self, packet):
         """Keep one packet."""
         self.packets.append(packet)
+
+
+def parse_rmc(sentence):
+    """Fix of a sentence, as pynmea2 reads it."""
+    said = pynmea2.parse(sentence.decode("ascii"), check=True)
+    t_ns, speed_m_s = utc_ns(said.data[8], said.data[0]), said.spd_over_grnd * KNOT_M_S
+    return GnssFix(t_ns, said.is_valid, said.latitude, said.longitude, speed_m_s, said.true_course)
 
 
 def opened(timeout_s=30.0):

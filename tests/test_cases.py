@@ -12,7 +12,7 @@ import pytest
 
 from vlp16emu.cli.app import run
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.given_stand import read_stem_list
 
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases"
@@ -27,8 +27,7 @@ class Case(NamedTuple):
     file: str
     options: str
     code: int
-    right: Callable[[Any], bool]
-    """Of the JSON object, or of the error line after exit code 2."""
+    right: Callable[[Any], bool]  # of the JSON object, or of the error line after exit code 2
     authority: str
 
 
@@ -113,10 +112,10 @@ def test_stamps_without_gps_are_those_of_the_host_and_of_the_sensor_on_request(t
 def test_lists_of_stems_are_read_as_spreadsheets_write_them(file):
     """A German Excel's `;`, decimal comma and BOM (ezbookkeeping#458), and the NA of R's `write.csv`, leave the list's 22 trees."""
     plain = len((CASES / file).read_text("utf-8-sig").splitlines()) - 1
-    assert len(read_stem_list(CASES / file, species_table(), (0.0, 0.0, 0.0))) == plain > 20
+    assert len(read_stem_list(CASES / file, flora().trees, (0.0, 0.0, 0.0))) == plain > 20
 
 
 def test_a_list_of_another_encoding_names_the_line_and_the_encoding():
     """UTF-8 is documented: the line says where the first other byte is, and that it is Windows-1252."""
     with pytest.raises(GeometryError, match="line 2: no UTF-8 text: byte f6, in Windows-1252"):
-        read_stem_list(CASES / "23d-stems-cp1252.csv", species_table(), (0.0, 0.0, 0.0))
+        read_stem_list(CASES / "23d-stems-cp1252.csv", flora().trees, (0.0, 0.0, 0.0))

@@ -13,18 +13,15 @@ import vlp16emu
 from vlp16emu import Emulator
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.options import Http
+from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 
-TABLES = {
-    "schema": 1,
-    "seed": 5,
-    "duration_s": 3600.0,  # longer than any of these tests on the busiest machine
-    "beam": {"model": "none"},
-    "motion": {"kind": "static"},
-    "world": {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0},
-}
-QUICK = {"look_ahead": 256, "truth": False}
+HALL = {"gps.connected": True, "duration_s": 3600.0}  # longer than any of these tests on the busiest machine
+
+
+def stream(**options):
+    return vlp16emu.stream("static_bench", HALL, look_ahead=256, truth=False, **options)
 
 
 def get(http, path):
@@ -57,8 +54,7 @@ def stamp_us(payload):
 
 def azimuths(payload):
     """Azimuths of a data packet, in 0.01 degrees."""
-    blocks = np.frombuffer(payload[:1200], np.uint8).reshape(12, 100).astype(int)
-    return blocks[:, 2] + 256 * blocks[:, 3]
+    return np.frombuffer(payload, DATA_PAYLOAD)["blocks"]["azimuth_cdeg"][0].astype(int)
 
 
 def test_a_return_mode_is_followed_without_a_gap(tmp_path):
@@ -74,7 +70,8 @@ def test_a_return_mode_is_followed_without_a_gap(tmp_path):
             stop.set()
 
     places = []
-    emulator = Emulator(load(TABLES | {"sensor": {"data_port": data.port, "position_port": 9}}), threads=1)
+    ports = {"sensor.data_port": data.port, "sensor.position_port": 9}
+    emulator = Emulator("static_bench", HALL | ports, threads=1)
     http = Http("127.0.0.1:0", None, places.extend)
     streamed = emulator.stream(http=http, stop=stop, truth=tmp_path / "t", progress=steer)
     payloads = data.end()
@@ -90,7 +87,7 @@ def test_a_return_mode_is_followed_without_a_gap(tmp_path):
 
 def test_speed_laser_and_field_of_view_are_followed():
     """The rotor runs up, azimuths stay in the field of view, and without laser data packets cease and position packets do not."""
-    with vlp16emu.stream(TABLES, **QUICK) as live:
+    with stream() as live:
         post(live.http, "setting", "rpm=1200")
         until(live, lambda payload: 50 < np.median(np.diff(azimuths(payload))) < 100)
         assert get(live.http, "status")["motor"]["rpm"] > 700
@@ -109,7 +106,7 @@ def test_speed_laser_and_field_of_view_are_followed():
 def test_another_receiver_gets_the_packets():
     """Packets go to the host and ports that are set."""
     data, position = Listener(), Listener()
-    with vlp16emu.stream(TABLES, **QUICK) as live:
+    with stream() as live:
         post(live.http, "setting/host", f"dport={data.port}&tport={position.port}")
         assert data.came.wait(30)
         assert position.came.wait(30)
@@ -122,7 +119,7 @@ def test_events_of_the_scene_show_in_the_web_interface():
         {"kind": "setting", "at_s": 0.5, "return_mode": "dual", "phase_lock_deg": 90.0},
         {"kind": "http_error", "at_s": 1.5, "status": 503},
     ]
-    with vlp16emu.stream({**TABLES, "events": events}, **QUICK) as live:
+    with vlp16emu.stream("static_bench", HALL | {"events": events}, look_ahead=256) as live:
         first_us = stamp_us(until(live, lambda payload: payload[1204] == 0x39))
         settings = get(live.http, "settings")
         assert settings["returns"] == "Dual"
@@ -134,7 +131,7 @@ def test_events_of_the_scene_show_in_the_web_interface():
 
 def test_a_stream_to_this_machine_is_sent_to_no_other():
     """The web interface refuses a receiver on another machine, and the packets stay here."""
-    with vlp16emu.stream(TABLES, **QUICK) as live:
+    with stream() as live:
         with pytest.raises(urllib.error.HTTPError, match="500"):
             post(live.http, "setting/host", "addr=192.0.2.77")
         assert get(live.http, "settings")["host"]["addr"] == "127.0.0.1"
@@ -144,7 +141,7 @@ def test_a_stream_to_this_machine_is_sent_to_no_other():
 def test_a_reset_loses_what_was_not_saved(tmp_path):
     """After a reset all is silent, the web too; then the saved settings hold, the clock begins anew, and they hold in the next run."""
     http = Http("127.0.0.1:0", tmp_path / "saved.json")
-    with vlp16emu.stream(TABLES, http=http, **QUICK) as live:
+    with stream(http=http) as live:
         post(live.http, "setting", "returns=Last")
         post(live.http, "save", "data=submit")
         post(live.http, "setting", "returns=Dual")
@@ -157,6 +154,6 @@ def test_a_reset_loses_what_was_not_saved(tmp_path):
         assert payload[1204] == 0x38
         assert stamp_us(payload) < 100_000
         assert get(live.http, "settings")["returns"] == "Last"
-    with vlp16emu.stream(TABLES, http=http, **QUICK) as live:
+    with stream(http=http) as live:
         until(live, lambda payload: payload[1204] == 0x38)
         assert get(live.http, "settings")["returns"] == "Last"

@@ -2,14 +2,15 @@
 
 import hashlib
 import itertools
+import math
 
 import numpy as np
 import pytest
 from woods import THIN
 
 from vlp16emu import Emulator
-from vlp16emu.errors import TrajectoryError
-from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
+from vlp16emu.errors import InputError, TrajectoryError
+from vlp16emu.packets import DATA_PAYLOAD
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 
@@ -59,17 +60,6 @@ def test_packets_leave_in_order_at_the_manuals_rate(mode):
     assert 65 <= len(position) <= 81
 
 
-def test_wire_agrees_with_the_cast_truth():
-    """Every distance on the wire is the cast one to half a step of the 2 mm grid."""
-    emulator = Emulator(hall())
-    payload = b"".join(p.payload for p in emulator.packets(0, BLOCK_S + 1e-6) if p.kind is PacketKind.DATA)
-    blocks = np.frombuffer(payload, DATA_PAYLOAD)["blocks"]
-    sent_m = blocks["records"]["distance_lsb"].reshape(-1, 16) * DISTANCE_LSB_M
-    cast_m = np.concatenate([returns.distance_m[..., 0] for returns in emulator.returns(0, BLOCK_S)])
-    assert (sent_m > 0).all()
-    assert np.abs(sent_m - cast_m[: len(sent_m)]).max() <= 0.001 + 1e-5
-
-
 def test_walk_ends_where_its_path_ends(birch):
     """A span beyond the walk's run time is refused before anything is computed."""
     with pytest.raises(
@@ -83,6 +73,14 @@ def test_nothing_is_before_the_first_pulse(birch):
     for span in (Emulator(birch).packets, Emulator(birch).returns):
         with pytest.raises(TrajectoryError, match=r"^start: found -0.5 s; expected 0 s or later$"):
             span(-0.5, 1.0)
+
+
+@pytest.mark.parametrize("seconds", [math.nan, math.inf])
+def test_a_time_that_is_none_is_refused(birch, seconds):
+    """NaN and infinity are refused at either end of a span."""
+    for span_s in ((seconds, 1.0), (0.0, seconds)):
+        with pytest.raises(InputError, match=f"^time: found {seconds} s; expected a finite number$|^duration: "):
+            Emulator(birch).packets(*span_s)
 
 
 @pytest.mark.usefixtures("kept_woods")

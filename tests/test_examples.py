@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 
 from vlp16emu import decode
-from vlp16emu.errors import ScenarioError
-from vlp16emu.scenario import load
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "tools" / "examples"
@@ -229,9 +227,3 @@ def test_a_broken_entry_point_is_one_line_that_names_it(said, entry):
 def test_who_asks_for_nothing_of_another_package_hears_nothing_of_it(said):
     """A scene of ours is read beside broken entry points without a word, and no entry point is looked up for it."""
     assert said[0].startswith("0\n")
-
-
-def test_a_word_that_nobody_has_is_answered_with_those_there_are():
-    """An unknown kind of world is refused with ours."""
-    with pytest.raises(ScenarioError, match=r'world\.kind: found "moon"; expected "forest", "hall" or "plot"'):
-        load("static_bench", ["world={kind='moon'}"])

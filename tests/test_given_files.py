@@ -9,7 +9,7 @@ from vlp16emu.extras.meshes.files import load_mesh
 from vlp16emu.extras.recorded.files import read_kitti, read_trajectory_csv, read_tum
 from vlp16emu.extras.walk.way_points import read_way_points
 from vlp16emu.forest.ground.dem import read_grid
-from vlp16emu.forest.plants.species import flora, species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.given_stand import read_stem_list
 from vlp16emu.motion.settings import Gps
 from vlp16emu.scenario import load
@@ -20,7 +20,7 @@ def mesh(path):
 
 
 def stems(path):
-    return read_stem_list(path, species_table(), (0.0, 0.0, 0.0))
+    return read_stem_list(path, flora().trees, (0.0, 0.0, 0.0))
 
 
 def way(path):

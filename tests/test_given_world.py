@@ -47,8 +47,7 @@ reflectance = 0.3
 places = [{{ x_m = 4.0, y_m = -3.0, above_ground_m = 1.0, yaw_deg = 30.0, scale = 2.0 }}]
 """
 TREES_M = [(6.0, 4.0), (-5.0, 3.0), (-4.0, -6.0), (9.0, -9.0), (-8.0, 9.0)]
-BOX_M = np.array([0.8, 1.2, 1.0])
-"""Of the box as it stands: along its own east, north and up, scaled by two."""
+BOX_M = np.array([0.8, 1.2, 1.0])  # of the box as it stands: along its own east, north and up, scaled by two
 
 
 @pytest.fixture(scope="module")

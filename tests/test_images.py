@@ -10,7 +10,7 @@ from woods import THIN
 from vlp16emu import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.extras.images.images import write_images
+from vlp16emu.extras.images import write_images
 
 OpenEXR = pytest.importorskip("OpenEXR", reason="extra images")
 Image = pytest.importorskip("PIL.Image", reason="extra images")

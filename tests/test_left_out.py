@@ -12,15 +12,14 @@ import vlp16emu.engine.engine as page
 from vlp16emu import Emulator
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.walk import gait, motion, pack
-from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.far import FarCaster
 from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.raycast import near as fast
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
 
-SPAN_S = 0.05
-"""Less than one block."""
+SPAN_S = 0.05  # less than one block
 
 
 class TouchedError(AssertionError):
@@ -60,22 +59,6 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
     first()
     with pytest.raises(TouchedError):
         first("beam.model=adaptive")
-
-
-def test_one_ray_is_held_once(monkeypatch):
-    """Of a pulse that is one ray one hit is held, in arrays that have room for no more."""
-    seen = []
-    monkeypatch.setattr(page, "detect", lambda firings, hits, *_, **__: seen.append((firings.t_ns.size, hits)))
-    first()
-    first("beam={ model = 'fixed', rays = 8 }")
-    sizes = {
-        (
-            len(hits.range_m) / pulses,
-            memoryview(hits.range_m if hits.range_m.base is None else hits.range_m.base).nbytes / pulses,
-        )
-        for pulses, hits in seen
-    }
-    assert sizes == {(1, 4), (8, 12 * 8)}  # of several, range, surface and cosine in one array
 
 
 def depends_on_seed(*settings):
@@ -128,22 +111,23 @@ def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
     assert len(Emulator(birch(), threads=1).parts.motion.poses_at(t_ns).t_ns) == 1000
 
 
-def test_without_gait_nothing_swings(monkeypatch):
-    """A bare walk, with straps too, asks neither the trunk nor the pack for anything; one with a gait does."""
-    forbid(monkeypatch, (gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_sit"))
-    t_ns = birch().start_ns + np.arange(10, dtype=np.int64)
-    Emulator(birch("motion.gait={ preset = 'none' }", "motion.harness={}"), threads=1).parts.motion.poses_at(t_ns)
-    with pytest.raises(TouchedError):
-        Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
+BARE, STRAPS = "motion.gait={ preset = 'none' }", "motion.harness={}"
 
 
-def test_without_a_harness_nothing_is_solved(monkeypatch):
-    """Straps are solved only where there are some."""
-    forbid(monkeypatch, (pack, "_swing"))
+@pytest.mark.parametrize(
+    ("places", "without", "beside"),
+    [
+        ([(gait.Trunk, "at"), (pack.Pack, "nodes"), (motion, "_sit")], [BARE, STRAPS], []),
+        ([(pack, "_swing")], [], [STRAPS]),
+    ],
+)
+def test_a_walk_computes_no_sway_that_it_has_not(monkeypatch, places, without, beside):
+    """Without gait neither trunk nor pack is asked, with straps too, and straps are solved only where there are some."""
+    forbid(monkeypatch, *places)
     t_ns = birch().start_ns + 2 * 10**9 + np.arange(10, dtype=np.int64)
-    Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
+    Emulator(birch(*without), threads=1).parts.motion.poses_at(t_ns)
     with pytest.raises(TouchedError):
-        Emulator(birch("motion.harness={}"), threads=1).parts.motion.poses_at(t_ns)
+        Emulator(birch(*beside), threads=1).parts.motion.poses_at(t_ns)
 
 
 @pytest.mark.parametrize("setting", ["gps.connected=false", "gps={ connected = true, canopy_loss = false }"])
@@ -173,7 +157,7 @@ def test_still_air_moves_nothing():
 @pytest.mark.usefixtures("kept_woods")
 def test_a_medium_out_of_sight_is_not_made(monkeypatch):
     """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they are."""
-    forbid(monkeypatch, (Far, "medium"))
+    forbid(monkeypatch, (FarCaster, "medium"))
     next(Emulator(birch("sensor.max_range_m=8", "world.near_m=8"), threads=1).returns(0.0, SPAN_S))
     with pytest.raises(TouchedError):
         next(Emulator(birch("sensor.max_range_m=8", "world.near_m=7.9"), threads=1).returns(0.0, SPAN_S))

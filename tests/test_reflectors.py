@@ -11,8 +11,7 @@ from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 
 TURN_S = 0.1
-PLATE_M = 8.94
-"""From the sensor to the face of the reflector of `static_bench`."""
+PLATE_M = 8.94  # from the sensor to the face of the reflector of `static_bench`
 
 
 def decoded(scenario):

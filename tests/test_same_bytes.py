@@ -17,7 +17,7 @@ from vlp16emu.scenario import load
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 
 ROOMS = (
-    "elementary.py", "engine", "extras/clouds/place.py", "extras/imu", "extras/live", "extras/meshes",
+    "elementary.py", "engine", "extras/clouds/scan.py", "extras/imu", "extras/live", "extras/meshes",
     "extras/splines.py", "extras/walk", "foliage", "forest", "motion", "packets", "random.py", "raycast", "returns",
     "run/stream.py", "sensor", "trig.py", "types.py", "units.py", "world",
 )  # fmt: skip

@@ -58,14 +58,6 @@ def test_a_planted_difference_is_found_at_its_stage(check, hall, name):
     assert out.endswith("different: one thread\n")
 
 
-def test_the_same_arrays_pass(check, hall):
-    """Arrays that are the same give exit code 0, and an environment that changes no answer is said to have no effect."""
-    code, out = check(lambda _: hall)
-    assert code == 0
-    assert "numpy without dispatch; one thread; in three pieces | none here, none here, none here | same |" in out
-    assert out.endswith("different: none\n")
-
-
 def test_a_difference_among_environments_that_share_a_process_is_traced_to_one(check, hall):
     """Where a process differs, each of its environments runs alone, and the one that differs is named."""
     code, out = check(lambda environment: nudged(hall, "hits/range_m") if "pieces" in environment.name else hall)

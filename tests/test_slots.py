@@ -26,8 +26,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 SPAN_S = 0.25
 EDGE_M = 0.002
-Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-"""From rows of glTF, whose y is up, to those of the world."""
+Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from rows of glTF, whose y is up, to those of the world
 
 
 def data_payloads(path):

@@ -14,8 +14,7 @@ from vlp16emu.foliage.tiles import STEM
 from vlp16emu.scenario import load
 from vlp16emu.store import Store, digest_of, recalled, user_store
 
-ABROAD = 4711
-"""A user that is not us."""
+ABROAD = 4711  # a user that is not us
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import velodyne_decoder
+from listening import parse_rmc
 from scipy.spatial.transform import Rotation, Slerp
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
 from vlp16emu.errors import ScenarioError
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
 from vlp16emu.motion.gnss import to_geodetic
@@ -37,6 +37,7 @@ def walk():
         "gps.connected=true",
         "gps.canopy_half_cover=0.5",
         "start_utc=2026-05-20T09:00:00.25Z",
+        "beam.model=none",
     ]
     return Emulator(load("static_bench", settings))
 
@@ -52,12 +53,6 @@ def tum(path):
     rows = [line.split() for line in path.read_text().splitlines() if not line.startswith("#")]
     t_ns = [int(row[0].replace(".", "")) for row in rows]
     return np.array(t_ns), np.array([[float(word) for word in row[1:]] for row in rows])
-
-
-def test_a_packet_that_was_taken_and_not_sent_has_no_row(walk, tmp_path):
-    """Whoever stops at a packet, as a recording does on Ctrl-C, has rows for those before it only."""
-    taken = written(walk, tmp_path, 0.0, 1.0, per_packet=True, most=100)
-    assert len(tum(tmp_path / "packets.tum")[0]) == sum(packet.kind is PacketKind.DATA for packet in taken[:-1])
 
 
 def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
@@ -108,7 +103,7 @@ def test_gnss_rows_are_what_the_sentences_say(walk, tmp_path):
 
 def test_the_inertial_unit_is_written_whole(tmp_path):
     """Every sample from the first pulse on stands in imu.csv as the unit reads it, at the unit's own rate."""
-    emulator = Emulator(load("static_bench", ["imu.rate_hz=130", "imu.preset=consumer"]))
+    emulator = Emulator(load("static_bench", ["imu.rate_hz=130", "imu.preset=consumer", "beam.model=none"]))
     packets = written(emulator, tmp_path, 0.0, 1.5)
     lines = (tmp_path / "imu.csv").read_text().splitlines()
     axes = "wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2"
@@ -212,14 +207,19 @@ def test_a_sensor_without_packets_has_truth(tmp_path):
     t_ns, _ = tum(tmp_path / "t" / "trajectory.tum")
     assert len(t_ns) in {101, 102}
     assert json.loads((tmp_path / "t" / "rig.json").read_text())["units"][0]["model"] == "free"
+    assert not (tmp_path / "t" / "events.csv").exists()  # without events
     with pytest.raises(ScenarioError, match=r'found "free", which has no packets'):
         write_truth(emulator, TruthTo(tmp_path / "no", per_packet=True), duration_s=0.5)
     assert not (tmp_path / "no").exists()
 
 
 def test_a_run_that_is_left_can_be_repeated(walk, tmp_path):
-    """The scenario of a run that is ended early ends behind its last packet, and gives these packets again; so do poses, in whole lines."""
-    packets = written(walk, tmp_path, 0.5, 10.0, most=300)
+    """The scenario of a run that is ended early ends behind its last packet, and gives these packets again; so do poses, in whole lines.
+
+    The packet that was taken last and not sent, as by a recording that Ctrl-C ends, has no row.
+    """
+    packets = written(walk, tmp_path, 0.5, 10.0, per_packet=True, most=300)
+    assert len(tum(tmp_path / "packets.tum")[0]) == sum(packet.kind is PacketKind.DATA for packet in packets[:-1])
     t_ns, _ = tum(tmp_path / "trajectory.tum")
     assert packets[-1].due_ns <= t_ns[-1] < packets[-1].due_ns + 10_000_000
     assert (tmp_path / "trajectory.tum").read_text().endswith("\n")

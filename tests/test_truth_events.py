@@ -118,9 +118,3 @@ def test_packets_have_poses_as_they_arrive(run, tmp_path):
     lines = (tmp_path / "truth" / "packets.tum").read_text().splitlines()[1:]
     fired = [packet.fired_ns for packet in after if packet.kind is PacketKind.DATA]
     assert [int(line.split()[0].replace(".", "")) for line in lines] == fired
-
-
-def test_a_run_without_events_has_no_such_file(tmp_path):
-    """The folder of truth is as it was."""
-    write_truth(emulator(), TruthTo(tmp_path / "truth"), duration_s=0.1)
-    assert not (tmp_path / "truth" / "events.csv").exists()

@@ -6,7 +6,7 @@ for the second window, with the first one open and what it was made of kept.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from rich.box import MARKDOWN
@@ -15,7 +15,6 @@ from rich.table import Table
 from vlp16emu import Emulator
 from vlp16emu.engine.windows import BLOCK, SEGMENT, STEPS
 from vlp16emu.packets import pack_data
-from vlp16emu.raycast.beam import LINE
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
@@ -30,10 +29,7 @@ SETTINGS = {
     "one ray": ["beam.model=none"],
     "one ray, ideal": ["beam.model=none", "noise.preset=ideal"],
 }
-COUNTS = (8, 16, 32, 64)
-TARGETS_M = (0.03, 0.08)
-RUNS = 4
-"""Over the window."""
+RUNS = 4  # over the window
 NEAR, CAST = "cast, near", "cast"
 
 
@@ -102,26 +98,8 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
     return {name: best(do, repeats) / (RUNS * together * BLOCK_S) for name, do in work.items()}
 
 
-def beams(emulator: Emulator, opened: Geometry, repeats: int) -> Table:
-    """Cast one block with several beams."""
-    unit, far_m = emulator.parts.units[0], emulator.scenario.sensor.max_range_m
-    firings = unit.head.aim(0, BLOCK, unit.motion.poses_at, beam_axis=True)
-    near_m, usual = unit.head.beams.near_m, unit.beam
-    kinds = {"one ray": LINE, f"adaptive, {usual.section.target_m:g} m": usual}
-    kinds |= {f"adaptive, {target_m:g} m": usual.changed(target_m=target_m) for target_m in TARGETS_M}
-    kinds |= {f"fixed {rays}": usual.changed(model="fixed", rays=rays) for rays in COUNTS}
-    heads = "beam", "rays per pulse", "s per s", "M pulses/s", "M rays/s"
-    table = Table(*heads, title="casting a block", box=MARKDOWN)
-    for name, beam in kinds.items():
-        hits = opened.cast(firings, near_m, far_m, beam)
-        seconds = best(lambda beam=beam: opened.cast(firings, near_m, far_m, beam), repeats)
-        speeds = (f"{number / seconds / 1e6:.2f}" for number in (hits.count.size, len(hits.range_m)))
-        table.add_row(name, f"{hits.count.mean():.2f}", f"{seconds / BLOCK_S:.3f}", *speeds)
-    return table
-
-
-def tables(scene: str, repeats: int) -> Iterator[Table]:
-    """Measure stages and beams."""
+def stage_table(scene: str, repeats: int) -> Table:
+    """Measure the stages."""
     cost: dict[str, dict[str, float]] = {}
     for name, own in SETTINGS.items():
         emulator = Emulator(load(scene, own), threads=2)
@@ -135,6 +113,4 @@ def tables(scene: str, repeats: int) -> Iterator[Table]:
     # `aim` is timed with poses given, and what is cast near by is a part of `cast`.
     sums = (sum(s for stage, s in column.items() if stage != NEAR) for column in cost.values())
     table.add_row("sum", *(f"{total:.4f}" for total in sums))
-    yield table
-    wide = Emulator(load(scene, ["beam.model=adaptive"]), threads=1)  # whatever the scene has
-    yield beams(wide, opened, repeats)
+    return table

@@ -37,7 +37,14 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "vlp-16": "vlp16emu.sensor.settings:Sensor",
     },
     "scenes": {},  # folders of scene files
-    "clouds": {},  # suffix -> writer; ours are in `extras/clouds`
+    "clouds": {
+        ".csv": "vlp16emu.extras.clouds.cloud:CsvFile",
+        ".npz": "vlp16emu.extras.clouds.cloud:NpzFile",
+        ".ply": "vlp16emu.extras.clouds.cloud:PlyFile",
+        ".pcd": "vlp16emu.extras.clouds.cloud:PcdFile",
+        ".las": "vlp16emu.extras.clouds.las:LasFile",
+        ".laz": "vlp16emu.extras.clouds.las:LazFile",
+    },
     "verbs": {  # in the order of the help
         "record": "vlp16emu.cli.record:record",
         "stream": "vlp16emu.cli.stream:stream",

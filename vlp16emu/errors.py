@@ -35,15 +35,11 @@ class InputError(Vlp16emuError):
     where : file, key path, packet number or argument
     found : what stands there
     expected : what would have been right; left out where the finding says it all
-    at_m : x and y of its place in the world, if it has one
     """
 
     exit_code = 2
 
-    def __init__(
-        self, where: str, found: str, expected: str | None = None, *, at_m: tuple[float, float] | None = None
-    ) -> None:
-        self.at_m = at_m
+    def __init__(self, where: str, found: str, expected: str | None = None) -> None:
         self.where, self.found = _shown(where, _LONGEST), _shown(found, _LONGEST_FOUND)
         self.expected = None if expected is None else _shown(expected, _LONGEST)
         super().__init__(where, found, expected)

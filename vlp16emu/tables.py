@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from vlp16emu.errors import InputError, readable
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 LARGEST = 1e8
@@ -85,7 +85,7 @@ class Table:
             raise self.error(self.where(row, column), f"found {found}" if found else "nothing", "a value")
         return cells
 
-    def numbers(self, *columns: str) -> Array:
+    def numbers(self, *columns: str) -> F8:
         """Return columns of numbers (n, c), or a single one (n,); NaN if a value is missing."""
         table = np.full((len(self), len(columns)), np.nan)
         for place, column in enumerate(columns):

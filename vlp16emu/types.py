@@ -22,8 +22,6 @@ U1 = NDArray[np.uint8]
 U2 = NDArray[np.uint16]
 U4 = NDArray[np.uint32]
 U8 = NDArray[np.uint64]
-Array = F8
-IntArray = I8
 
 
 class ReturnMode(StrEnum):
@@ -125,9 +123,9 @@ def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
 class Poses:
     """Poses of the body at n instants; n = 1 stands for a body that never moves."""
 
-    t_ns: IntArray  # (n,) UTC
-    world_R_body: Array  # (n, 3, 3) rotation, body to world
-    world_p_body_m: Array  # (n, 3) origin of the body in the world
+    t_ns: I8  # (n,) UTC
+    world_R_body: F8  # (n, 3, 3) rotation, body to world
+    world_p_body_m: F8  # (n, 3) origin of the body in the world
 
     def __post_init__(self) -> None:
         n = len(self.t_ns)
@@ -140,13 +138,13 @@ class Firings:
     """k firing sequences of L lasers, each pulse with its own instant, origin and direction."""
 
     index: int  # Number of the first firing sequence since the run began
-    t_ns: IntArray  # (k, L) UTC of each pulse
-    clock_ns: IntArray  # (k,) what the sensor's own clock shows at the first laser, ns past its hour
-    azimuth_deg: Array  # (k, L) true rotor angle of each pulse, [0, 360)
-    reading_deg: Array  # (k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors
-    origin_m: Array  # (k, L, 3) world; the point on the spin axis from which the range is measured
-    direction: Array  # (k, L, 3) world, unit length
-    beam_axis: Array | None
+    t_ns: I8  # (k, L) UTC of each pulse
+    clock_ns: I8  # (k,) what the sensor's own clock shows at the first laser, ns past its hour
+    azimuth_deg: F8  # (k, L) true rotor angle of each pulse, [0, 360)
+    reading_deg: F8  # (k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors
+    origin_m: F8  # (k, L, 3) world; the point on the spin axis from which the range is measured
+    direction: F8  # (k, L, 3) world, unit length
+    beam_axis: F8 | None
     """(k, L, 3) like `direction`, perpendicular to it, level in the sensor, to greater azimuths; None for pulses of one line."""
 
     def __post_init__(self) -> None:
@@ -222,6 +220,23 @@ class Packet:
     slots: NDArray[np.void] | None = None  # (384,) of a data packet: what is behind each record, only when asked for
 
 
+class PacketSink(Protocol):
+    """A destination of packets: a context manager that is open from the moment it is made.
+
+    Classes derived from it have nothing to close unless they say so.
+    """
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close what was opened."""
+        return
+
+    def send(self, packet: Packet) -> None:
+        """Let one packet leave at once."""
+
+
 @dataclass(frozen=True, slots=True)
 class Labels:
     """Ground truth of n points: the surface that each was reflected by."""
@@ -290,9 +305,9 @@ class Sway:
 
     start_ns: int  # UTC of the first knot
     step_ns: int  # Time from knot to knot
-    placement: IntArray  # (m,) in the window, ascending
-    foot_z_m: Array  # (m,) height of each one's foot in the world
-    shear: Array  # (k, m, 2) at each knot, towards x and y; at least two knots
+    placement: I8  # (m,) in the window, ascending
+    foot_z_m: F8  # (m,) height of each one's foot in the world
+    shear: F8  # (k, m, 2) at each knot, towards x and y; at least two knots
 
     def __post_init__(self) -> None:
         m = len(self.placement)
@@ -307,10 +322,10 @@ class Window:
     A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] + j`.
     """
 
-    origin_m: Array  # (3,) world; geometry is handed to the caster relative to it
+    origin_m: F8  # (3,) world; geometry is handed to the caster relative to it
     shapes: tuple[ShapeKey, ...]
     shape: I4  # (n,) index into `shapes`
-    world_T_shape: Array  # (n, 3, 4) affine; rigid, or scaled for crowns
+    world_T_shape: F8  # (n, 3, 4) affine; rigid, or scaled for crowns
     first_surface: U4  # (n,) row of `surfaces` of the placement's first mesh
     surfaces: NDArray[np.void]  # (m,) `SURFACE`
     sway: Sway | None = None  # Motion over the time of the window; None if nothing moves
@@ -326,7 +341,7 @@ class Window:
         return {}
 
 
-HeightField = Callable[[Array, Array], Array]  # Ground height in metres over arrays of x and y in metres
+HeightField = Callable[[F8, F8], F8]  # Ground height in metres over arrays of x and y in metres
 
 
 class World(Protocol):
@@ -343,7 +358,7 @@ class World(Protocol):
     def shape_name(self, key: ShapeKey) -> str:
         """Return all that decides a shape, in words; empty if it is not kept on disk."""
 
-    def window(self, track_m: Array) -> Window:
+    def window(self, track_m: F8) -> Window:
         """Return everything within reach of sensor positions (n, 3); it depends on nothing else."""
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:

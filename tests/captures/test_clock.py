@@ -14,8 +14,7 @@ from vlp16emu.sinks import PcapSink
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, S_NS
 
-NINE = 1_779_267_600 * S_NS
-"""2026-05-20 09:00 UTC."""
+NINE = 1_779_267_600 * S_NS  # 2026-05-20 09:00 UTC
 REAL = Path(__file__).resolve().parents[3] / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
 
 

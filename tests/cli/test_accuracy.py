@@ -16,7 +16,7 @@ def test_the_report_is_the_same_as_file_and_on_stdout(cli, tmp_path):
     assert json.loads((tmp_path / "new" / "accuracy_static_bench.json").read_text()) == tree
     assert (tmp_path / "new" / "accuracy_static_bench.png").read_bytes()[:4] == b"\x89PNG"
     assert [row["name"] for row in tree["rows"] if row["in_use"]] == ["beam.model=none"]
-    assert set(tree["front"]) <= {row["name"] for row in tree["rows"]}
+    assert {one["take"] for one in tree["choices"]} <= {row["name"] for row in tree["rows"]}
 
 
 def test_people_get_a_table_and_an_advice(cli):

@@ -77,16 +77,8 @@ BAD = [
     ("record static_bench x --bad", 2, "No such option: --bad; see `vlp16emu record --help`"),
     ("record nope {tmp}/x.pcap", 2, "scene 'nope': unknown name; expected birch_walk, "),
     ("record {tmp}/no.toml {tmp}/x.pcap", 2, "{tmp}/no.toml: no such file or directory; expected a scene file"),
-    (
-        "record static_bench {tmp}/no/x.pcap",
-        2,
-        "{tmp}/no/x.pcap: No such file or directory; expected a file that can be ",
-    ),
-    (
-        "record static_bench /dev/full --duration 1",
-        1,
-        "/dev/full: No space left on device at packet 1; no file is written",
-    ),
+    ("record static_bench {tmp}/no/x.pcap", 2, "{tmp}/no/x.pcap: No such file or directory; expected a file that can be "),
+    ("record static_bench /dev/full --duration 1", 1, "/dev/full: No space left on device at packet 1; no file is written"),
     *(
         (f"{line} {option} {found}", 2, f"{option}: found {found}; expected {expected}\n")
         for line, option, found, expected in WRONG
@@ -105,19 +97,13 @@ BAD = [
             ("--prepare-to -", "-: no file that can be read again; expected the name of a file"),
             ("--prepare-to x.mcap", "x.mcap: found the ending .mcap; expected .pcap"),
             ("--prepare --http 127.0.0.1:0", "--http: found beside --prepare"),
-            (
-                "--http 127.0.0.1:0 --truth {tmp}/t --truth-returns",
-                "--truth-packets or --truth-returns: found beside --http",
-            ),
+            ("--http 127.0.0.1:0 --truth {tmp}/t --truth-returns", "--truth-packets or --truth-returns: found beside --http"),
             ("--gps-in {tmp}/ttyUSB9", "--gps-in {tmp}/ttyUSB9: No such file"),
             ("--gps-in {tmp}/ttyUSB9 --now", "--gps-in: found beside --now"),
             ("--interface sensor9", "interface sensor9: No such device; expected one of "),
             ("--gps-out loop://", "gps.connected: found false; expected true"),
             ("--imu-out udp://127.0.0.1:9", "imu: no such table in the scene; expected [imu]"),
-            (
-                "--set imu.rate_hz=100 --imu-out tcp://127.0.0.1:9",
-                "--imu-out: found tcp://127.0.0.1:9; expected udp://HOST:PORT",
-            ),
+            ("--set imu.rate_hz=100 --imu-out tcp://127.0.0.1:9", "--imu-out: found tcp://127.0.0.1:9; expected udp://HOST:PORT"),
         )
     ),
     *(
@@ -129,11 +115,7 @@ BAD = [
         )
     ),
     ("record birch_walk {tmp}/x.pcap --duration 1000", 2, "duration: found 1000 s; expected at most "),
-    (
-        "replay x.pcap --to 10.0.0.1:2369 --data-port 2368",
-        2,
-        "--to: found 10.0.0.1:2369 beside --data-port 2368; expected one port for data packets",
-    ),
+    ("replay x.pcap --to 10.0.0.1:2369 --data-port 2368", 2, "--to: found 10.0.0.1:2369 beside --data-port 2368; expected one port for data packets"),
     *(
         (
             f"record static_bench {{tmp}}/x{ending} --duration 0.1",
@@ -155,7 +137,7 @@ BAD = [
         (f"{verb} {{tmp}}/x", 2, "{tmp}/x: No such file or directory; expected a pcap or pcapng file")
         for verb in ("decode", "verify", "fit", "compare {tmp}/x")
     ),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("line", "code", "said"), BAD, ids=[row[0].replace("{tmp}/", "") for row in BAD])
@@ -177,11 +159,17 @@ def test_a_reader_that_has_had_enough_is_no_error(main_here):
         assert main_here("schema", stdout=stdout) == (1, "")
 
 
-@pytest.mark.parametrize("line", ["--help", "schema", "stream static_bench --duration 0.1"])
-def test_output_that_cannot_be_written_is_one_line(main_here, line):
+@pytest.mark.parametrize(
+    ("line", "more"),
+    [
+        *((line, "") for line in ("--help", "schema", "stream static_bench --duration 0.1")),
+        ("record static_bench - --duration 0.1", " at packet 1; no file is written"),
+    ],
+)
+def test_output_that_cannot_be_written_is_one_line(main_here, line, more):
     """A full disk under stdout is told in one line, be it at the first word, midway or only at the end, and the run has failed."""
     with Path("/dev/full").open("w") as full:
-        said = "error: standard output: No space left on device\n"
+        said = f"error: standard output: No space left on device{more}\n"
         assert main_here(*line.split(), stdout=full) == (1, said)
 
 

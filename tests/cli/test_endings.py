@@ -17,8 +17,7 @@ import pytest
 from vlp16emu import load, replay
 from vlp16emu.cli import app
 
-GAP_S = 5 * 3600
-"""A clock that was set while a capture was written: shared report ouster-sdk#176."""
+GAP_S = 5 * 3600  # a clock that was set while a capture was written: shared report ouster-sdk#176
 
 
 @pytest.fixture(scope="session")

@@ -24,10 +24,11 @@ def plot(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["record SCENE OUT", "points SCENE OUT", "forest SCENE --inventory OUT"])
-@pytest.mark.parametrize("name", ["stems.csv", "link.csv", "plot.toml"])
+@pytest.mark.parametrize("name", ["stems.csv", "link.csv", "hard.csv", "plot.toml"])
 def test_no_output_is_written_over_an_input(cli, plot, command, name):
     """The scene's own file and one that it names, by whatever name, are refused as output and stay."""
     (plot.parent / "link.csv").symlink_to("stems.csv")
+    (plot.parent / "hard.csv").hardlink_to(plot.parent / "stems.csv")
     out = plot.parent / name
     outcome = cli(*({"SCENE": plot, "OUT": out}.get(word, word) for word in command.split()))
     line = f"error: {out}: is read by this run, and would be written over; expected another place\n"

@@ -15,10 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from listening import opened, port_of
+from listening import opened, parse_rmc, port_of
 
 from vlp16emu import Emulator
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.imu_frame import decode_imu
 from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.packets import decode_position

@@ -22,8 +22,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 PERIOD_NS = 1_327_104
 STOPPED_S = 2.0
-SO_TIMESTAMPNS = 35
-"""Source: asm-generic/socket.h."""
+SO_TIMESTAMPNS = 35  # source: asm-generic/socket.h
 
 
 @pytest.fixture
@@ -64,6 +63,7 @@ def test_a_stream_is_a_recording_on_the_wire(cli, bench, listeners, ports):
     data, position = assert_recorded(listeners, bench)
     assert (report["packets"], report["position_packets"]) == (len(data), len(position))
     assert (report["to"], report["interrupted"]) == ("127.0.0.1", False)
+    assert report["units"][0]["turn"]["revolutions"] == pytest.approx(10 * report["sent"]["simulated_s"])
 
 
 def test_people_read_where_it_goes_and_how_it_went(cli, ports):

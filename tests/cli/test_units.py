@@ -68,7 +68,7 @@ def test_decode_wants_to_know_which(cli, rig):
 def test_decode_takes_the_packets_of_one(cli, rig, unit, mode):
     """By number or by address and port, the summary is that of one sensor: half a second, five turns."""
     tree = cli("decode", rig, "--unit", unit, "--json").tree
-    assert (tree["return_mode"], tree["scans"]) == (mode, 5)
+    assert (tree["return_mode"], tree["scans"], tree["rpm"]) == (mode, 5, pytest.approx(600, abs=0.1))
     assert tree["records_per_scan"] == pytest.approx((1 + (mode == "dual")) * 28_934, abs=64)
 
 

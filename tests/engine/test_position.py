@@ -1,11 +1,11 @@
 """Position packets: sentences that follow the walk and the canopy."""
 
 import pytest
+from listening import parse_rmc
 from woods import LINES
 
 from vlp16emu import Emulator
-from vlp16emu.engine.engine import make_receiver, position_packets
-from vlp16emu.extras.bench.gps_in import parse_rmc
+from vlp16emu.engine.engine import position_packets
 from vlp16emu.packets import decode_position
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS
@@ -19,14 +19,6 @@ FOREST = [*LINES, "gps.canopy_half_cover=0.15"]
 def birch():
     """A thin forest, with a receiver that trees disturb easily."""
     return Emulator(load("birch_walk", [*FOREST, "sensor.preset=steady"]), threads=2)
-
-
-class Closed:
-    """Windows that nobody may open."""
-
-    def at_time(self, _since_ns):
-        """Fail."""
-        raise AssertionError("a window is opened")
 
 
 def sentences(emulator, receiver, start_s, stop_s):
@@ -44,13 +36,6 @@ def test_sentences_do_not_depend_on_how_a_run_is_cut(birch):
     assert late == whole[-len(late) :]
     early = sentences(other, other.engine.receiver, 0.0, 3.2)
     assert early + late == whole
-
-
-def test_without_canopy_loss_no_window_is_opened(birch):
-    """A scene that wants no canopy loss casts nothing for its receiver, and each fix of it is valid."""
-    scenario = load("birch_walk", [*FOREST, "gps.canopy_loss=false"])
-    receiver = make_receiver(scenario, birch.parts, Closed())
-    assert all(parse_rmc(sentence).valid for sentence in sentences(birch, receiver, 0.0, 6.0))
 
 
 def test_the_receivers_windows_are_those_of_the_run(birch):

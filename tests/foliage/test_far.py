@@ -9,7 +9,7 @@ import pytest
 from raycast import lab
 
 from vlp16emu.foliage import far as room
-from vlp16emu.foliage.far import Far, FarCaster
+from vlp16emu.foliage.far import FarCaster
 from vlp16emu.raycast.near import EmbreeGeometry
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Sway, Window
 
@@ -277,7 +277,7 @@ def test_blocks_are_made_once(workers, monkeypatch):
     made, real = [], room.block_of
     monkeypatch.setattr(room, "block_of", lambda *given: (made.append(given[3:]), real(*given))[1])
     world = lab.Tiles(2.0, across=3)
-    far, square = Far(world, workers), [*itertools.product(range(-2, 3), repeat=2)]
+    far, square = FarCaster(world, workers), [*itertools.product(range(-2, 3), repeat=2)]
     row = [(3, iy) for iy in range(-2, 3)]
     for tiles, fresh in ((square, square), (square, []), ([*square, *row], row)):
         window = world.window(AT_M, tiles)

@@ -9,27 +9,11 @@ import numpy as np
 import pytest
 from raycast import lab
 
-from vlp16emu.foliage import leaves as room
-from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.far import FarCaster
 from vlp16emu.foliage.lanes import lanes
 from vlp16emu.foliage.stems import seen
 from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
 from vlp16emu.types import NO_SURFACE, PlantPart
-
-
-def test_leaves_are_latin_squares():
-    """In every variant a leaf has one cell whichever way it is seen, and each column along each axis has one leaf."""
-    for variant in range(32):
-        cells = room._PLACE[variant].astype(int) >> 5
-        assert len(np.unique(cells, axis=0)) == 64
-        for axis in range(3):
-            one, two = (other for other in range(3) if other != axis)
-            column = 8 * cells[:, one] + cells[:, two]
-            assert (np.sort(column) == np.arange(64)).all()
-            assert (room._LEAF_OF[axis, variant][column] == np.arange(64)).all()
-            for n in range(65):
-                bits = int(room._MASK[axis, variant, n])
-                assert {c for c in range(64) if bits >> c & 1} == set(column[:n].tolist())
 
 
 def one_voxel(empty, code, cell=(2, 1, 3), corner=(40, -7, 11)):
@@ -123,7 +107,7 @@ def leaves(workers):
     @cache
     def of(lad):
         world = Slab(lad)
-        far, window = Far(world, workers), world.window(np.zeros((1, 3)), tiles=[(0, 0)])
+        far, window = FarCaster(world, workers), world.window(np.zeros((1, 3)), tiles=[(0, 0)])
         return far.medium(window, far.tiles(window))
 
     return of

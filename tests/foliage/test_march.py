@@ -7,7 +7,7 @@ import pytest
 from raycast import lab
 
 from vlp16emu.foliage import leaves as room
-from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.far import FarCaster
 from vlp16emu.foliage.lanes import lanes
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
@@ -171,7 +171,7 @@ def stand(workers):
     """Nine tiles, their window and their medium."""
     world = lab.Tiles()
     window = world.window(np.array([[10.0, 10.0, 6.0]]))
-    far = Far(world, workers)
+    far = FarCaster(world, workers)
     return world, window, far.medium(window, far.tiles(window))
 
 

@@ -7,8 +7,9 @@ from forest.kit import REACH_M
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest import settings
 from vlp16emu.forest.ground.terrain import TerrainHeights
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.forest import ForestWorld
+from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import Stand
 
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
@@ -39,7 +40,7 @@ def rootless():
     """Species table of trees without roots on the ground."""
     return {
         name: one.model_copy(update={"stem": one.stem.model_copy(update={"surface_roots": 0.0})})
-        for name, one in species_table().items()
+        for name, one in flora().trees.items()
     }
 
 
@@ -54,8 +55,8 @@ def terrain():
 def make_forest(terrain):
     def make(*, path_xy_m=PATH_XY_M, with_layers=False, loose_stems=False, **changes):
         section = (FULL if with_layers else BARE).model_copy(update=changes)
-        ground = {"seed": 5, "height_m": terrain.height_m, "path": Corridor(path_xy_m, section.path_clearance_m)}
-        return ForestWorld(section, Stand(section, **ground), **ground, reach_m=REACH_M, loose_stems=loose_stems)
+        land = Land(5, terrain.height_m, Corridor(path_xy_m, section.path_clearance_m))
+        return ForestWorld(section, Stand(section, land), land, reach_m=REACH_M, loose_stems=loose_stems)
 
     return make
 

@@ -5,17 +5,16 @@ from itertools import product
 import numpy as np
 import trimesh
 
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.stand import TREE
 
-REACH_M = 15.0
-"""How far about a track windows of the room's forests reach."""
+REACH_M = 15.0  # how far about a track windows of the room's forests reach
 
 
 def trees_of(names, **fields):
     """Records (n,) `TREE` of species by name, upright and at the origin if nothing else is said."""
     trees = np.zeros(len(names), TREE)
-    trees["species"] = [species_table()[name].number for name in names]
+    trees["species"] = [flora().trees[name].number for name in names]
     for field, values in fields.items():
         trees[field] = values
     return trees

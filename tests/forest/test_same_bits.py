@@ -10,7 +10,6 @@ from vlp16emu.forest.stand.floor_shapes import _outline_m2
 from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA, normal_quantile
 from vlp16emu.forest.stand.stand import class_scale
 from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
-from vlp16emu.world.vectors import determinant, unit
 
 
 def _plain() -> np.random.Generator:
@@ -60,13 +59,6 @@ def test_outlines_are_those_of_hulls() -> None:
     rng = np.random.default_rng(1)
     for points in (rng.normal(size=(300, 2)), np.argwhere(np.ones((5, 7))) * 1.0):
         assert _outline_m2(points) == pytest.approx(ConvexHull(points).volume, rel=1e-12)
-
-
-def test_vectors_are_those_of_linear_algebra() -> None:
-    """Determinants and directions are those of numpy's linear algebra."""
-    matrices = np.random.default_rng(2).normal(size=(100, 3, 3))
-    assert determinant(matrices) == pytest.approx(np.linalg.det(matrices), rel=1e-10)
-    assert unit(matrices) == pytest.approx(matrices / np.linalg.norm(matrices, axis=2, keepdims=True), rel=1e-15)
 
 
 def test_sizes_of_classes_are_powers() -> None:

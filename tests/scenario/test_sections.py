@@ -1,20 +1,15 @@
 """Tables of the scene file: the sensor, its rig, the finish and the files of the user's things, where a person goes, and presets."""
 
-import math
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.imu.settings import Imu
-from vlp16emu.extras.meshes.settings import MeshPart
 from vlp16emu.extras.walk import Gait
 from vlp16emu.forest.settings import Forest, Terrain
-from vlp16emu.motion import Mount
+from vlp16emu.motion.settings import Mount
 from vlp16emu.scenario import load
-from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.world.settings import HallBox
 
 FREE = "sensor.model=free"
 
@@ -51,13 +46,6 @@ def test_a_bad_sensor_is_reported_in_one_line(settings, line):
     with pytest.raises(ScenarioError) as caught:
         sensor(*settings)
     assert str(caught.value).startswith(line)
-
-
-def test_only_known_sensors_are_on_the_wire():
-    """A sensor with packets is handed on, a free one refused."""
-    assert on_the_wire(sensor("sensor.model=puck-hi-res")).model == "puck-hi-res"
-    with pytest.raises(ScenarioError, match=r'^sensor\.model: found "free", which has no packets; expected'):
-        on_the_wire(sensor(FREE))
 
 
 def rig(*tables, sensor=(), more=()):
@@ -130,15 +118,6 @@ def box(finish):
 
 
 @pytest.mark.parametrize(
-    ("finish", "brightness"),
-    [("", 0.5), ("reflectance = 0.3", 0.3), ("retroreflection_cd_lx_m2 = 250.0", 250 * math.pi)],
-)
-def test_brightness_is_that_of_a_white_wall(finish, brightness):
-    """A diffuse thing has its reflectance, a reflector pi times its coefficient, for a white Lambertian wall has 1 / pi."""
-    assert box(finish).brightness == brightness
-
-
-@pytest.mark.parametrize(
     ("finish", "words"),
     [
         ("reflectance = 0.3, retroreflection_cd_lx_m2 = 70.0", r"boxes\[0\]: .* not both"),
@@ -150,19 +129,6 @@ def test_a_finish_that_cannot_be_is_refused(finish, words):
     """Percent are no reflectance, what does not outshine a white wall is no reflector, and one finish is enough."""
     with pytest.raises(ScenarioError, match=words):
         box(finish)
-
-
-def test_a_part_that_tells_nothing_takes_the_finish_of_the_whole():
-    """Parts of a mesh have no brightness of their own unless the file has one."""
-    assert MeshPart(name="stem").brightness is None
-    assert MeshPart(name="tag", retroreflection_cd_lx_m2=100.0).brightness == 100 * math.pi
-
-
-@pytest.mark.parametrize("finish", ["reflectance = 0.3", "retroreflection_cd_lx_m2 = 250.0"])
-def test_a_finish_can_be_written_and_read_again(finish):
-    """What a scenario writes about a thing is read as the same thing."""
-    own = box(finish)
-    assert HallBox.model_validate(own.model_dump()).brightness == own.brightness
 
 
 MOWER = "lawn_mower = { length_m = 30, width_m = 20 }"

@@ -15,13 +15,6 @@ SCENES = list(scene_files().values())
 NAMES = list(scene_files())
 
 
-def test_a_scene_is_read_by_name_and_by_path():
-    """A scene of the folder loads by its name, and is the same by its path."""
-    assert {"birch_walk", "spruce_walk", "static_bench"} <= set(NAMES)
-    for path in SCENES:
-        assert load(path.stem) == load(str(path)), path.stem
-
-
 def test_the_plot_is_where_its_receiver_is():
     """The origin of `own_plot` in UTM zone 33N and its latitude and longitude are one place by PROJ, within a metre."""
     pyproj = pytest.importorskip("pyproj")

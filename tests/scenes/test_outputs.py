@@ -58,7 +58,7 @@ def test_the_columns_of_a_stem_list_are_given_with_their_limits():
 def test_the_columns_of_points_are_given_in_each_format(number, columns):
     """Each array of points has its line, with its names in CSV and PLY, and returns their numbers."""
     given = [tuple(tuple(names(cell)) for cell in row[:3]) for row in table("Points", number)]
-    assert given == [((column.name,), column.csv, column.ply) for column in columns]
+    assert given == [((column.name,), tuple(column.csv), tuple(column.ply)) for column in columns]
     returns = [row[3] for row in table("Points", number) if names(row[0]) == ["return_number"]]
     assert returns == [", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(RETURN_NAMES))] * len(returns)
 

@@ -125,22 +125,13 @@ SPECIES = "species = [{ species = 'silver_birch', share = 1, dbh_cm = 18, height
 @pytest.mark.parametrize(
     ("world", "message"),
     [
-        (
-            "preset = 'jungle'\nstems_per_ha = 9\n" + SPECIES,
-            r'world.preset: found "jungle"; expected "none", "plantation"',
-        ),
+        ("preset = 'jungle'\nstems_per_ha = 9\n" + SPECIES, r'world.preset: found "jungle"; expected "none", "plantation"'),
         (SPECIES, "exactly one of basal_area_m2_per_ha and stems_per_ha"),
-        (
-            SPECIES + "\nstems_per_ha = 9\nbasal_area_m2_per_ha = 9",
-            "exactly one of basal_area_m2_per_ha and stems_per_ha",
-        ),
-        (
-            "preset = 'old_growth'\nlogs.length_m = [9.0, 3.0]",
-            "world.logs.length_m: .*expected the smaller number first",
-        ),
+        (SPECIES + "\nstems_per_ha = 9\nbasal_area_m2_per_ha = 9", "exactly one of basal_area_m2_per_ha and stems_per_ha"),
+        ("preset = 'old_growth'\nlogs.length_m = [9.0, 3.0]", "world.logs.length_m: .*expected the smaller number first"),
         ("preset = 'plantation'\nshrubs.per_hectare = 3", "world.shrubs.per_hectare: unknown key; expected per_ha"),
     ],
-)
+)  # fmt: skip
 def test_a_forest_that_makes_no_sense_is_reported_in_one_line(tmp_path, world, message):
     """Unknown presets, densities given twice or never, and ranges that run backwards are named with their key."""
     with pytest.raises(ScenarioError, match=message):

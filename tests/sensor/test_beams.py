@@ -30,19 +30,6 @@ def test_angle_errors_are_normal_and_as_wide_as_set():
     assert abs(np.corrcoef(unit.elevation_error_deg, unit.azimuth_error_deg)[0, 1]) < 0.05
 
 
-def test_angle_errors_belong_to_the_unit():
-    """The seed makes the unit: the same one twice, another with another seed, and the table itself without errors."""
-    table = BEAM_TABLES[SensorModel.VLP_16]
-    sigma = {"elevation_error_deg": 0.03, "azimuth_error_deg": 0.03}
-    one, again, other = (with_angle_errors(table, **sigma, seed=seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.elevation_error_deg, again.elevation_error_deg)
-    assert (one.azimuth_error_deg != other.azimuth_error_deg).all()
-    assert (one.elevation_deg == table.elevation_deg).all()
-    ideal = with_angle_errors(table, elevation_error_deg=0.0, azimuth_error_deg=0.0, seed=1)
-    assert not ideal.elevation_error_deg.any()
-    assert not ideal.azimuth_error_deg.any()
-
-
 @pytest.mark.parametrize(("beams", "resolution_deg", "rpm"), [(1, 2.0, 60), (64, 0.2, 600), (256, 0.05, 3600)])
 def test_a_free_sensor_fires_evenly_once_per_step(beams, resolution_deg, rpm):
     """A sequence lasts as long as the rotor takes for the step, and its lasers share that time evenly."""

@@ -6,8 +6,8 @@ from scipy import stats
 
 from vlp16emu.engine import Engine
 from vlp16emu.scenario import load
-from vlp16emu.sensor import Sensor
 from vlp16emu.sensor.power_up import counters_of, powered_up
+from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import PacketKind
 
 HALL = {

@@ -50,8 +50,7 @@ def test_noise_is_white_and_as_wide_as_set():
     assert (np.abs(error) > 0.00999).mean() == pytest.approx(2 * stats.norm.sf(2), rel=0.15)
 
 
-EVEN = 0, 600.0
-"""Clock and speed of an encoder that is read at any time."""
+EVEN = 0, 600.0  # clock and speed of an encoder that is read at any time
 LINES = {"pitch_deg": 0.05, "rate_error": 0.24, "first_deg": 0.02}
 
 

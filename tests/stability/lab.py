@@ -5,23 +5,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.forest.stand.twin import AllNear
 from vlp16emu.packets import LASERS
-from vlp16emu.raycast import Beam
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LENS_RADIUS_M
-from vlp16emu.types import SURFACE, Firings, Hits, Mesh, Returns, Window
+from vlp16emu.types import F8, SURFACE, Firings, Hits, Mesh, Returns, Window
 
-Array = NDArray[np.float64]
-
-PULSES = 24 * LASERS
-"""Of a packet of single return: pulses come in multiples of it."""
+PULSES = 24 * LASERS  # of a packet of single return: pulses come in multiples of it
 _WORKERS = ThreadPoolExecutor(2)
 
 
@@ -38,7 +34,7 @@ def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
     return light if has_width else light.changed(spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0))
 
 
-def faces(corners_m: Array) -> Mesh:
+def faces(corners_m: F8) -> Mesh:
     """Return a mesh of quads (n, 4, 3) or triangles (n, 3, 3)."""
     numbers = np.arange(corners_m.shape[0] * corners_m.shape[1], dtype=np.uint32).reshape(corners_m.shape[:2])
     return Mesh(corners_m.reshape(-1, 3).astype(np.float32), numbers)
@@ -48,14 +44,6 @@ def wall(x_m: float, half_m: float = 50.0) -> Mesh:
     """Upright square across the x axis."""
     corners = [(x_m, -half_m, -half_m), (x_m, half_m, -half_m), (x_m, half_m, half_m), (x_m, -half_m, half_m)]
     return faces(np.array([corners]))
-
-
-def box(low_m: Sequence[float], high_m: Sequence[float]) -> Mesh:
-    """Return an upright box."""
-    spans = np.stack([low_m, high_m])
-    corners = np.array([[spans[i, 0], spans[j, 1], spans[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    sides = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
-    return Mesh(corners.astype(np.float32), np.array(sides, np.uint32))
 
 
 def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) -> Geometry:
@@ -78,7 +66,7 @@ def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) 
     return caster(AllNear(window, lambda _key: tuple(meshes)), _WORKERS).open(window)
 
 
-def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firings:
+def pulses(origin_m: F8, direction: F8, *, lasers: int = LASERS) -> Firings:
     """Pulses (n, 3) as firing sequences, n a multiple of 8 a laser, or to be packed of `PULSES`.
 
     The level axis of their light is across z.

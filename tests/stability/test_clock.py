@@ -12,10 +12,8 @@ from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-_SPAN_NS = 8_000_000
-"""Of each look: six data packets, and a position packet at least."""
-_PERIOD_NS = 24 * 55_296
-"""Of data packets in single return (63-9243 Rev D, section 8.1)."""
+_SPAN_NS = 8_000_000  # of each look: six data packets, and a position packet at least
+_PERIOD_NS = 24 * 55_296  # of data packets in single return (63-9243 Rev D, section 8.1)
 _BLOCK_NS = 2 * 55_296
 _LOOKS = {
     "24 h from 31 December 2027": ("2027-12-31T11:59:59.123457Z", range(24), range(1, 9)),

@@ -14,12 +14,10 @@ from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 
 _FAR_M = 10_000_000, 10_000_000, 210
-_ODD_M = 432_117, 6_901_233, 0
-"""No corner of a tile: ground and trees are cut otherwise there, and round otherwise."""
+_ODD_M = 432_117, 6_901_233, 0  # no corner of a tile: ground and trees are cut otherwise there, and round otherwise
 _TREES_M = [(6.25, 4.5), (-5.0, 3.25), (-4.5, -6.0), (9.0, -9.5), (-8.25, 9.0)]
 _WAY_M = [(-1.0, 0.5), (0.0, 0.0), (1.5, 0.25)]
-_HALF_M = 60
-"""Of the ground in the file, which the sensor's reach must not leave."""
+_HALF_M = 60  # of the ground in the file, which the sensor's reach must not leave
 _SPAN_S = 0.0, 0.1
 
 _SCENE = """\

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from vlp16emu import Emulator
 from vlp16emu.engine import assemble
@@ -15,14 +14,11 @@ from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, DATA_BYTES, DISTANCE_LSB_M, LASERS, decode_data
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LASER_NS, SEQUENCE_NS
-from vlp16emu.types import PacketKind
+from vlp16emu.types import F8, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-Array = NDArray[np.float64]
-
 _STEP_HZ, _SWAY_M = 1.8, 0.02
-_AT_S = 300
-"""Second at which the start is forgotten: straps of 0.5 Hz and ten times critical damping need 250 s."""
+_AT_S = 300  # second at which the start is forgotten: straps of 0.5 Hz and ten times critical damping need 250 s
 _NODES_S = np.arange(1001) / 1000
 _TURN_DEG_S = 500.0
 _LAST_NS = SEQUENCE_NS + (LASERS - 1) * LASER_NS
@@ -30,7 +26,7 @@ _STEPS = 1 + _LAST_NS / BLOCK_PERIOD_NS / (BLOCKS_PER_PACKET - 1)
 """Of the azimuth: the one that is floored, and what the last pulse of a block adds to it over the gaps of a packet."""
 
 
-def _sway(first: int, count: int) -> Array:
+def _sway(first: int, count: int) -> F8:
     """Sine on all axes from knot 0 on."""
     t_s = np.maximum(np.arange(first, first + count), 0) / KNOTS_PER_S
     return np.repeat((_SWAY_M * np.sin(2 * np.pi * _STEP_HZ * t_s))[:, None], 6, axis=1)
@@ -90,8 +86,7 @@ def test_fast_turns():
 Points = Sequence[tuple[float, float]]
 
 _STEP_NS = 500_000
-_FALL_M = 20.0 * (_STEP_NS / S_NS) ** 2 / 2
-"""What twice the acceleration of a fall makes of a step."""
+_FALL_M = 20.0 * (_STEP_NS / S_NS) ** 2 / 2  # what twice the acceleration of a fall makes of a step
 
 
 def _walk(points_m: Points, *settings: str) -> tuple[Motion, int]:

@@ -87,13 +87,3 @@ def test_things_that_poke_out_are_refused(things, message):
     """A thing that is not wholly in the hall is named, with where it is and where it may be."""
     with pytest.raises(GeometryError, match=message):
         make_hall(**things)
-
-
-def test_a_way_through_a_wall_is_reported(caplog):
-    """A way that leaves the hall is warned of by its first point outside; one inside is not."""
-    hall = make_hall()
-    hall.check(np.array([[0.0, 0.0], [14.9, -8.9]]))
-    assert not caplog.records
-    hall.check(np.array([[0.0, 0.0], [15.0, 1.0], [16.0, 1.0]]))
-    (record,) = caplog.records
-    assert record.getMessage().startswith("hall: the path of the sensor leaves it at (15, 1) m; expected x between -15")

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from vlp16emu import Emulator
-from vlp16emu.motion import MotionSection
 from vlp16emu.motion.pose import Kinematics
+from vlp16emu.motion.settings import MotionSection
 from vlp16emu.settings import Size
 from vlp16emu.types import Poses
 

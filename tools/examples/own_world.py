@@ -14,7 +14,7 @@ import numpy as np
 from vlp16emu import Emulator
 from vlp16emu.settings import Size
 from vlp16emu.types import SURFACE, Mesh, Semantic, Window
-from vlp16emu.world import WorldSection
+from vlp16emu.world.settings import WorldSection
 
 
 class Dunes(WorldSection):

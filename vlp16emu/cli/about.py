@@ -280,7 +280,7 @@ def accuracy(
     name = Path(scene).stem
     names = [f"accuracy_{name}.json", f"accuracy_{name}.png"]
     compile_first(scenario.world.kind)
-    from vlp16emu.extras.accuracy.sweep import choices, draw_accuracy, front, measure_accuracy, measure_foliage
+    from vlp16emu.extras.accuracy.sweep import choices, draw_accuracy, measure_accuracy, measure_foliage
 
     with report(out, names) if out else nullcontext() as files:
         with Progress(whole_s := scenario.duration_s) as bar:
@@ -290,7 +290,7 @@ def accuracy(
             measured = replace(measured, foliage=measure_foliage(scenario, pulses=_TIMES * pulses, done=show))
         taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in choices(measured.rows).items()]
         tree = {"written_by": f"vlp16emu {version('vlp16emu')}"} | tree_of(measured)
-        tree |= {"front": [row.name for row in front(measured.rows)], "choices": taken}
+        tree["choices"] = taken
         if files:
             files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
             draw_accuracy(files[1], measured)

@@ -177,21 +177,17 @@ def fit(
 
     if out is not None:
         spare((file,), out)
-    text = _toml(fitted(read_sequences(file)))
+    tables = {
+        name: "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # TOML writes them as JSON does
+        for name, table in fitted(read_sequences(file)).items()
+    }
+    text = "\n".join(f"[{name}]\n{lines}" for name, lines in tables.items())
     if out is None:
         print(text, end="")
         return
     with OutputFile(out, where=f"--out {out}") as output, output.writing() as opened:
         opened.write(text.encode())
     print(f"wrote {out}")
-
-
-def _toml(tables: dict[str, dict[str, object]]) -> str:
-    """Write tables of numbers, texts and truths, which are written as in JSON."""
-    return "\n".join(
-        f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())
-        for name, table in tables.items()
-    )
 
 
 def score(

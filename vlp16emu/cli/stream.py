@@ -1,13 +1,12 @@
 """`vlp16emu stream` and `vlp16emu replay`: packets over UDP, in real time."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,13 +14,13 @@ from vlp16emu.cli import arguments as args
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import Progress, make_emulator, stop_on_ctrl_c
 from vlp16emu.doors import door, has_door
-from vlp16emu.errors import InputError, MissingExtraError
+from vlp16emu.errors import InputError
 from vlp16emu.run.options import Option, ReplayOptions, stream_options
 
 if TYPE_CHECKING:
-    from vlp16emu.engine import Unit
     from vlp16emu.extras.bench.options import BenchOptions as StreamOptions
-    from vlp16emu.extras.replay import Replay, Replayed
+    from vlp16emu.extras.replay import Replayed
+    from vlp16emu.packets import Link
     from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.report import Streamed
     from vlp16emu.scenario import Scenario
@@ -59,13 +58,6 @@ def stream(
             "too slow. It takes 3.4 GB for an hour of single return."
         ),
     ] = False,
-    view: Annotated[
-        bool,
-        Option(
-            "Show stand, sensor, sweep and lateness in the browser while packets leave, in a process that they do not wait for. "
-            "Needs the extra 'viewer'."
-        ),
-    ] = False,
     keep_up: KeepUp = None,
     strict: Strict = False,
     as_json: args.AsJson = False,
@@ -83,9 +75,6 @@ def stream(
     _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
     _, stop_s = scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
-        hooks: dict[str, Any] = {}
-        if view:
-            hooks["watched"] = stack.enter_context(_page(emulator, stop_s, quiet=as_json))
         stop, progress = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(stop_s))
         if is_prepared and options.prepare is None:
             from tempfile import TemporaryDirectory
@@ -98,8 +87,9 @@ def stream(
             options = replace(options, poses=replace(options.poses, news=progress.say))
         streamed = emulator.stream(
             **vars(options),
-            **hooks,
-            opened=lambda units: None if as_json else _announce(scene, host, units),
+            opened=lambda units: _announce(
+                f"streaming {scene} to {host}", [unit.link for unit in units], quiet=as_json
+            ),
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),
             notify=lambda behind: progress.say(behind_line(behind, scenario, options.late, options.speed)),
@@ -123,7 +113,11 @@ def replay(
         replayed = send_again(
             file,
             **vars(options),
-            opened=lambda capture: None if as_json else _announce_capture(capture, host),
+            opened=lambda capture: _announce(
+                f"replaying {capture.path} to {host}: sensors {', '.join(map(str, capture.units))}",
+                capture.links,
+                quiet=as_json,
+            ),
             notify=lambda behind: progress.say(f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s"),
             stop=stop,
         )
@@ -157,32 +151,13 @@ def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | Non
         print(emulator.keep_up(options.speed).line, file=sys.stderr, flush=True)
 
 
-@contextmanager
-def _page(emulator: "Emulator", duration_s: float, *, quiet: bool) -> Iterator[Any]:
-    """Show a stream in the browser, print where, and yield what its sink is wrapped in."""
-    if find_spec("viser") is None:
-        raise MissingExtraError("viser", "viewer", "the page in the browser")
-    from vlp16emu.extras.viewer.live import backdrop_of, watching
-
-    with Progress(duration_s):
-        backdrop = backdrop_of(emulator, duration_s)
-    with watching(emulator, backdrop) as watch:
-        print(f"page at {watch.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
-        yield watch.sink
-
-
 def _say_served(places: list[tuple[str, int]]) -> None:
     print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
 
 
-def _announce(scene: str, to: str, units: "Sequence[Unit]") -> None:
-    pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in units)
-    print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
-
-
-def _announce_capture(capture: "Replay", to: str) -> None:
-    ports = "; ".join(f"{link.data_port} and {link.position_port}" for link in capture.links)
-    print(f"replaying {capture.path} to {to}: sensors {', '.join(map(str, capture.units))}, ports {ports}", flush=True)
+def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:
+    if not quiet:
+        print(f"{what}, ports {'; '.join(f'{link.data_port} and {link.position_port}' for link in links)}", flush=True)
 
 
 def _close(sent: "Streamed | Replayed", what: str, *, strict: bool, as_json: bool) -> None:

@@ -2,10 +2,10 @@
 
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from vlp16emu.cli import arguments as args
 from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
@@ -24,9 +24,6 @@ from vlp16emu.run.options import (
     WhichUnit,
     options_of,
 )
-
-if TYPE_CHECKING:
-    import viser
 
 
 def truth(
@@ -178,7 +175,7 @@ def images(
     say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
     """
     emulator = make_emulator(scene, args.EmulatorOptions(settings, threads=threads))
-    from vlp16emu.extras.images.images import write_images
+    from vlp16emu.extras.images import write_images
 
     with running(emulator, "casting", options) as hooks:
         run = write_images(emulator, folder, **vars(options), **hooks)
@@ -224,9 +221,6 @@ def picture(
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.extras.plots import check_matplotlib
-
-    check_matplotlib()
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
 
@@ -261,70 +255,33 @@ def view(
             "DIR",
         ),
     ] = None,
-    save: Annotated[
-        Path | None,
-        Option("File to which the page saves the scene with the path drawn in it; comments stay.", "OUT.toml"),
-    ] = None,
     radius_m: Annotated[float, Option("How far from the path the stand is drawn.", "M", ge=1, le=100)] = 25.0,
     host: Annotated[
         str, Option("Address of this machine to listen on; others can then see the page.", "ADDRESS")
     ] = "127.0.0.1",
     port: Annotated[int, Option("Port of the page, 0 for any that is free.", "N", ge=0, le=65_535)] = 8016,
 ) -> None:
-    """Show a scene in the browser: the stand, the path, and the sweep at any time; draw the path anew.
+    """Show a scene in the browser: the stand, the path, and the sweep at any time.
 
     Of a capture its sweeps, with what is wrong with its packets marked. Needs the extra 'viewer'. Ctrl-C ends it.
     """
     from vlp16emu.captures.capture import is_capture_name
 
     capture = Path(scene) if is_capture_name(scene) else None
-    if save is not None and (settings or capture):
-        raise InputError("--save", "found beside --set or a capture", "a scene as its file has it")
     if truth is not None and capture is None:
         raise InputError("--truth", "found beside a scene", "a capture; a scene knows its own")
     try:
-        from vlp16emu.extras.viewer.guard import guarded_server
+        from vlp16emu.extras.viewer.page import capture_page, guarded_server, scene_page
     except ImportError as error:
         raise MissingExtraError(error.name or "viser", "viewer", "the page in the browser") from None
-    with guarded_server(host, port, "vlp16emu") as server:
+    with guarded_server(host, port) as server:
         print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)
-        if capture is not None:
-            _show_capture(server, capture, truth, unit)
+        if capture is None:
+            emulator = make_emulator(scene, args.SceneOptions(settings))
+            if emulator.scenario.motion.takes_poses:
+                raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
+            with Progress(0.0):
+                page = scene_page(server, emulator, unit, radius_m)
         else:
-            _show_scene(server, scene, settings, unit, radius_m, save)
-
-
-def _show_capture(server: "viser.ViserServer", capture: Path, truth: Path | None, unit: int) -> None:
-    import numpy as np
-
-    from vlp16emu.extras.viewer.page import Page, look_from
-    from vlp16emu.extras.viewer.sweeps import CaptureSweeps
-
-    text = server.gui.add_markdown("reading the capture")
-    with closing(CaptureSweeps(capture, truth, unit)) as sweeps:
-        text.content = "  \n".join(sweeps.health or ["packets as a sensor sends them"])
-        pose = sweeps.at(0.0).scan.world_T_sensor
-        world_T_sensor = np.eye(4) if pose is None else pose
-        look_from(server, world_T_sensor[:3, 3], world_T_sensor[:3, 0])
-        Page(server, sweeps, sweeps.species).run()
-
-
-def _show_scene(
-    server: "viser.ViserServer", scene: str, settings: list[str] | None, unit: int, radius_m: float, save: Path | None
-) -> None:
-    from vlp16emu.extras.viewer.page import scene_page
-
-    emulator = make_emulator(scene, args.SceneOptions(settings))
-    if emulator.scenario.motion.takes_poses:
-        raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
-    with Progress(100.0) as bar:
-        page = scene_page(
-            server,
-            scene,
-            emulator,
-            unit=unit,
-            radius_m=radius_m,
-            save=save,
-            progress=lambda share: bar.show("growing the world, % of tiles", 100 * share),
-        )
-    page.run()
+            page = capture_page(server, capture, truth, unit)
+        page.run()

@@ -11,9 +11,9 @@ import numpy as np
 from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.engine.timeline import Stretch, Timeline
-from vlp16emu.motion import Mount
 from vlp16emu.motion.mount import mounted, true_mount
 from vlp16emu.motion.pose import Motion
+from vlp16emu.motion.settings import Mount
 from vlp16emu.packets import FACTORY_LINK, Link, positions_from_ns, rmc
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint

@@ -58,7 +58,7 @@ _EXTRAS = {
     "picture": (("matplotlib", "PIL", "imageio_ffmpeg"), "picture, forest --picture"),
     "ros": (("rosbags",), "bag, record into bags"),
     "score": (("evo", "matplotlib"), "score"),
-    "viewer": (("viser", "tomlkit", "websockets"), "view"),
+    "viewer": (("viser", "websockets"), "view"),
 }  # libraries of each extra in pyproject.toml, and what needs them
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
 """Instruction sets that Embree has kernels for, by their names in /proc/cpuinfo, the widest first (Embree 4 manual, rtcNewDevice)."""

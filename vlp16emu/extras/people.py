@@ -1,6 +1,5 @@
 """People beside the carrier: a companion who follows, and others who come towards the carrier and pass."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import F4, F8, I8, SURFACE, Firings, HeightField, Hits, Semantic
 from vlp16emu.units import seconds_to_ns
-from vlp16emu.world import People as PeopleSection
+from vlp16emu.world.settings import People as PeopleSection
 
 _FIRST_INSTANCE = 0xFFFFFFF0
 """Instance of the companion; that of those who pass is the next. Things of the user are numbered far below."""
@@ -43,7 +42,6 @@ class People:
     ) -> None:
         self._section, self._carrier, self._height_m = section, carrier, height_m
         self._seed, self._start_ns, self._end_ns = seed, start_ns, start_ns + seconds_to_ns(carrier.run_time_s)
-        self._feet = list[Callable[[I8], F8]]()
         self.surfaces = np.zeros(2, SURFACE)
         """(2,) rows of the table of surfaces: of the companion, and of those who pass."""
         self.surfaces["reflectance"], self.surfaces["semantic"] = _REFLECTANCE, Semantic.OTHER

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.types import Array, IntArray
+from vlp16emu.types import F8, I8
 
 _WRAPPED = 64
 """Points of the neighbouring laps with which a periodic spline is solved: what is beyond counts less than 2**-64."""
@@ -20,24 +20,24 @@ _WRAPPED = 64
 class Spline:
     """A curve in pieces, each a polynomial of the distance into it."""
 
-    breaks: Array  # (n,) where pieces begin, and where the last one ends
-    powers: Array  # (degree + 1, n - 1, m) coefficients, lowest power first
+    breaks: F8  # (n,) where pieces begin, and where the last one ends
+    powers: F8  # (degree + 1, n - 1, m) coefficients, lowest power first
 
-    def piece(self, x: Array) -> IntArray:
+    def piece(self, x: F8) -> I8:
         """Return the pieces in which parameters (k,) lie; the outer ones go on beyond the ends."""
         return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
 
-    def within(self, x: Array) -> tuple[Array, Array]:
+    def within(self, x: F8) -> tuple[F8, F8]:
         """Return the coefficients (degree + 1, m, k) at parameters (k,), and the distances (k,) into their pieces."""
         piece = self.piece(x)
         return np.take(np.moveaxis(self.powers, 1, -1), piece, axis=-1), x - self.breaks[piece]
 
-    def __call__(self, x: Array, derivative: int = 0) -> Array:
+    def __call__(self, x: F8, derivative: int = 0) -> F8:
         """Values (k, m) of the curve or a derivative at (k,) parameters."""
         return polynomial(*self.within(x), derivative).T
 
 
-def polynomial(powers: Array, x: Array, derivative: int = 0) -> Array:
+def polynomial(powers: F8, x: F8, derivative: int = 0) -> F8:
     """Values of polynomials with coefficients (degree + 1, m, k), lowest power first, at x (k,), or of a derivative."""
     value = np.zeros(powers.shape[1:])
     for power in range(len(powers) - 1, derivative - 1, -1):
@@ -46,7 +46,7 @@ def polynomial(powers: Array, x: Array, derivative: int = 0) -> Array:
 
 
 def interpolant(
-    at: Array, values: Array, degree: int = 3, ends: Literal["not-a-knot", "natural", "periodic"] = "not-a-knot"
+    at: F8, values: F8, degree: int = 3, ends: Literal["not-a-knot", "natural", "periodic"] = "not-a-knot"
 ) -> Spline:
     """Spline of a degree through values (n, m) at growing parameters (n,).
 
@@ -69,12 +69,12 @@ def interpolant(
     return Spline(at, powers(at, knots, _control_points(at, values, knots, natural), degree))
 
 
-def _cells(knots: Array, x: Array, degree: int) -> IntArray:
+def _cells(knots: F8, x: F8, degree: int) -> I8:
     """Return the number of the knot at which the interval of each parameter (n,) begins; the end is in the last one."""
     return np.clip(np.searchsorted(knots, x, side="right") - 1, degree, len(knots) - degree - 2)
 
 
-def _basis(knots: Array, x: Array, cell: IntArray, degree: int) -> Array:
+def _basis(knots: F8, x: F8, cell: I8, degree: int) -> F8:
     """B-splines (n, degree + 1) that are not 0 (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
     value = np.ones((len(x), 1))
     for j in range(1, degree + 1):
@@ -87,7 +87,7 @@ def _basis(knots: Array, x: Array, cell: IntArray, degree: int) -> Array:
     return value
 
 
-def _control_points(at: Array, values: Array, knots: Array, natural: bool) -> Array:
+def _control_points(at: F8, values: F8, knots: F8, natural: bool) -> F8:
     """Control points (c, m) of the spline with these knots (t,) through values (n, m)."""
     degree = len(knots) - len(at) - (3 if natural else 1)
     size, reach = len(knots) - degree - 1, max(degree - 1, 1)
@@ -110,7 +110,7 @@ def _control_points(at: Array, values: Array, knots: Array, natural: bool) -> Ar
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _solve(bands: Array, values: Array) -> None:
+def _solve(bands: F8, values: F8) -> None:
     """Solve equations in place: values (n, m) become the solution.
 
     Row i of the bands (n, 2 b + 1) has the coefficients of unknowns i - b .. i + b. Matrices of B-splines are totally
@@ -131,7 +131,7 @@ def _solve(bands: Array, values: Array) -> None:
             values[i, a] /= bands[i, reach]
 
 
-def powers(at: Array, knots: Array, control: Array, degree: int) -> Array:
+def powers(at: F8, knots: F8, control: F8, degree: int) -> F8:
     """Pieces (degree + 1, n - 1, m) of a B-spline: powers of the distance from each parameter (n,) but the last.
 
     Parameters

@@ -16,7 +16,7 @@ from vlp16emu.elementary import hypot, matvec, norm
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems, lanes
 from vlp16emu.foliage.march import Passage
-from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, unpacked_block
+from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, stretch_of, unpacked_block
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.foliage.stems import seen, stem_lines, stems_of
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
@@ -35,86 +35,6 @@ _NO_GROUND_M = np.float32(-1e6)
 _AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
 _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
 """Cloud of a library before anything is measured, if only stems and ground are far."""
-
-
-class Far:
-    """Maker of the media of windows of a world; `workers` measure shapes and make blocks side by side."""
-
-    def __init__(self, world: TiledWorld, workers: Executor) -> None:
-        self._world, self._workers = world, workers
-        self._clouds, self._measured = dict[ShapeKey, Cloud](), set[Name]()
-        self._place, self._names = dict[object, int](), list[str]()
-        self._library = Library.of([_NO_CLOUD])
-        self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
-        self._shelf = Shelf()
-
-    def is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
-        """Return which placements of `window.far` light may meet before it comes to the medium."""
-        own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
-        stretch = np.sqrt((np.square(window.world_T_shape[:, :, :3])).sum(axis=1).max(axis=-1))
-        radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
-        rows = np.array([row for _, _, row in window.tiles], np.uint32)
-        own_shapes = np.flatnonzero(np.isin(window.first_surface, rows) & window.far)  # at each tile's first surface
-        for place, (ix, iy, _) in zip(own_shapes.tolist(), window.tiles, strict=True):
-            lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
-            ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
-            at_m[place] += _TILE_M / 2
-            radius_m[place] = norm(ends_m).max() + STRAY_M
-        track_m, reach_m = window.track_m[:, :2], self._world.near_m + STRAY_M + radius_m
-        low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
-        few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
-        near = np.zeros(len(at_m), np.bool_)
-        near[few] = distance_m(at_m[few], track_m) <= reach_m[few]
-        return near[window.far]
-
-    def tiles(self, window: TiledWindow) -> dict[Name, FarTile]:
-        """Return the tiles of a window and their neighbours, with their shapes measured."""
-        around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
-        tiles = dict(zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True))
-        self._measure(tile for name, tile in tiles.items() if name not in self._measured)
-        self._measured |= tiles.keys()
-        return tiles
-
-    def medium(self, window: TiledWindow, tiles: dict[Name, FarTile]) -> Medium:
-        """Put together what is far in a window, of whose `tiles` it is."""
-        rows = {(ix, iy): row for ix, iy, row in window.tiles}
-        self._shelf.clear(rows)
-        missing = [name for name in rows if name not in self._shelf.blocks]
-        made = self._workers.map(lambda name: self._block(tiles, *name), missing)
-        for name, block in zip(missing, made, strict=True):
-            self._shelf.lay(name, block, len(rows))
-        medium = _joined(window, tiles, self._shelf, rows, self._cosine, self._world)
-        self._shelf.keep(medium.brick, rows)
-        return medium
-
-    def _block(self, tiles: dict[Name, FarTile], ix: int, iy: int) -> Block:
-        library, place, names, world = self._library, self._place, self._names, self._world.name
-        return recalled(
-            world and f"{world} block {ix} {iy}",
-            lambda: block_of(library, place, tiles, ix, iy),
-            lambda block: packed_block(block, library, names),
-            lambda kept: unpacked_block(kept, library, dict(zip(names, range(len(names)), strict=True))),
-        )
-
-    def _measure(self, tiles: Iterable[FarTile]) -> None:
-        new = dict[ShapeKey, U1]()
-        for tile in tiles:
-            for number, key in enumerate(tile.keys):
-                if key not in self._clouds:
-                    new[key] = tile.part[tile.first_part[number] : tile.first_part[number + 1]]
-        if not new:
-            return
-
-        def measured(of: tuple[ShapeKey, U1]) -> Cloud:
-            (key, parts), name = of, self._world.shape_name(of[0])
-            return recalled(name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._world.shape(key), parts))
-
-        self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
-        self._place = {key: number for number, key in enumerate(self._clouds)}
-        self._names = [self._world.shape_name(key) for key in self._clouds]
-        clouds = list(self._clouds.values())
-        self._library = Library.of(clouds)
-        self._cosine = np.concatenate([self._cosine[:0], *(cloud.cosine for cloud in clouds)])
 
 
 def _joined(
@@ -242,34 +162,108 @@ def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[n
 
 
 class FarCaster(EmbreeCaster):
-    """Opens windows with tiles; parameters as of `EmbreeCaster`, the world describes what is far, too."""
+    """Opens windows with tiles; parameters as of `EmbreeCaster`, the world describes what is far, too.
+
+    Clouds of shapes and blocks of tiles are kept from window to window.
+    """
 
     def __init__(self, world: TiledWorld, workers: Executor) -> None:
         super().__init__(world, workers)
-        self._near_m, self._far = world.near_m, Far(world, workers)
+        self._tiled = world
+        self._clouds, self._measured = dict[ShapeKey, Cloud](), set[Name]()
+        self._place, self._names = dict[object, int](), list[str]()
+        self._library = Library.of([_NO_CLOUD])
+        self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
+        self._shelf = Shelf()
 
     def _opened(self, window: Window) -> EmbreeGeometry:
-        if not isinstance(window, TiledWindow) or math.isinf(self._near_m):
+        if not isinstance(window, TiledWindow) or math.isinf(self._tiled.near_m):
             return super()._opened(window)
-        tiles = self._far.tiles(window)
+        tiles = self.tiles(window)
         exact = ~window.far
         is_near = np.empty(len(window.shape), np.bool_)
-        is_near[window.far] = self._far.is_near(window)
+        is_near[window.far] = self._is_near(window)
         is_near[exact] = self._is_reached(window, exact)
         everywhere = _part(window, exact & ~window.low)
         beyond = self._placed(everywhere, self._begun(everywhere))
         part = _part(window, is_near)
         begun = self._begun(part)  # while what is far is put together
-        medium = self._far.medium(window, tiles)
+        medium = self.medium(window, tiles)
         near = self._placed(part, begun)
         return FarGeometry(near, window.track_m, beyond if beyond.meshes else None, medium)
+
+    def _is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
+        """Return which placements of `window.far` light may meet before it comes to the medium."""
+        own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
+        radius_m, at_m = own[window.shape] * stretch_of(window.world_T_shape), window.world_T_shape[:, :2, 3].copy()
+        rows = np.array([row for _, _, row in window.tiles], np.uint32)
+        own_shapes = np.flatnonzero(np.isin(window.first_surface, rows) & window.far)  # at each tile's first surface
+        for place, (ix, iy, _) in zip(own_shapes.tolist(), window.tiles, strict=True):
+            lines = stem_lines(self._tiled.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
+            ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
+            at_m[place] += _TILE_M / 2
+            radius_m[place] = norm(ends_m).max() + STRAY_M
+        track_m, reach_m = window.track_m[:, :2], self._tiled.near_m + STRAY_M + radius_m
+        low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
+        few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
+        near = np.zeros(len(at_m), np.bool_)
+        near[few] = distance_m(at_m[few], track_m) <= reach_m[few]
+        return near[window.far]
+
+    def tiles(self, window: TiledWindow) -> dict[Name, FarTile]:
+        """Return the tiles of a window and their neighbours, with their shapes measured."""
+        around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
+        tiles = dict(zip(around, self._workers.map(lambda name: self._tiled.far_tile(*name), around), strict=True))
+        self._measure(tile for name, tile in tiles.items() if name not in self._measured)
+        self._measured |= tiles.keys()
+        return tiles
+
+    def medium(self, window: TiledWindow, tiles: dict[Name, FarTile]) -> Medium:
+        """Put together what is far in a window, of whose `tiles` it is."""
+        rows = {(ix, iy): row for ix, iy, row in window.tiles}
+        self._shelf.clear(rows)
+        missing = [name for name in rows if name not in self._shelf.blocks]
+        made = self._workers.map(lambda name: self._block(tiles, *name), missing)
+        for name, block in zip(missing, made, strict=True):
+            self._shelf.lay(name, block, len(rows))
+        medium = _joined(window, tiles, self._shelf, rows, self._cosine, self._tiled)
+        self._shelf.keep(medium.brick, rows)
+        return medium
+
+    def _block(self, tiles: dict[Name, FarTile], ix: int, iy: int) -> Block:
+        library, place, names, world = self._library, self._place, self._names, self._tiled.name
+        return recalled(
+            world and f"{world} block {ix} {iy}",
+            lambda: block_of(library, place, tiles, ix, iy),
+            lambda block: packed_block(block, library, names),
+            lambda kept: unpacked_block(kept, library, dict(zip(names, range(len(names)), strict=True))),
+        )
+
+    def _measure(self, tiles: Iterable[FarTile]) -> None:
+        new = dict[ShapeKey, U1]()
+        for tile in tiles:
+            for number, key in enumerate(tile.keys):
+                if key not in self._clouds:
+                    new[key] = tile.part[tile.first_part[number] : tile.first_part[number + 1]]
+        if not new:
+            return
+
+        def measured(of: tuple[ShapeKey, U1]) -> Cloud:
+            (key, parts), name = of, self._tiled.shape_name(of[0])
+            return recalled(name and f"cloud {name} {parts.tolist()}", lambda: cloud_of(self._tiled.shape(key), parts))
+
+        self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
+        self._place = {key: number for number, key in enumerate(self._clouds)}
+        self._names = [self._tiled.shape_name(key) for key in self._clouds]
+        clouds = list(self._clouds.values())
+        self._library = Library.of(clouds)
+        self._cosine = np.concatenate([self._cosine[:0], *(cloud.cosine for cloud in clouds)])
 
     def _is_reached(self, window: TiledWindow, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return which of some placements light may meet before it comes to the medium."""
         part = _part(window, kept)
         radius_m = np.array([mesh.radius_m for mesh in self._grown(part, self._begun(part))])
-        stretch = np.sqrt(np.square(part.world_T_shape[:, :, :3]).sum(axis=1).max(axis=-1, initial=0.0))
-        reach_m = self._near_m + STRAY_M + stretch * radius_m[part.shape]
+        reach_m = self._tiled.near_m + STRAY_M + stretch_of(part.world_T_shape) * radius_m[part.shape]
         return distance_m(part.world_T_shape[:, :2, 3], window.track_m[:, :2]) <= reach_m
 
 

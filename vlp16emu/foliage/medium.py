@@ -56,7 +56,7 @@ def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, Far
     placed = tuple(np.concatenate(part) for part in parts)
     stems, ground_m = np.concatenate([tile.stems for _, tile in around]), here.ground_m - corner_m[2]
     lines, brick_m = stem_lines(stems, corner_m), BRICK * VOXEL_M
-    top_m = placed[1][:, 2, 3] + _reach_m(library, placed[0], placed[1])
+    top_m = placed[1][:, 2, 3] + library.radius_m[placed[0]] * stretch_of(placed[1])
     low_m = min(ground_m.min() - 1.5, lines[:, 2].min(initial=np.inf) - 0.5)
     high_m = max(
         ground_m.max() + 1.0, *(ends.max(initial=-np.inf) for ends in (top_m, lines[:, 2] + lines[:, 5] + 0.5))
@@ -74,7 +74,7 @@ def _placed(
     which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
     world_T = tile.world_T_shape
     at_m = world_T[:, :, 3] - corner_m
-    reach_m = _reach_m(library, which, world_T)
+    reach_m = library.radius_m[which] * stretch_of(world_T)
     gap_m = np.maximum(np.maximum(-at_m[:, :2], at_m[:, :2] - COLUMNS * VOXEL_M), 0.0)
     own = np.flatnonzero((np.square(gap_m)).sum(axis=1) <= np.square(reach_m))
     relative = world_T[own].copy()
@@ -82,9 +82,10 @@ def _placed(
     return which[own], relative, tile.first_surface[own], np.full(len(own), number)
 
 
-def _reach_m(library: Library, which: I8, transforms: F8) -> F8:
-    stretch: F8 = np.sqrt(np.square(transforms[:, :, :3]).sum(axis=1).max(axis=-1))
-    return library.radius_m[which] * stretch
+def stretch_of(world_T_shape: F8) -> F8:
+    """Return the greatest scale (n,) along an axis of placements (n, 3, 4)."""
+    stretch: F8 = np.sqrt(np.square(world_T_shape[:, :, :3]).sum(axis=1).max(axis=-1, initial=0.0))
+    return stretch
 
 
 def packed_block(block: Block, library: Library, names: Sequence[str]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from vlp16emu.elementary import hypot
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 _PIECE = 32  # segments that share a bounding box
 _SLACK_M = 1e-6  # boxes farther than the nearest segment by less than this are still searched: rounding must not matter
@@ -13,14 +13,14 @@ _SLACK_M = 1e-6  # boxes farther than the nearest segment by less than this are 
 class Polyline:
     """A line (m, 2), m >= 1, in the plane that is quick to ask for distances, however long it is."""
 
-    def __init__(self, xy_m: Array) -> None:
+    def __init__(self, xy_m: F8) -> None:
         self.xy_m = np.ascontiguousarray(xy_m, np.float64)
         starts = range(0, max(len(xy_m) - 1, 1), _PIECE)
         pieces = [self.xy_m[i : i + _PIECE + 1] for i in starts]
         # (pieces, 4): least x and y, greatest x and y.
         self._boxes = np.array([[*piece.min(axis=0), *piece.max(axis=0)] for piece in pieces])
 
-    def distance_m(self, points_xy_m: Array) -> Array:
+    def distance_m(self, points_xy_m: F8) -> F8:
         """Distance from each point (n, 2), (n,): the same numbers for the line reversed."""
         out = np.empty(len(points_xy_m))
         _distances(out, np.ascontiguousarray(points_xy_m), self.xy_m, self._boxes)
@@ -30,18 +30,18 @@ class Polyline:
 class Corridor(Polyline):
     """The path of the sensor, and how far plants and things keep from it."""
 
-    def __init__(self, xy_m: Array, clearance_m: float) -> None:
+    def __init__(self, xy_m: F8, clearance_m: float) -> None:
         super().__init__(xy_m)
         self.clearance_m = clearance_m
 
 
-def distance_m(points_xy_m: Array, line_xy_m: Array) -> Array:
+def distance_m(points_xy_m: F8, line_xy_m: F8) -> F8:
     """Distance (n,) from each point (n, 2) to a polyline (m, 2), m >= 1, that is asked only once."""
     return Polyline(line_xy_m).distance_m(points_xy_m)
 
 
 @numba.njit(cache=True, nogil=True)
-def _distances(out: Array, points: Array, line: Array, boxes: Array) -> None:
+def _distances(out: F8, points: F8, line: F8, boxes: F8) -> None:
     """Fill (n,) distances: first the piece with the nearest box, then all pieces that could be nearer."""
     gap = np.empty(boxes.shape[0])
     for i in range(out.shape[0]):
@@ -61,7 +61,7 @@ def _distances(out: Array, points: Array, line: Array, boxes: Array) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def _to_piece(x: float, y: float, line: Array, piece: int) -> float:
+def _to_piece(x: float, y: float, line: F8, piece: int) -> float:
     """Distance of a point from the segments of one piece."""
     last = line.shape[0] - 1
     nearest = np.inf

@@ -4,7 +4,6 @@ import hashlib
 import logging
 import math
 from pathlib import Path
-from typing import Any
 
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.dem import DemHeights
@@ -13,9 +12,10 @@ from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.settings import Forest, Plot, Wind, Woods
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.given_stand import GivenStand, stems_in_the_way
+from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
-from vlp16emu.types import Array, World
+from vlp16emu.types import F8, World
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class ForestSite:
         return _digest(own, _content(section.dem.file if section.dem else None), str(self._seed))
 
     @property
-    def obstacles(self) -> tuple[Array, Array] | None:
+    def obstacles(self) -> tuple[F8, F8] | None:
         """Stems that the path leads around, with errors as of `stems_in_the_way`; None if it keeps its way."""
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
@@ -51,7 +51,7 @@ class ForestSite:
         return None
 
     def world(
-        self, path_xy_m: Array, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
+        self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
     ) -> tuple[World, TreeSway | None]:
         """Return the forest, and what moves its trees; parameters and errors as of `Site`."""
         section, ground = self._section, self._ground
@@ -64,26 +64,25 @@ class ForestSite:
                 *(path.clearance_m, reach_m),
             )
         blows = wind if wind is not None and wind.speed_m_s > 0 else None
-        plants, trails = flora(section.species_file), ground.trails if isinstance(ground, TerrainHeights) else None
-        common: dict[str, Any] = {"seed": self._seed, "height_m": self.height_m, "path": path, "plants": plants}
+        trails = ground.trails if isinstance(ground, TerrainHeights) else None
+        land = Land(self._seed, self.height_m, path, flora(section.species_file), trails)
         stems: Stand | GivenStand
         if isinstance(section, Plot):
-            stems = GivenStand(section, **common)
+            stems = GivenStand(section, land)
             stems.check(path, reach_m)
         else:
             assert isinstance(section, Forest)  # there is no third kind
-            stems = Stand(section, trails=trails, **common)
+            stems = Stand(section, land)
         bare = ForestWorld(
             section,
             stems,
+            land,
             reach_m=reach_m,
-            trails=trails,
             loose_stems=blows is not None,
             # A sensor that sees no farther than `near_m` meets no medium: then none is made.
             near_m=section.near_m if section.near_m < farthest_m else math.inf,
             name=_name(section, self._seed, path, reach_m, loose_stems=blows is not None),
             plants_name=_content(section.species_file),
-            **common,
         )
         sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
         return section.furnished(bare, path_xy_m, reach_m), sway

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.foliage.polyline import Polyline
-from vlp16emu.types import Array, HeightField, IntArray, Mesh
+from vlp16emu.types import F8, I8, HeightField, Mesh
 
 Mask = NDArray[np.bool_]
 _CELL_M = 0.5  # edge of the squares from which cutting begins, as many as are even ground
@@ -28,7 +28,7 @@ _APRON = 2
 """Squares around those that are asked for whose cuts are worked out too: cuts reach into the square beside, no farther."""
 
 
-def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[Array, IntArray]:
+def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[F8, I8]:
     """Triangulate the ground of a square so that those of neighbouring squares have the same vertices along their border.
 
     The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices (n, 3) in the world,
@@ -57,7 +57,7 @@ class _Ground:
         """Look up heights where (side, side) is set and none is known."""
         self.points_m(np.flatnonzero(wanted & np.isnan(self.z_m)))
 
-    def points_m(self, which: IntArray) -> Array:
+    def points_m(self, which: I8) -> F8:
         """Points (n, 3) of the grid by number, along rows and row by row."""
         row, column = np.divmod(which, self.side)
         xy_m = self._first_m[:, None] + np.array([column, row]) * (_CELL_M / _FINEST)
@@ -112,7 +112,7 @@ def _is_anti(side: int, step: int) -> Mask:
     return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
 
 
-def _bisected(triangles: IntArray, cut: Mask) -> IntArray:
+def _bisected(triangles: I8, cut: Mask) -> I8:
     """Cut triangles (n, 3) until none has a cut in the middle of its longest side."""
     whole = []
     for _ in range(_CUTS):
@@ -138,7 +138,7 @@ class TileKey:
     iy: int
 
 
-def tiles_within(line_xy_m: Array, reach_m: float) -> IntArray:
+def tiles_within(line_xy_m: F8, reach_m: float) -> I8:
     """Return the tiles (n, 2), ix and iy in ascending order, that may lie in part within `reach_m` of a polyline (m, 2)."""
     reach = reach_m + _HALF_DIAGONAL_M
     low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
@@ -148,7 +148,7 @@ def tiles_within(line_xy_m: Array, reach_m: float) -> IntArray:
     return tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
 
 
-def around(ix: int, iy: int, of: Callable[[int, int], Array]) -> Array:
+def around(ix: int, iy: int, of: Callable[[int, int], F8]) -> F8:
     """Join what there is of a tile and of the eight around it."""
     return np.concatenate([of(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
@@ -158,11 +158,11 @@ def tile_distance_m(tile: tuple[int, int], path: Polyline) -> float:
     return max(float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M, 0.0)
 
 
-def _centre_distance_m(tiles: IntArray, line: Polyline) -> Array:
+def _centre_distance_m(tiles: I8, line: Polyline) -> F8:
     return line.distance_m(TILE_M * tiles.astype(np.float64) + TILE_M / 2)
 
 
-def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> Array:
+def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> F8:
     """Origin of a tile's own frame, (3,): its south-west corner, at a whole metre near the ground."""
     x, y = ix * TILE_M, iy * TILE_M
     middle = height_m(np.array([x + TILE_M / 2]), np.array([y + TILE_M / 2]))

@@ -16,10 +16,10 @@ from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps
 from vlp16emu.random import Purpose, normal_pair, uniform_pair
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array, GnssFix
+from vlp16emu.types import F8, GnssFix
 from vlp16emu.units import S_NS
 
-Sky = Callable[[int, Array], float]
+Sky = Callable[[int, F8], float]
 """Share of the sky, 0..1, that is hidden at a UTC instant from an antenna (3,) in the world."""
 _WAVES = 32
 _EAST, _NORTH, _LOSS = 0, 1, 2  # lanes of the wandering processes
@@ -43,10 +43,10 @@ class GnssReading:
     """Measurement of a receiver in one second, beside the ground truth."""
 
     t_ns: int  # UTC, a whole second
-    antenna_m: Array  # (3,) true place in the world
-    velocity_m_s: Array  # (3,) true velocity in the world
-    measured_m: Array  # (3,) measured place in the world
-    measured_m_s: Array  # (2,) measured velocity, east and north
+    antenna_m: F8  # (3,) true place in the world
+    velocity_m_s: F8  # (3,) true velocity in the world
+    measured_m: F8  # (3,) measured place in the world
+    measured_m_s: F8  # (2,) measured velocity, east and north
     cover: float  # share of the sky that is hidden
     valid: bool  # true if it has a fix
 
@@ -147,7 +147,7 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
     return total / math.sqrt(_WAVES)
 
 
-def to_local(geodetic: Array, gps: Gps) -> Array:
+def to_local(geodetic: F8, gps: Gps) -> F8:
     """East, north and up in metres (n, 3) of points (n, 3): latitude and longitude in degrees, height in metres.
 
     The world is a plane, and the earth curves away below it: by 0.8 m at 3.2 km.
@@ -156,7 +156,7 @@ def to_local(geodetic: Array, gps: Gps) -> Array:
     return matvec(_axes(gps), _to_earth(geodetic) - _to_earth(origin))
 
 
-def to_geodetic(local_m: Array, gps: Gps) -> Array:
+def to_geodetic(local_m: F8, gps: Gps) -> F8:
     """Latitude and longitude in degrees and height in metres (n, 3) of world points (n, 3); see `to_local`.
 
     Source: Bowring, "Transformation from spatial to geographical coordinates", Survey Review 23(181), 1976.
@@ -177,7 +177,7 @@ def to_geodetic(local_m: Array, gps: Gps) -> Array:
     return np.column_stack([np.degrees(latitude), np.degrees(atan2(y_m, x_m)), height_m])
 
 
-def _to_earth(geodetic: Array) -> Array:
+def _to_earth(geodetic: F8) -> F8:
     """Return Cartesian coordinates (n, 3) in metres, from the middle of the earth."""
     latitude, longitude = np.radians(geodetic[:, 0]), np.radians(geodetic[:, 1])
     sine, cosine = sin(latitude), cos(latitude)
@@ -187,7 +187,7 @@ def _to_earth(geodetic: Array) -> Array:
     return np.column_stack([away_m * cos(longitude), away_m * sin(longitude), up_m])
 
 
-def _axes(gps: Gps) -> Array:
+def _axes(gps: Gps) -> F8:
     """Rotation (3, 3) from the earth's axes to east, north and up."""
     latitude_rad, longitude_rad = np.radians(gps.latitude_deg), np.radians(gps.longitude_deg)
     up, level = sin(latitude_rad), cos(latitude_rad)

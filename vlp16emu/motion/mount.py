@@ -10,7 +10,7 @@ from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.settings import Mount
 from vlp16emu.random import Purpose, normal
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 
 
@@ -46,12 +46,12 @@ class MountedMotion:
         self.run_time_s = carrier.run_time_s
         self.moves = carrier.moves or mount.spin_hz != 0.0
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
+    def poses_at(self, t_ns: I8) -> Poses:
         """Poses of the device at UTC instants (n,); a single one where nothing moves."""
         of = self._carrier.poses_at(t_ns)
         return self._mounted(of, t_ns if self.moves else of.t_ns)[0]
 
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses of the device at UTC instants (n,) with the derivatives of the same function."""
         of = self._carrier.kinematics_at(t_ns)
         poses, turns = self._mounted(of, t_ns)
@@ -69,7 +69,7 @@ class MountedMotion:
             body_alpha_rad_s2=matvec(device_R_body, alpha + np.cross(w, spin)),
         )
 
-    def _mounted(self, of: Poses, t_ns: IntArray) -> tuple[Poses, Array]:
+    def _mounted(self, of: Poses, t_ns: I8) -> tuple[Poses, F8]:
         """Poses of the device on a carrier with these poses, and its turns (n, 3, 3), or (1, 3, 3) on a fixed stage."""
         turns, poses = self._tilts[:1], Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         if self._spin_hz != 0.0:
@@ -80,7 +80,7 @@ class MountedMotion:
 
 
 @numba.njit(cache=True, nogil=True)
-def _spin(whole_s: IntArray, rest_ns: IntArray, spin_hz: float, tilts: Array, out: Array) -> None:
+def _spin(whole_s: I8, rest_ns: I8, spin_hz: float, tilts: F8, out: F8) -> None:
     """Fill the tilt turned about the axis, by Rodrigues' formula."""
     for i in range(len(out)):
         # Seconds and the rest apart: after days a product of both would have lost the last digits of the angle.
@@ -92,9 +92,7 @@ def _spin(whole_s: IntArray, rest_ns: IntArray, spin_hz: float, tilts: Array, ou
 
 
 @numba.njit(cache=True, nogil=True)
-def _mount(
-    world_R_body: Array, world_p_body_m: Array, body_R_device: Array, arm_m: Array, R: Array, p_m: Array
-) -> None:
+def _mount(world_R_body: F8, world_p_body_m: F8, body_R_device: F8, arm_m: F8, R: F8, p_m: F8) -> None:
     """Fill world_R_device and world_p_device; a single carrier pose or a single turn holds for all."""
     for i in range(len(R)):
         n = i if len(world_R_body) > 1 else 0

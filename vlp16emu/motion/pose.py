@@ -8,17 +8,17 @@ import numpy as np
 
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.types import F8, I8, Poses
 
 
 @dataclass(frozen=True, slots=True)
 class Kinematics(Poses):
     """Poses of a body at n instants with the exact derivatives of the same function."""
 
-    world_v_body_m_s: Array  # (n, 3) its velocity
-    world_a_body_m_s2: Array  # (n, 3) its acceleration, without gravity
-    body_w_rad_s: Array  # (n, 3) angular rate of the body, in body axes
-    body_alpha_rad_s2: Array  # (n, 3) time derivative of `body_w_rad_s`
+    world_v_body_m_s: F8  # (n, 3) its velocity
+    world_a_body_m_s2: F8  # (n, 3) its acceleration, without gravity
+    body_w_rad_s: F8  # (n, 3) angular rate of the body, in body axes
+    body_alpha_rad_s2: F8  # (n, 3) time derivative of `body_w_rad_s`
 
 
 class Motion(Protocol):
@@ -32,15 +32,15 @@ class Motion(Protocol):
     def moves(self) -> bool:
         """True if poses differ from one instant to another."""
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
+    def poses_at(self, t_ns: I8) -> Poses:
         """Poses at UTC instants (n,); a single one where nothing moves."""
 
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses at UTC instants (n,) with the derivatives of the same function."""
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: Array) -> None:
+def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: F8) -> None:
     """Fill the rotation (3, 3) of `rotate` from cosines and sines of yaw, pitch and roll."""
     out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
@@ -48,7 +48,7 @@ def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: flo
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: Array) -> None:
+def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: F8) -> None:
     """Fill a rotation (3, 3), body to world: about z, then y, then x.
 
     Yaw is counter-clockwise from east, positive pitch is nose down, positive roll is right side down.
@@ -57,7 +57,7 @@ def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: Array) -> Non
 
 
 @numba.njit(cache=True, nogil=True)
-def rotations(yaw_rad: Array, pitch_rad: float, roll_rad: float) -> Array:
+def rotations(yaw_rad: F8, pitch_rad: float, roll_rad: float) -> F8:
     """Return world_R_body (n, 3, 3) for headings (n,) and a fixed inclination, angles as in `rotate`."""
     out = np.empty((yaw_rad.size, 3, 3))
     for i in range(yaw_rad.size):
@@ -65,7 +65,7 @@ def rotations(yaw_rad: Array, pitch_rad: float, roll_rad: float) -> Array:
     return out
 
 
-def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
+def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> F8:
     """Return a rotation (3, 3), body to world, with angles as in `rotate`."""
     inclination = math.radians(pitch_deg), math.radians(roll_deg)
     return rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
@@ -77,15 +77,15 @@ class StaticMotion:
     run_time_s = math.inf
     moves = False
 
-    def __init__(self, position_m: Array, yaw_deg: float, pitch_deg: float, roll_deg: float) -> None:
+    def __init__(self, position_m: F8, yaw_deg: float, pitch_deg: float, roll_deg: float) -> None:
         turn = rotation(yaw_deg, pitch_deg, roll_deg)
         self._poses = Poses(np.zeros(1, np.int64), turn[None], position_m[None])
 
-    def poses_at(self, t_ns: IntArray) -> Poses:  # noqa: ARG002  # the same at all times
+    def poses_at(self, t_ns: I8) -> Poses:  # noqa: ARG002  # the same at all times
         """Return the one pose."""
         return self._poses
 
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Repeat the one pose at instants (n,), without any motion."""
         n, still = len(t_ns), np.zeros((len(t_ns), 3))
         turns = np.repeat(self._poses.world_R_body, n, axis=0)

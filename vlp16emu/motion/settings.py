@@ -12,7 +12,7 @@ from vlp16emu.settings import Angle, Place, Section, Size
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.motion.pose import Motion
-    from vlp16emu.types import Array
+    from vlp16emu.types import F8
     from vlp16emu.world.settings import Site
 
 _Error = Annotated[float, Field(ge=0, le=1000)]
@@ -69,7 +69,7 @@ class MotionSection(Section):
         """True if poses come in while the run is streamed."""
         return False
 
-    def carrier(self, site: "Site", *, gps: "Gps", reach_m: float, start_ns: int, seed: int) -> "tuple[Motion, Array]":
+    def carrier(self, site: "Site", *, gps: "Gps", reach_m: float, start_ns: int, seed: int) -> "tuple[Motion, F8]":
         """Return the motion of the carrier over the ground, and points (n, 2) of its path on the map.
 
         Raises TrajectoryError if nobody can move so.
@@ -107,7 +107,7 @@ class Static(MotionSection):
     roll_deg: Angle = 0.0
     """Right side down is positive."""
 
-    def carrier(self, site: "Site", **_: object) -> "tuple[Motion, Array]":
+    def carrier(self, site: "Site", **_: object) -> "tuple[Motion, F8]":
         """Return the one pose, and its place on the map."""
         import numpy as np
 

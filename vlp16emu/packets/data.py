@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets import layout
-from vlp16emu.packets.layout import LASERS, SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
+from vlp16emu.packets.layout import SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import F4, F8, I8, U1, U2, Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
@@ -53,9 +53,10 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     mode : which returns are sent
     model : decides the factory byte
 
-    Raises InputError unless there are 16 lasers, whole packets, and angles and distances that are finite and not negative.
+    Raises InputError unless angles and distances are finite and not negative; ValueError unless there are 16 lasers and
+    whole packets.
     """
-    _check(returns, mode)
+    _check(returns)
     firings = returns.firings
     packets = np.zeros(len(firings.t_ns) // SEQUENCES_PER_PACKET[mode], layout.DATA_PAYLOAD)
     # One row per block that has firing sequences of its own: 12 in a packet, 6 in dual return.
@@ -89,13 +90,7 @@ def timestamp_us(clock_ns: _Time) -> _Time:
     return clock_ns % HOUR_NS // US_NS
 
 
-def _check(returns: Returns, mode: ReturnMode) -> None:
-    sequences, lasers = returns.firings.t_ns.shape
-    if lasers != LASERS:
-        raise InputError("pack_data: lasers", str(lasers), str(LASERS))
-    if sequences % SEQUENCES_PER_PACKET[mode]:
-        expected = f"a multiple of {SEQUENCES_PER_PACKET[mode]} for {mode} return"
-        raise InputError("pack_data: firing sequences", str(sequences), expected)
+def _check(returns: Returns) -> None:
     for name, values in (("firings.reading_deg", returns.firings.reading_deg), ("distance_m", returns.distance_m)):
         low, high = values.min(initial=0.0), values.max(initial=0.0)  # both hand NaN on
         if not (low >= 0.0 and high < np.inf):

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from ipaddress import IPv4Address
 
-from vlp16emu.errors import PacketError
-from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
+from vlp16emu.packets.layout import DATA_BYTES
 
 DATA_PORT = 2368
 """UDP port of data packets, source and, unless set otherwise, destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
@@ -21,8 +20,6 @@ POSITION_TTL = 64  # Time to live of position frames, measured
 
 _IP_HEADER_BYTES = 20
 _UDP_HEADER_BYTES = 8
-HEADER_BYTES = 14 + _IP_HEADER_BYTES + _UDP_HEADER_BYTES
-"""Ethernet, IPv4 without options, UDP: payloads start here, and readers with fixed offsets rely on it."""
 _IP, _IDENTIFICATION, _IP_CHECKSUM = slice(14, 34), slice(18, 20), slice(24, 26)
 _ADDRESSES, _UDP_CHECKSUM = slice(26, 34), slice(40, 42)
 _IPV4, _VERSION_AND_LENGTH, _DONT_FRAGMENT, _UDP = 0x0800, 0x45, 0x4000, 17
@@ -56,7 +53,7 @@ FACTORY_LINK = Link(
 def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
     """Everything in front of the payload of a data packet, the same for each of them.
 
-    42 bytes: identification 0, don't fragment, and UDP checksum 0, which stands for none.
+    42 bytes, on which readers with fixed offsets rely: identification 0, don't fragment, and UDP checksum 0, which stands for none.
     """
     header = bytearray(_header(link, DATA_PORT, link.data_port, payload_bytes, DATA_TTL, _DONT_FRAGMENT))
     header[_IP_CHECKSUM] = _checksum(header[_IP])
@@ -67,10 +64,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
     """Whole frame of a position packet, whose payload has 512 bytes, fewer if it is cut.
 
     Its identification is greater by `number`, the position packets before it, than the first one; of both the low 16 bits.
-    Raises PacketError if the payload is longer than 512 bytes.
     """
-    if len(payload) > POSITION_BYTES:
-        raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"at most {POSITION_BYTES}")
     header = bytearray(_header(link, POSITION_PORT, link.position_port, len(payload), POSITION_TTL, 0))
     header[_IDENTIFICATION] = (link.identification + number & 0xFFFF).to_bytes(2)
     header[_IP_CHECKSUM] = _checksum(header[_IP])

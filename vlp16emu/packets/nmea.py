@@ -6,14 +6,12 @@ Fields and their style follow what real units were seen to echo:
 
 from datetime import UTC, datetime, timedelta
 
-from vlp16emu.errors import InputError, PacketError
+from vlp16emu.errors import PacketError
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS, US_NS
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 KNOT_M_S = 1852 / 3600  # A nautical mile per hour, exact by definition
-_FASTEST_M_S = 999 * 1852 / 3600
-"""999 knots, which no receiver passes (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
 _MINUTE_DECIMALS = 7  # decimals that real units echo; 0.2 mm on the ground
 
 
@@ -21,11 +19,9 @@ def rmc(fix: GnssFix) -> bytes:
     """Write the sentence of one whole second: 13 fields of NMEA 0183 version 2.3 with checksum, CR and LF (63-9243 Rev D, section 7.4).
 
     If `fix.valid` is false the status is V and the mode letter N, and the last known numbers stay.
-    Raises InputError for NaN, a place outside the globe, a negative speed, or a time that is no whole second.
     """
     import pynmea2  # here, since a sensor without a receiver does without it
 
-    _check(fix)
     utc = _EPOCH + timedelta(seconds=fix.t_ns // S_NS)
     fields = (
         f"{utc:%H%M%S}.00",
@@ -73,19 +69,6 @@ def fields_of(sentence: bytes) -> list[str]:
     except ValueError as error:
         raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
     return fields
-
-
-def _check(fix: GnssFix) -> None:
-    for name, value, low, high in (
-        ("latitude_deg", fix.latitude_deg, -90.0, 90.0),
-        ("longitude_deg", fix.longitude_deg, -180.0, 180.0),
-        ("speed_m_s", fix.speed_m_s, 0.0, _FASTEST_M_S),
-        ("course_deg", fix.course_deg, 0.0, 360.0),
-    ):
-        if not low <= value <= high:
-            raise InputError(f"GNSS fix: {name}", f"{value}", f"{low} to {high}")
-    if fix.t_ns % S_NS:
-        raise InputError("GNSS fix: t_ns", f"{fix.t_ns}", "a whole second")
 
 
 def _knots(speed_m_s: float) -> str:

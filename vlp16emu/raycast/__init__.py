@@ -1,5 +1,1 @@
 """Ray casting: the sub-rays of each pulse against near faces and the far medium. The only border to float32."""
-
-from vlp16emu.raycast.settings import Beam
-
-__all__ = ["Beam"]

@@ -67,7 +67,7 @@ class Emulator:
         scenario = load(scene, settings, ideal=ideal)
         # Poses of a live run are not known again when its pulses are cast a second time.
         wanted = audit and has_door("audit") and not scenario.motion.takes_poses
-        self.audit: Any = door("audit").of(scenario) if wanted else None
+        self.audit: Any = door("audit")(scenario) if wanted else None
         """Tap that casts a sample of the pulses again, an `extras.accuracy.audit.Audit`; None without an audit."""
         taps = [self.audit] if self.audit else []
         self.engine: Engine = Engine.of(scenario, threads=threads, taps=taps, like=like.engine if like else None)

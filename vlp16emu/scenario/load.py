@@ -16,7 +16,7 @@ from vlp16emu.doors import added, door
 from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.scenario.model import Scenario, schema
-from vlp16emu.sensor import Lidar
+from vlp16emu.sensor.settings import Lidar
 from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
 
 _UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)

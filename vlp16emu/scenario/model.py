@@ -23,13 +23,13 @@ from pydantic_core import CoreSchema, core_schema
 
 from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
-from vlp16emu.motion import Gps, MotionSection, Mount
-from vlp16emu.raycast import Beam
+from vlp16emu.motion.settings import Gps, MotionSection, Mount
+from vlp16emu.raycast.settings import Beam
 from vlp16emu.returns import Detector, Noise, Weather
-from vlp16emu.sensor import AnySensor, Lidar, Sensor
+from vlp16emu.sensor.settings import AnySensor, Lidar, Sensor
 from vlp16emu.settings import LazySection, OneOf, Preset, Section, Seed, merged
 from vlp16emu.units import S_NS, US_NS
-from vlp16emu.world import People, WorldSection
+from vlp16emu.world.settings import People, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos
 from vlp16emu.random import Purpose, normal
-from vlp16emu.types import Array, SensorModel
+from vlp16emu.types import F8, SensorModel
 
 LASER_NS = 2_304  # time between the pulses of consecutive lasers (63-9243 Rev D, section 8.1)
 SEQUENCE_NS = 55_296  # period of firing sequences: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)
@@ -26,16 +26,16 @@ LENS_RADIUS_M = 0.0419
 class BeamTable:
     """Directions and firing times of L lasers in wire order."""
 
-    elevation_deg: Array  # (L,) elevation over the horizon by the data sheet
-    vertical_offset_m: Array  # (L,) height at which the beam's line meets the spin axis; ranges are measured from there
+    elevation_deg: F8  # (L,) elevation over the horizon by the data sheet
+    vertical_offset_m: F8  # (L,) height at which the beam's line meets the spin axis; ranges are measured from there
     lens_radius_m: float  # distance from the spin axis at which the light leaves
     sequence_ns: int  # period of firing sequences
     laser_ns: int  # time between the pulses of consecutive lasers
-    elevation_error_deg: Array  # (L,) constant elevation errors of this unit
-    azimuth_error_deg: Array  # (L,) constant azimuth errors of this unit
+    elevation_error_deg: F8  # (L,) constant elevation errors of this unit
+    azimuth_error_deg: F8  # (L,) constant azimuth errors of this unit
 
     @property
-    def near_m(self) -> Array:
+    def near_m(self) -> F8:
         """(L,) range at which the light leaves the lens."""
         return np.asarray(self.lens_radius_m / cos(np.radians(self.elevation_deg)))
 
@@ -47,7 +47,7 @@ class BeamTable:
 
 def table_of(
     elevation_deg: Sequence[float],
-    vertical_offset_m: Array,
+    vertical_offset_m: F8,
     lens_radius_m: float = LENS_RADIUS_M,
     sequence_ns: int = SEQUENCE_NS,
     laser_ns: int = LASER_NS,

@@ -10,7 +10,7 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array, Firings, IntArray, Poses
+from vlp16emu.types import F8, I8, Firings, Poses
 
 _TOGETHER = 480
 """Firing sequences that are aimed before the poses of others are asked for, so that these are still in the cache."""
@@ -25,20 +25,20 @@ class Head:
     clock: Clock
     start_ns: int
 
-    def times_ns(self, first: int, count: int) -> IntArray:
+    def times_ns(self, first: int, count: int) -> I8:
         """Return UTC of every pulse of `count` sequences, (count, L)."""
         beams = self.beams
         sequence = self.start_ns + np.arange(first, first + count, dtype=np.int64) * beams.sequence_ns
         laser = np.arange(len(beams.elevation_deg), dtype=np.int64) * beams.laser_ns
         return np.asarray(sequence[:, None] + laser)
 
-    def read(self, first: int, count: int) -> Array:
+    def read(self, first: int, count: int) -> F8:
         """Return what the encoder reads at `count` firing sequences from number `first` on, (count,) deg."""
         elapsed_ns = np.arange(first, first + count, dtype=np.int64) * self.beams.sequence_ns
         clock_ns = self.clock.reading_ns(self.start_ns + elapsed_ns)
         return self.rotor.read(self.rotor.angle_deg(elapsed_ns), elapsed_ns, first, clock_ns)
 
-    def aim(self, first: int, count: int, poses_at: Callable[[IntArray], Poses], *, beam_axis: bool = False) -> Firings:
+    def aim(self, first: int, count: int, poses_at: Callable[[I8], Poses], *, beam_axis: bool = False) -> Firings:
         """Return the pulses of `count` firing sequences from number `first` on.
 
         Parameters
@@ -71,7 +71,7 @@ class Head:
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def turn(R: Array, vector: Array, out: Array) -> None:
+def turn(R: F8, vector: F8, out: F8) -> None:
     """Fill out = R vector, each (3,) and R (3, 3); for use in kernels."""
     for a in range(3):
         out[a] = R[a, 0] * vector[0] + R[a, 1] * vector[1] + R[a, 2] * vector[2]
@@ -79,15 +79,15 @@ def turn(R: Array, vector: Array, out: Array) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _aim(
-    azimuth_deg: Array,
-    error_rad: Array,
-    elevation_rad: Array,
-    offset_m: Array,
-    world_R_body: Array,
-    world_p_body_m: Array,
-    origin_m: Array,
-    direction: Array,
-    beam_axis: Array,
+    azimuth_deg: F8,
+    error_rad: F8,
+    elevation_rad: F8,
+    offset_m: F8,
+    world_R_body: F8,
+    world_p_body_m: F8,
+    origin_m: F8,
+    direction: F8,
+    beam_axis: F8,
 ) -> None:
     """Fill origins and directions: x = cos w cos a, y = -cos w sin a, z = sin w, as azimuth 0 looks forward.
 
@@ -117,7 +117,7 @@ def _aim(
 
 
 @numba.njit(cache=True, nogil=True)
-def in_sensor(azimuth_deg: Array, elevation_deg: Array, offset_m: Array, distance_m: Array) -> Array:
+def in_sensor(azimuth_deg: F8, elevation_deg: F8, offset_m: F8, distance_m: F8) -> F8:
     """Return the points (n, 3) of ranges in the sensor's frame, by the manual's formulas; all arguments (n,)."""
     out = np.empty((len(distance_m), 3))
     for i in range(len(distance_m)):

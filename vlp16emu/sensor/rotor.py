@@ -12,7 +12,7 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.sensor.settings import Lidar
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array, IntArray
+from vlp16emu.types import F8, I8
 from vlp16emu.units import HOUR_NS, S_NS
 
 _TICK_NS, _LATEST_TICK_NS = 1_200, (500, 300)
@@ -46,7 +46,7 @@ class Spin:
     rpm: float  # speed at that instant; a whole number where it stays constant
     rpm_per_s: float = 0.0  # change of speed
 
-    def at(self, elapsed_ns: IntArray) -> Array:
+    def at(self, elapsed_ns: I8) -> F8:
         """Return true angles (n,), [0, 360), at times since the start (n,)."""
         since_ns = elapsed_ns - self.from_ns
         out = np.empty(elapsed_ns.shape)
@@ -147,7 +147,7 @@ class Encoder:
             slow_shares=np.clip(_SLOW_SHARES + spread * (0.3 * own[8:] - 0.15), 0.0, 1.0).tolist(),
         )
 
-    def read(self, angle_deg: Array, first: int, clock_ns: IntArray, rpm: Array | float) -> Array:
+    def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:
         """Return readings (k,), [0, 360), at true angles (k,) of firing sequences `first` and on.
 
         Parameters
@@ -167,7 +167,7 @@ class Encoder:
             reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
         return np.asarray(reading % 360.0)
 
-    def _between_lines(self, angle_deg: Array, first: int, rpm: Array) -> Array:
+    def _between_lines(self, angle_deg: F8, first: int, rpm: F8) -> F8:
         # The white error is here one of when a line is seen: early or late, evenly.
         early = 2.0 * uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
         angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * rpm / 600.0 * early
@@ -183,7 +183,7 @@ class Encoder:
         return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
 
 
-def _speeds(rpm: Array) -> tuple[Array, Array, Array]:
+def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
     """Return the two speeds of a reading between lines over the true one, and the share of the slower; all of the shape of `rpm`."""
     true_cdeg = _CDEG_PER_LASER * np.maximum(np.abs(rpm), 1.0)
     mean_cdeg = true_cdeg * np.where(np.abs(rpm) < _LEADS_FROM_RPM, _LAG, _LEAD)
@@ -209,7 +209,7 @@ class Rotor:
         """Speed at the start."""
         return self.spins[0].rpm
 
-    def angle_deg(self, elapsed_ns: IntArray) -> Array:
+    def angle_deg(self, elapsed_ns: I8) -> F8:
         """Return true angles, [0, 360), at times since the start of any shape; exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
         if self.swings:
@@ -226,7 +226,7 @@ class Rotor:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
 
-    def read(self, angle_deg: Array, elapsed_ns: IntArray, first: int, clock_ns: IntArray) -> Array:
+    def read(self, angle_deg: F8, elapsed_ns: I8, first: int, clock_ns: I8) -> F8:
         """Return what the encoder reads, (k,) [0, 360), at true angles (k,) of firing sequences `first` and on.
 
         Parameters
@@ -234,7 +234,7 @@ class Rotor:
         elapsed_ns : (k,) times since the start
         clock_ns : (k,) the sensor's clock
         """
-        rpm: Array | float = self.spins[0].rpm
+        rpm: F8 | float = self.spins[0].rpm
         if len(self.spins) > 1:
             of = np.searchsorted([spin.from_ns for spin in self.spins[1:]], elapsed_ns, side="right")
             begin_ns, begin_rpm, per_s = np.array([(s.from_ns, s.rpm, s.rpm_per_s) for s in self.spins])[of].T
@@ -259,7 +259,7 @@ class Rotor:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _turn(elapsed_ns: IntArray, span_ns: int, deg_per_ns: float, start_deg: float, out: Array) -> None:
+def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out: F8) -> None:
     """Fill angles (n,); the remainder is exact, like that of `%`, as whole turns and their differences are."""
     for i in range(out.shape[0]):
         angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
@@ -268,7 +268,7 @@ def _turn(elapsed_ns: IntArray, span_ns: int, deg_per_ns: float, start_deg: floa
 
 
 @numba.njit(cache=True, nogil=True)
-def _swung(elapsed_ns: IntArray, amplitude_ns: Array, period_ns: Array, phase_rad: Array) -> IntArray:
+def _swung(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8:
     """Return times (n,) at which a motor of even speed is where this one is; 0 stays."""
     out = np.empty_like(elapsed_ns)
     last, at_ns, further_ns = np.int64(np.iinfo(np.int64).min), 0.0, 0.0
@@ -287,7 +287,7 @@ def _swung(elapsed_ns: IntArray, amplitude_ns: Array, period_ns: Array, phase_ra
 
 
 @numba.njit(cache=True, nogil=True)
-def _with_sine(reading_deg: Array, phase_deg: Array, amplitude_deg: float) -> Array:
+def _with_sine(reading_deg: F8, phase_deg: F8, amplitude_deg: float) -> F8:
     if amplitude_deg == 0.0:
         return reading_deg
     out = np.empty_like(reading_deg)
@@ -304,7 +304,7 @@ class ClockSpan:
     reading_ns: int | None = None  # reading at that instant of a clock that runs free; None if it is locked to GPS
     error_ppm: float = 0.0  # rate error, positive is fast; of a locked clock, fast in one second and slow in the next
 
-    def reading(self, t_ns: IntArray) -> IntArray:
+    def reading(self, t_ns: I8) -> I8:
         """Return nanoseconds past the counter's hour at UTC instants of any shape; before the span its first reading."""
         if self.reading_ns is None:
             if not self.error_ppm:
@@ -329,7 +329,7 @@ class Clock:
 
     spans: tuple[ClockSpan, ...]  # spans in order of time; the first holds for all times before the second
 
-    def reading_ns(self, t_ns: IntArray) -> IntArray:
+    def reading_ns(self, t_ns: I8) -> I8:
         """Return nanoseconds past the counter's hour at UTC instants of any shape."""
         out = self.spans[0].reading(t_ns)
         for span in self.spans[1:]:

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 
-from vlp16emu.errors import InputError
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -152,8 +151,6 @@ class Pacer:
     speed : simulated seconds per second, above 0
     clock_ns : monotonic clock
     sleep : suspends the thread for some seconds
-
-    Raises InputError if the speed is not a finite number above 0.
     """
 
     def __init__(
@@ -163,8 +160,6 @@ class Pacer:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        if not (math.isfinite(speed) and speed > 0):
-            raise InputError("speed", f"{speed}", "a finite number above 0")
         self.speed, self.now_ns, self._sleep = speed, clock_ns, sleep
         self.first_due_ns: int | None = None  # Due time of the first packet; None before it
         self.start_ns = 0  # Instant on the pacer's clock at which it was to leave

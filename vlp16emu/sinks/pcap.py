@@ -11,8 +11,7 @@ from pathlib import Path
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.output import STDOUT, OutputFile
 from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_frame
-from vlp16emu.sinks.sink import PacketSink
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import Packet, PacketKind, PacketSink
 from vlp16emu.units import S_NS, US_NS
 
 _ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})  # endings of classic pcap files; a name may have none

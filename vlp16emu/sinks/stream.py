@@ -13,8 +13,7 @@ from typing import Any, Self
 from vlp16emu.doors import door
 from vlp16emu.errors import InputError
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer, prompt
-from vlp16emu.sinks.sink import PacketSink
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import Packet, PacketKind, PacketSink
 from vlp16emu.units import S_NS
 
 LOOK_AHEAD_PACKETS = 2048  # About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB

@@ -9,8 +9,7 @@ from contextlib import ExitStack
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, FACTORY_LINK, POSITION_PORT, POSITION_TTL, Link
-from vlp16emu.sinks.sink import PacketSink
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import Packet, PacketKind, PacketSink
 
 LOOPBACK = "127.0.0.1"  # Default destination of packets: this machine
 

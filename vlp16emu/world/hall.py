@@ -9,7 +9,7 @@ import numpy as np
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, Array, Mesh, Semantic, ShapeKey, Window, World
+from vlp16emu.types import F8, SURFACE, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 from vlp16emu.world.vectors import closed
 
@@ -61,7 +61,7 @@ class HallWorld:
 
     def world(
         self,
-        path_xy_m: Array,
+        path_xy_m: F8,
         *,
         reach_m: float,
         farthest_m: float,  # noqa: ARG002  # all of it is near
@@ -72,7 +72,7 @@ class HallWorld:
         self.check(path_xy_m)
         return self._section.furnished(self, path_xy_m, reach_m), None
 
-    def check(self, path_xy_m: Array) -> None:
+    def check(self, path_xy_m: F8) -> None:
         """Warn where a path (n, 2) leads through a wall: nothing is seen from outside."""
         half_m = np.array(self.size_m[:2]) / 2
         outside = (np.abs(path_xy_m) >= half_m).any(axis=1)
@@ -87,11 +87,11 @@ class HallWorld:
         """Return no name: nothing of a hall is kept on disk."""
         return ""
 
-    def height_m(self, x_m: Array, y_m: Array) -> Array:
+    def height_m(self, x_m: F8, y_m: F8) -> F8:
         """Height of the floor: 0 everywhere."""
         return np.zeros(np.broadcast_shapes(np.shape(x_m), np.shape(y_m)))
 
-    def window(self, track_m: Array) -> Window:
+    def window(self, track_m: F8) -> Window:
         """Return the whole hall for any track (n, 3)."""
         n = len(self._keys)
         world_T_shape = np.zeros((n, 3, 4))

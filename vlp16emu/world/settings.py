@@ -9,7 +9,7 @@ from vlp16emu.doors import door
 from vlp16emu.settings import Fraction, LazySection, SceneFile, Section, Size
 
 if TYPE_CHECKING:  # scenes are read without numpy
-    from vlp16emu.types import Array, World
+    from vlp16emu.types import F8, World
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
 _KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
@@ -80,14 +80,14 @@ class Site(Protocol):
         """Easting, northing and height in maps that are (0, 0, 0) in the world."""
 
     @property
-    def obstacles(self) -> "tuple[Array, Array] | None":
+    def obstacles(self) -> "tuple[F8, F8] | None":
         """Places (n, 2) that way points lead around, and how far (n,) from each; None if paths keep their way."""
 
-    def height_m(self, x_m: "Array", y_m: "Array") -> "Array":
+    def height_m(self, x_m: "F8", y_m: "F8") -> "F8":
         """Height of the ground over places."""
 
     def world(
-        self, path_xy_m: "Array", *, reach_m: float, farthest_m: float, wind: Any, start_ns: int
+        self, path_xy_m: "F8", *, reach_m: float, farthest_m: float, wind: Any, start_ns: int
     ) -> "tuple[World, Any]":
         """Return the world around a path, and what moves in it, as `forest.stand.wind.TreeSway`; None in still air.
 
@@ -121,7 +121,7 @@ class WorldSection(Section):
         site: Site = door(self.site_door)(self, seed)
         return site
 
-    def furnished(self, bare: "World", path_xy_m: "Array", reach_m: float) -> "World":
+    def furnished(self, bare: "World", path_xy_m: "F8", reach_m: float) -> "World":
         """Return a world with the user's own meshes in it, as far as they are seen along a path (n, 2).
 
         Raises GeometryError if a mesh cannot be read.

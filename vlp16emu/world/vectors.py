@@ -4,26 +4,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
-from vlp16emu.types import Array, Mesh
+from vlp16emu.types import F8, Mesh
 
 
-def places_m(rows: NDArray[np.void], axes: str = "xyz") -> Array:
+def places_m(rows: NDArray[np.void], axes: str = "xyz") -> F8:
     """Return the places (n, 3), or along some axes, of rows that have them as x_m, y_m and z_m."""
     return np.column_stack([rows[f"{axis}_m"] for axis in axes])
 
 
-def unit(vectors: Array) -> Array:
+def unit(vectors: F8) -> F8:
     """Return vectors (..., k) scaled to a length of 1."""
     return vectors / norm(vectors)[..., None]
 
 
-def determinant(matrices: Array) -> Array:
+def determinant(matrices: F8) -> F8:
     """Return the determinants (...) of matrices (..., 3, 3): the triple product of their rows."""
     a, b, c = np.moveaxis(matrices, -2, 0)
     return (a * np.cross(b, c)).sum(axis=-1)
 
 
-def closed(rings: Array, ends: Array) -> Mesh:
+def closed(rings: F8, ends: F8) -> Mesh:
     """Make a closed body of rings (r, sides, 3), counter-clockwise seen from the last one, and the middles (2, 3) of its ends."""
     count, sides, _ = rings.shape
     vertices = np.concatenate([rings.reshape(-1, 3), ends])

@@ -1,6 +1,5 @@
 """Faults of packets on their way, found in what a run sends."""
 
-import socket
 from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
@@ -13,35 +12,19 @@ from listening import MemorySink
 from vlp16emu import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.bench.faults import arriving
-from vlp16emu.packets import FACTORY_LINK
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import load
-from vlp16emu.sinks import Pacer, UdpSink, stream
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.sinks import Pacer, stream
+from vlp16emu.types import PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
-STOP_S = 1.5
 DATA, POSITION = PacketKind.DATA, PacketKind.POSITION
-DUAL = {"preset": "steady", "return_mode": "dual"}
 START_NS = load("static_bench").start_ns
-TABLES = {
-    "schema": 1,
-    "seed": 5,
-    "duration_s": STOP_S,
-    "sensor": {"preset": "steady"},
-    "beam": {"model": "none"},
-    "motion": {"kind": "static"},
-    "world": {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0},
-}
+SETTINGS = {"seed": 5, "duration_s": 1.5, "gps.connected": True}
 
 
-def emulator(*events, threads=2, **tables):
-    return Emulator(load({**TABLES, "events": list(events), **tables}), threads=threads)
-
-
-@pytest.fixture(scope="module")
-def clean():
-    return made()
+def emulator(*events, threads=2, **settings):
+    return Emulator("static_bench", SETTINGS | {"events": list(events)} | settings, threads=threads)
 
 
 @lru_cache
@@ -49,15 +32,20 @@ def made():
     return list(emulator().packets())
 
 
-def sent(*events, start_s=0.0, stop_s=STOP_S, **tables):
+@pytest.fixture(scope="module")
+def clean():
+    return made()
+
+
+def sent(*events, start_s=0.0, stop_s=1.5, **settings):
     """Packets of a run to which events happen, in order of sending; light is cast again only where the scene is another."""
-    run = emulator(*events, **tables)
+    run = emulator(*events, **settings)
     begin_ns = run.scenario.start_ns
 
     def streams(start_ns, stop_ns):
         return (packet for packet in made() if start_ns <= packet.due_ns - begin_ns < stop_ns)
 
-    if tables:
+    if settings:
         packets = list(run.packets(start_s, stop_s))
     else:
         span_ns = round(start_s * S_NS), round(stop_s * S_NS)
@@ -142,11 +130,11 @@ def test_duplicates_follow_their_packet(clean):
     assert at_once[:place] + at_once[place + 1 :] == clean
 
 
-@pytest.mark.parametrize(("by", "tables"), [(1, {}), (3, {}), (1, {"sensor": DUAL})])
-def test_a_packet_comes_behind_later_ones(by, tables):
+@pytest.mark.parametrize(("by", "settings"), [(1, {}), (3, {}), (1, {"sensor.return_mode": "dual"})])
+def test_a_packet_comes_behind_later_ones(by, settings):
     """One data packet comes right behind the one that follows it by so many; position packets and dual return too."""
     fault = {"kind": "reorder", "at_s": 0.1, "by": by, "count": 1, "packets": "both"}
-    clean, moved = (sent(*events, stop_s=0.3, **tables) for events in ((), (fault,)))
+    clean, moved = (sent(*events, stop_s=0.3, **settings) for events in ((), (fault,)))
     for kind in (DATA, POSITION):
         expected = [packet.payload for packet in of(clean, kind)]
         first = len(expected) - len(since(of(clean, kind), 0.1))
@@ -218,21 +206,21 @@ def test_faults_are_those_of_their_unit():
 
 
 @pytest.mark.parametrize(
-    ("tables", "line"),
+    ("settings", "line"),
     [
         ({"events": [{"kind": "drop", "at_s": 1.0, "unit": 2}]}, "events[0].unit of at most 1"),
         ({"events": [{"kind": "drop", "at_s": 1.0, "count": 3, "duration_s": 2.0}]}, "duration_s or count"),
-        ({"events": [{"kind": "pps_loss", "at_s": 1.0}], "gps": {"connected": False}}, "gps.connected = true"),
+        ({"events": [{"kind": "pps_loss", "at_s": 1.0}], "gps.connected": False}, "gps.connected = true"),
         (
             {"events": [{"kind": "rpm_wobble", "at_s": 1.0}], "sensor": {"model": "free", "beams": 4}},
             'no rpm_wobble (events[0]) beside sensor.model = "free"',
         ),
     ],
 )
-def test_events_that_cannot_be_are_refused(tables, line):
+def test_events_that_cannot_be_are_refused(settings, line):
     """One line names the table and what was expected."""
     with pytest.raises(ScenarioError) as refused:
-        load({**TABLES, **tables})
+        load("static_bench", SETTINGS | settings)
     assert line in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -248,15 +236,3 @@ def test_a_stream_sends_the_same(now):
     cut = [len(packet.payload) < (1204 if packet.kind is DATA else 202) for packet in expected]
     assert any(cut)
     assert all(same) if not now else same == cut
-
-
-def test_cut_packets_leave_by_udp():
-    """A datagram holds what is left of its payload, even nothing."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(5.0)
-        port = receiver.getsockname()[1]
-        with UdpSink([replace(FACTORY_LINK, data_port=port, position_port=port)]) as sink:
-            for size in (0, 1, 600):
-                sink.send(Packet(DATA, 0, bytes(range(200)) * 3 if size == 600 else bytes(size)))
-                assert len(receiver.recv(2000)) == size

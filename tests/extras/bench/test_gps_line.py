@@ -8,15 +8,14 @@ import pytest
 from listening import MemorySink
 
 from vlp16emu.extras.bench.gps_in import GpsInSink, GpsLine
+from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import decode_position, pack_position
 from vlp16emu.packets.nmea import rmc
 from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, US_NS
 
-UTC_NS = int(datetime(2026, 11, 23, 23, 59, 50, tzinfo=UTC).timestamp()) * S_NS
-"""Ten seconds before midnight."""
-HOST_NS = 123_456_789_012
-"""Of the host's clock at that instant."""
+UTC_NS = int(datetime(2026, 11, 23, 23, 59, 50, tzinfo=UTC).timestamp()) * S_NS  # ten seconds before midnight
+HOST_NS = 123_456_789_012  # of the host's clock at that instant
 
 
 def sentence(second, *, valid=True):
@@ -28,10 +27,10 @@ def host(second):
     return HOST_NS + round(second * S_NS)
 
 
-def made(**settings):
+def made(*, is_pulsed=True, **settings):
     """A line that waits for 2 s of steady pulses."""
-    keys = {"window_ns": 2 * S_NS, "requires_valid": False, "sentence_delay_ns": None} | settings
-    return GpsLine(HOST_NS - 7 * S_NS - 321, **keys)
+    gps = Gps(pps_window_s=2.0, sentence_delay_s=0.45, canopy_loss=False, **settings)
+    return GpsLine(gps, HOST_NS - 7 * S_NS - 321, is_pulsed=is_pulsed)
 
 
 def feed(line, seconds, *, valid=True, jitter_ns=0, say=sentence):
@@ -49,17 +48,11 @@ def off_ns(line, second):
     return (error + HOUR_NS // 2) % HOUR_NS - HOUR_NS // 2
 
 
-def test_without_a_receiver_the_clock_counts_from_power_up():
-    """No pulse, no sentence: absent, and time since power-up."""
-    line = made()
-    assert line.state_at(host(0)) is PpsState.ABSENT
-    assert line.clock_ns(host(0)) == 7 * S_NS + 321
-    assert line.sentence == b""
-
-
 def test_pulses_and_sentences_lock_after_the_window():
-    """Synchronizing until pulses were steady for the window, then locked, and the clock is UTC past the hour, over midnight too."""
+    """Absent, and time since power-up, without a receiver; synchronizing for the window; then locked to UTC, over midnight too."""
     line = made()
+    assert (line.state_at(host(0)), line.sentence) == (PpsState.ABSENT, b"")
+    assert line.clock_ns(host(0)) == 7 * S_NS + 321
     feed(line, range(2))
     assert line.state_at(host(1.9)) is PpsState.SYNCHRONIZING
     feed(line, range(2, 15))
@@ -69,32 +62,23 @@ def test_pulses_and_sentences_lock_after_the_window():
     assert line.heard.pulses == line.heard.sentences == 15
 
 
-def test_pulses_alone_pull_the_fraction_of_a_second():
-    """Without sentences the state stays synchronizing, and the clock is at a whole second at each edge."""
+@pytest.mark.parametrize(
+    ("whole", "alone", "states"),
+    [
+        (range(0), range(6), {5.5: PpsState.SYNCHRONIZING}),
+        (range(6), range(0), {6.4: PpsState.LOCKED, 6.6: PpsState.ABSENT}),
+        (range(6), range(6, 12), {10.0: PpsState.LOCKED, 11.0: PpsState.SYNCHRONIZING}),
+    ],
+)
+def test_half_a_receiver_leaves_the_clock_where_it_was(whole, alone, states):
+    """Pulses alone never lock, the state is absent 1.5 s after the last pulse, and synchronizing 5 s after the last sentence."""
     line = made()
-    for second in range(6):
+    feed(line, whole)
+    for second in alone:
         line.pulse(host(second))
-    assert line.state_at(host(5.5)) is PpsState.SYNCHRONIZING
-    assert line.clock_ns(host(5)) % S_NS == 0
-
-
-def test_a_lost_pulse_lets_the_clock_run_on():
-    """1.5 s after the last pulse the state is absent, and the clock goes on from where it was."""
-    line = made()
-    feed(line, range(6))
-    assert line.state_at(host(6.4)) is PpsState.LOCKED
-    assert line.state_at(host(6.6)) is PpsState.ABSENT
-    assert off_ns(line, 100.0) == 0
-
-
-def test_sentences_that_cease_unlock():
-    """5 s after the last sentence pulses alone are synchronizing."""
-    line = made()
-    feed(line, range(6))
-    for second in range(6, 12):
-        line.pulse(host(second))
-    assert line.state_at(host(10.0)) is PpsState.LOCKED
-    assert line.state_at(host(11.0)) is PpsState.SYNCHRONIZING
+    assert {second: line.state_at(host(second)) for second in states} == states
+    assert off_ns(line, 100.0) % S_NS == 0  # the fraction of a second is that of the pulses
+    assert not whole or off_ns(line, 100.0) == 0
 
 
 def test_a_garbled_sentence_and_a_bad_pulse_are_errors():
@@ -150,7 +134,7 @@ def test_stamps_do_not_show_how_late_a_line_was_looked_at():
 
 def test_without_a_line_the_sentence_is_the_pulse():
     """Where no pulse comes, the second began as long before its sentence as is set, and the state locks all the same."""
-    line = made(sentence_delay_ns=450 * MS_NS)
+    line = made(is_pulsed=False)
     for second in range(8):
         line.receive(sentence(second), host(second + 0.45))
     assert line.state_at(host(7.9)) is PpsState.LOCKED

@@ -25,13 +25,6 @@ def test_a_sample_becomes_the_golden_frame():
         assert fields[key].tolist() == MEANING[key]
 
 
-def test_by_hand():
-    """The second number is -1/64, 0xBF90000000000000, at byte 32; sample 1000 is 0x3E8, at byte 8."""
-    assert FRAME[:4] == b"IMU\1"
-    assert FRAME[8:16] == b"\xe8\x03\0\0\0\0\0\0"
-    assert FRAME[32:40] == b"\0\0\0\0\0\0\x90\xbf"
-
-
 def test_any_wrong_bit_is_found():
     """A frame with one bit turned over is refused, wherever it is; so is one of another length."""
     for bit in range(8 * len(FRAME)):

@@ -12,25 +12,18 @@ S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000
 AGE_NS = 1_327_104
 
 
-class Clock:
-    """A clock that only sleeping moves on."""
+class Clock(Event):
+    """A clock that only waiting for its event moves on."""
 
     def __init__(self, now_ns):
+        super().__init__()
         self.now_ns = now_ns
 
     def __call__(self):
         return self.now_ns
 
-    def sleep(self, seconds):
-        self.now_ns += round(seconds * S_NS)
-
-
-class Waiting(Event):
-    """An event whose waiting passes on a clock."""
-
-    def __init__(self, clock):
-        super().__init__()
-        self.wait = clock.sleep
+    def wait(self, timeout):
+        self.now_ns += 0 if self.is_set() else round(timeout * S_NS)
 
 
 def data(made_ns):
@@ -46,8 +39,8 @@ def test_stamps_are_those_of_the_clock(now_ns):
     """Stamp and age of the first packet make the time at which it leaves, in the second after now; later ones follow."""
     clock, sink = Clock(now_ns), MemorySink()
     packets = [data(1_779_000_000 * S_NS + 250_000_000 + step * 10_000_000) for step in range(3)]
-    present = NowSink(sink, clock_ns=clock, sleep=clock.sleep)
-    present.begin(packets[0], Waiting(clock))
+    present = NowSink(sink, clock_ns=clock)
+    present.begin(packets[0], clock)
     assert 0 <= clock.now_ns - now_ns < S_NS
     for packet in packets:
         present.send(packet)
@@ -59,7 +52,7 @@ def test_stamps_are_those_of_the_clock(now_ns):
 
 def test_a_stream_that_is_to_stop_does_not_wait():
     """Where the stop event is set, beginning returns at once."""
-    clock, stop = Clock(5 * S_NS + 1), Event()
-    stop.set()
-    NowSink(MemorySink(), clock_ns=clock, sleep=clock.sleep).begin(data(10 * S_NS), stop)
+    clock = Clock(5 * S_NS + 1)
+    clock.set()
+    NowSink(MemorySink(), clock_ns=clock).begin(data(10 * S_NS), clock)
     assert clock.now_ns == 5 * S_NS + 1

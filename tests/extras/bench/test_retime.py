@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from listening import parse_rmc
 from pynmea2 import NMEASentence
 
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.retime import age_ns, moved, stamp_ns
 from vlp16emu.packets import data_fields, decode_position
 from vlp16emu.types import Packet, PacketKind
@@ -68,12 +68,3 @@ def test_a_data_packet_keeps_all_but_its_stamp():
     assert stamp_ns(after) == (stamp_ns(packet) + 7_000_000_000) % 3_600_000_000_000
     assert age_ns(packet) == 1_327_104
     assert data_fields(np.frombuffer(after.payload, "u1")[None])["return_mode"] == 0x37
-
-
-def test_a_sentence_of_its_own_is_moved_as_in_a_packet():
-    """What leaves by serial line stays byte for byte what position packets echo; an edge of the pulse has no time in it."""
-    sentence = Packet(PacketKind.NMEA, 0, with_checksum(SENTENCE))
-    for by_s in (1, 86_399, 342_026_366):
-        assert moved(sentence, by_s).payload == decode_position(moved(position(), by_s).payload).sentence
-    edge = Packet(PacketKind.PPS, 5, b"\1")
-    assert moved(edge, 7) == edge

@@ -58,17 +58,6 @@ def device(tmp_path):
     return Device(tmp_path / "gps")
 
 
-def test_what_is_sent_comes_out(device):
-    """Sentences leave in order, byte for byte; a pseudo-terminal has no line for a pulse, which the result says."""
-    with SerialSink(SerialPort(str(device.path), 9600, "--gps-out", "dtr")) as sink:
-        for number in range(20):
-            sink.send(sentence(b"%02d" % number + SENTENCE))
-            sink.send(Packet(PacketKind.PPS, 0, b"\1"))
-        assert device.read(20 * (2 + len(SENTENCE))) == b"".join(b"%02d" % n + SENTENCE for n in range(20))
-    assert (sink.result.messages, sink.result.dropped) == (20, 0)
-    assert (sink.result.pulses, sink.result.away) == (None, ())
-
-
 @pytest.mark.parametrize(("line", "felt"), [("rts", "cts"), ("dtr", "dsr")])
 def test_pulses_are_on_the_line(line, felt):
     """The line is low when the port opens, high by a pulse, low after it, and low when the stream ends in a pulse."""

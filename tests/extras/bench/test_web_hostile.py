@@ -201,8 +201,7 @@ def test_every_origin_may_read_only_as_a_tool(web):
     assert b"://" not in body
 
 
-LONGEST_S = 60.0
-"""Far more than the 5 s after which the server hangs up, on a machine that may be busy."""
+LONGEST_S = 60.0  # far more than the 5 s after which the server hangs up, on a machine that may be busy
 MANY = settings(
     max_examples=max(200, settings.default.max_examples),
     deadline=None,

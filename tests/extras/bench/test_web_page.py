@@ -8,8 +8,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not 
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
-LOOKS = 3000
-"""At the page, 20 ms apart."""
+LOOKS = 3000  # at the page, 20 ms apart
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.extras.clouds.place import place
+from vlp16emu.extras.clouds.scan import place
 from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.head import Head
@@ -36,14 +36,13 @@ def placed(head, poses_at=carried):
 
 
 def test_without_errors_a_point_lies_on_its_pulse(head):
-    """In the world it is origin + distance * direction of its own pulse; turned and moved by the pose of its instant, the point in the sensor is that."""
+    """In the world it is origin + distance * direction of its own pulse; so is the point in the sensor by the pose of its instant."""
     firings, points = placed(head)
     expected_m = firings.origin_m + DISTANCE_M.reshape(8, 16, 1).astype(float) * firings.direction
-    np.testing.assert_allclose(points.world_m, expected_m.reshape(-1, 3), atol=1e-11)
-    firings, points = placed(head)
+    np.testing.assert_allclose(points["world_m"], expected_m.reshape(-1, 3), atol=1e-11)
     poses = carried(firings.t_ns.ravel())
-    world_m = np.einsum("nab,nb->na", poses.world_R_body, points.sensor_m) + poses.world_p_body_m
-    np.testing.assert_allclose(points.world_m, world_m, atol=1e-11)
+    world_m = np.einsum("nab,nb->na", poses.world_R_body, points["sensor_m"]) + poses.world_p_body_m
+    np.testing.assert_allclose(points["world_m"], world_m, atol=1e-11)
 
 
 def test_points_are_where_the_sensor_believes(head):
@@ -51,23 +50,23 @@ def test_points_are_where_the_sensor_believes(head):
     rotor = replace(head.rotor, encoder=Encoder(1, once=(0.06, 40.0)))
     beams = with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.03, seed=1)
     firings, points = placed(replace(head, rotor=rotor, beams=beams))
-    x, y, z = points.sensor_m.T
+    x, y, z = points["sensor_m"].T
     believed_deg = np.degrees(np.arctan2(-y, x)) % 360
     turned_deg = (firings.azimuth_deg - firings.azimuth_deg[:, :1]).ravel()
     np.testing.assert_allclose(believed_deg, firings.reading_deg[SEQUENCE] + turned_deg, atol=1e-9)
-    np.testing.assert_allclose(points.azimuth_deg, believed_deg, atol=1e-9)
+    np.testing.assert_allclose(points["azimuth_deg"], believed_deg, atol=1e-9)
     elevation_deg = np.degrees(np.arcsin((z - beams.vertical_offset_m[LASER]) / DISTANCE_M))
     np.testing.assert_allclose(elevation_deg, head.beams.elevation_deg[LASER], atol=1e-9)
-    np.testing.assert_array_equal(points.elevation_deg, head.beams.elevation_deg[LASER])
+    np.testing.assert_array_equal(points["elevation_deg"], head.beams.elevation_deg[LASER])
 
 
 def test_azimuths_stay_in_the_circle(head):
     """Where the rotor passes 0 between two lasers the azimuth goes on from there, never to 360."""
     ahead = replace(head, rotor=replace(head.rotor, spins=(Spin(0, 359.999, 600),)))
     _, points = placed(ahead)
-    assert points.azimuth_deg.max() < 360
-    assert points.azimuth_deg[0] == pytest.approx(359.999)
-    assert points.azimuth_deg[1] == pytest.approx(359.999 + 2_304e-9 * 3600 - 360)
+    assert points["azimuth_deg"].max() < 360
+    assert points["azimuth_deg"][0] == pytest.approx(359.999)
+    assert points["azimuth_deg"][1] == pytest.approx(359.999 + 2_304e-9 * 3600 - 360)
 
 
 def test_tangents_move_points_aside_at_their_distance(head):
@@ -79,11 +78,11 @@ def test_tangents_move_points_aside_at_their_distance(head):
     off = place(head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses, tangents)
     origin_m, across = firings.origin_m.reshape(-1, 3), firings.beam_axis.reshape(-1, 3)
     up = np.cross(across, firings.direction.reshape(-1, 3))
-    np.testing.assert_allclose(np.linalg.norm(off.world_m - origin_m, axis=1), DISTANCE_M, rtol=1e-12)
-    moved = (off.world_m - on.world_m) / DISTANCE_M[:, None]
+    np.testing.assert_allclose(np.linalg.norm(off["world_m"] - origin_m, axis=1), DISTANCE_M, rtol=1e-12)
+    moved = (off["world_m"] - on["world_m"]) / DISTANCE_M[:, None]
     np.testing.assert_allclose(
         np.stack([(moved * axis).sum(axis=1) for axis in (across, up)], axis=1), tangents, atol=1e-12
     )
     np.testing.assert_allclose(
-        off.world_m, np.einsum("nab,nb->na", poses.world_R_body, off.sensor_m) + poses.world_p_body_m, atol=1e-11
+        off["world_m"], np.einsum("nab,nb->na", poses.world_R_body, off["sensor_m"]) + poses.world_p_body_m, atol=1e-11
     )

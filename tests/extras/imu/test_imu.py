@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2, ImuSampler
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.extras.walk import Harness, Walk
-from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import Kinematics, StaticMotion, rotations
-from vlp16emu.world import Hall
+from vlp16emu.motion.settings import Gps, Mount
 from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.settings import Hall
 
 START_NS = 1_780_000_000 * 10**9
 

@@ -49,12 +49,16 @@ def test_the_table_reads_golden_poses(name):
 @pytest.mark.parametrize(
     ("at", "content", "message"),
     [
-        (0, b"p", "pose packet: found 70 4f 53 45 01; expected 50 4f 53 45 01 at its beginning"),
-        (4, b"\x02", "found 50 4f 53 45 02"),
-        (5, b"\x02", "found 02 00 00 at byte 5; expected 00 or 01, 00 00"),
-        (7, b"\x01", "found 01 00 01 at byte 5"),
-        (0, b"", "found 71 bytes; expected 72"),
-        (0, b"PP", "found 73 bytes; expected 72"),
+        (
+            0,
+            b"p",
+            "pose packet: found 72 bytes that begin with 70 4f 53 45 01 01 00 00; expected 72 that begin with 50 4f",
+        ),
+        (4, b"\x02", "50 4f 53 45 02 01 00 00; expected 72 that begin with 50 4f 53 45 01, 00 or 01, 00 00"),
+        (5, b"\x02", "50 4f 53 45 01 02 00 00"),
+        (7, b"\x01", "50 4f 53 45 01 01 00 01"),
+        (0, b"", "found 71 bytes"),
+        (0, b"PP", "found 73 bytes"),
     ],
 )
 def test_what_is_no_pose_packet_is_refused(at, content, message):

@@ -1,6 +1,5 @@
 """Meshes that the user brings, and a world with them in it."""
 
-import json
 import struct
 from pathlib import Path
 
@@ -9,8 +8,8 @@ import pytest
 import trimesh
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.extras.meshes.files import PartMesh, UserMesh, load_mesh
-from vlp16emu.extras.meshes.furnished import Furnished, Furniture, MeshKey
+from vlp16emu.extras.meshes.files import UserMesh, load_mesh
+from vlp16emu.extras.meshes.furnished import Furnished, MeshKey, surfaces_of
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPart, MeshPlace
 from vlp16emu.types import FIRST_FREE_INSTANCE, Mesh, PlantPart, Semantic
 from vlp16emu.world.hall import HallWorld
@@ -47,7 +46,7 @@ def load(tmp_path, content, name="thing.obj", unit="m", up="z"):
 
 def triangles(mesh):
     """All triangles in the file's frame, (f, 3, 3), in an order that depends on nothing but them."""
-    corners = np.concatenate([part.mesh.vertices_m[part.mesh.faces] for part in mesh.parts]) + mesh.centre_m
+    corners = np.concatenate([part.vertices_m[part.faces] for _, part in mesh.parts]) + mesh.centre_m
     return corners[np.lexsort(np.round(corners.reshape(-1, 9), 5).T)]
 
 
@@ -56,10 +55,10 @@ def test_every_kind_of_file_gives_the_same_solid(tmp_path, caplog, kind):
     """A box of 2 x 3 x 4 m off the origin keeps volume, place and twelve faces in every format, without a finding."""
     box = trimesh.creation.box((2, 3, 4), trimesh.transformations.translation_matrix([5, 6, 7]))
     mesh = load(tmp_path, box.export(file_type=kind), f"box.{kind}")
-    (part,) = mesh.parts
-    solid = trimesh.Trimesh(part.mesh.vertices_m, part.mesh.faces)
+    ((_, part),) = mesh.parts
+    solid = trimesh.Trimesh(part.vertices_m, part.faces)
     assert solid.volume == pytest.approx(24)
-    assert len(part.mesh.faces) == 12
+    assert len(part.faces) == 12
     assert mesh.centre_m == pytest.approx([5, 6, 7])
     assert mesh.radius_m == pytest.approx(np.sqrt(29) / 2)
     assert not caplog.records
@@ -85,7 +84,7 @@ def test_far_from_the_origin_nothing_is_lost(tmp_path):
     """A mesh at map coordinates keeps its shape to a micrometre, for it is held about its own centre."""
     text = "v 500000 5700000 200\nv 500000.125 5700000 200\nv 500000 5700000.125 200\nf 1 2 3\n"
     mesh = load(tmp_path, text)
-    extent = np.ptp(mesh.parts[0].mesh.vertices_m, axis=0)
+    extent = np.ptp(mesh.parts[0][1].vertices_m, axis=0)
     assert extent == pytest.approx([0.125, 0.125, 0], abs=1e-6)
     assert mesh.centre_m == pytest.approx([500000.0625, 5700000.0625, 200])
 
@@ -94,7 +93,7 @@ def test_objects_and_groups_are_parts(tmp_path):
     """Each object and group of an OBJ file is a part by its name, in alphabetical order."""
     text = CORNERS + "o b\nf 1 2 3\no a\ng two\nf 1 2 4\ng one\nf 1 3 4\nf 2 3 4\n"
     parts = load(tmp_path, text).parts
-    assert [(part.name, len(part.mesh.faces)) for part in parts] == [("a_one", 2), ("a_two", 1), ("b", 1)]
+    assert [(name, len(part.faces)) for name, part in parts] == [("a_one", 2), ("a_two", 1), ("b", 1)]
 
 
 def test_nodes_of_a_scene_stand_where_their_transforms_put_them(tmp_path):
@@ -106,8 +105,8 @@ def test_nodes_of_a_scene_stand_where_their_transforms_put_them(tmp_path):
     turned[:3, 3] = [10, 0, 5]
     scene.graph.update(frame_to="high", frame_from=scene.graph.base_frame, matrix=turned, geometry="crate")
     mesh = load(tmp_path, scene.export(file_type="glb"), "crates.glb")
-    assert [part.name for part in mesh.parts] == ["high", "low"]
-    high, low = (part.mesh.vertices_m + mesh.centre_m for part in mesh.parts)
+    assert [name for name, _ in mesh.parts] == ["high", "low"]
+    high, low = (part.vertices_m + mesh.centre_m for _, part in mesh.parts)
     assert np.abs(low).max() == pytest.approx(0.5)
     assert high.mean(axis=0) == pytest.approx([10, 0, 5])
     assert np.ptp(high[:, 0]) == pytest.approx(np.sqrt(2))
@@ -127,7 +126,7 @@ def test_what_can_be_scanned_all_the_same_is_taken_and_said(tmp_path, caplog, fa
     """Faces without area are dropped, holes and inverted faces kept, and each is told once by file and part."""
     mesh = load(tmp_path, CORNERS + faces)
     assert caplog.messages == [f"{tmp_path / 'thing.obj'}: {finding}"]
-    assert len(mesh.parts[0].mesh.faces) == (3 if "closed" in finding else 4)
+    assert len(mesh.parts[0][1].faces) == (3 if "closed" in finding else 4)
 
 
 def test_welding_sees_through_split_corners(tmp_path, caplog):
@@ -150,16 +149,7 @@ def glb_with_nan():
 
 def glb_of_two_files():
     """A GLB whose coordinates are in a file beside it."""
-    tree = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "buffers": [{"uri": "ext.bin", "byteLength": 36}],
-    }
-    text = json.dumps(tree).encode()
+    text = trimesh.Scene(trimesh.creation.box()).export(file_type="gltf")["model.gltf"]
     text += b" " * (-len(text) % 4)
     return b"glTF" + struct.pack("<3I", 2, 20 + len(text), len(text)) + b"JSON" + text
 
@@ -239,11 +229,11 @@ def place(x_m, y_m, z_m=None, above_ground_m=0.0, yaw_deg=0.0, scale=1.0):
 
 def tree_of(*places, one_thing=True, parts=(LEAVES,)):
     """Stem and leaves about a centre 2 m over the file's origin and 1 m east of it."""
-    meshes = (PartMesh("leaves", TRIANGLE), PartMesh("stem", TRIANGLE))
+    meshes = (("leaves", TRIANGLE), ("stem", TRIANGLE))
     mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0)
     kind = {"semantic": "tree", "part": "stem", "reflectance": 0.4, "one_thing": one_thing}
     section = MeshFile(file="tree.obj", unit="m", up="z", parts=[*parts], places=[*places], **kind)
-    return Furniture(section, mesh)
+    return section, mesh
 
 
 class Slope(HallWorld):
@@ -253,9 +243,9 @@ class Slope(HallWorld):
         return 0.1 * x_m + 0.0 * y_m
 
 
-def furnished(*furniture, reach_m=50.0):
+def furnished(*meshes, reach_m=50.0):
     hall = Slope(Hall(kind="hall", length_m=30.0, width_m=18.0, height_m=6.0))
-    return hall, Furnished(hall, furniture=furniture, reach_m=reach_m)
+    return hall, Furnished(hall, meshes=meshes, reach_m=reach_m)
 
 
 def test_meshes_come_after_what_is_there():
@@ -324,9 +314,9 @@ def test_only_what_is_in_reach_is_in_the_window():
 
 def test_parts_may_differ_from_the_rest():
     """A part has its own appearance where one is given and the file's where not; a part that is not there is refused."""
-    rows = tree_of(place(0, 0)).surfaces
+    rows = surfaces_of(*tree_of(place(0, 0)))
     assert rows["reflectance"] == pytest.approx([0.5, 0.4])
     assert rows["part"].tolist() == [PlantPart.LEAF, PlantPart.STEM]
     assert (rows["semantic"] == Semantic.TREE).all()
     with pytest.raises(GeometryError, match=r"tree.obj: parts: found 'leafs'; expected one of leaves, stem"):
-        tree_of(place(0, 0), parts=[MeshPart(name="leafs")])
+        surfaces_of(*tree_of(place(0, 0), parts=[MeshPart(name="leafs")]))

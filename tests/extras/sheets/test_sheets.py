@@ -11,17 +11,9 @@ from PIL import Image
 from vlp16emu.errors import InputError
 from vlp16emu.extras.plots import colour_of_species
 from vlp16emu.extras.sheets.sheet import StandSection, draw_section, draw_sheet, draw_side, legend_entries, strip_along
-from vlp16emu.extras.sheets.survey import (
-    CELL_M,
-    cells_near,
-    clark_evans,
-    relief,
-    stand_rows,
-    stems_seen,
-    tables_of_returns,
-)
+from vlp16emu.extras.sheets.survey import CELL_M, cells_near, clark_evans, relief, stand_rows, stems_seen
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import NO_SURFACE, Hits, PlantPart, Semantic
 
@@ -71,10 +63,10 @@ def test_relief_of_a_plane_is_its_slope():
     """On a plane that rises 3 in 4 the slope is 36.87 degrees everywhere, whichever way it faces."""
     cells = cells_near(np.zeros((1, 2)), 10.0)
     found = relief(cells, lambda x, y: 0.75 * (0.6 * x + 0.8 * y))
-    assert found.slope_mean_deg == pytest.approx(np.degrees(np.arctan(0.75)))
-    assert found.slope_max_deg == pytest.approx(found.slope_mean_deg)
-    assert found.high_m == pytest.approx(7.5, abs=0.3)
-    assert found.low_m == pytest.approx(-found.high_m)
+    assert found["slope_mean_deg"] == pytest.approx(np.degrees(np.arctan(0.75)))
+    assert found["slope_max_deg"] == pytest.approx(found["slope_mean_deg"])
+    assert found["high_m"] == pytest.approx(7.5, abs=0.3)
+    assert found["low_m"] == pytest.approx(-found["high_m"])
 
 
 pa = pytest.importorskip("pyarrow")
@@ -85,7 +77,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 def trees():
     """Two straight stems, the second leaning, with crowns from 5.3 m up: ten cells of 0.5 m over 0.3 m."""
     trees = np.zeros(2, TREE)
-    trees["id"], trees["species"] = [900, 300], species_table()["silver_birch"].number
+    trees["id"], trees["species"] = [900, 300], flora().trees["silver_birch"].number
     trees["x_m"], trees["z_m"], trees["dbh_m"], trees["height_m"] = [10.0, 20.0], 2.0, 0.4, 18.0
     trees["crown_base_m"], trees["lean_deg"] = 5.3, [0.0, 5.0]
     return trees
@@ -107,14 +99,13 @@ def write(path, parts):
     for i, name in enumerate(("semantic", "part", "instance"), 1):
         columns[name] = np.array([row[i] for row in rows]).astype(SLOT_COLUMNS[name])
     parquet.write_table(pa.table(columns), path, row_group_size=384)
-    return path
 
 
 def test_cells_with_returns_are_counted(tmp_path, trees):
     """Returns all around at breast height show 360 degrees and a tenth of the surface, from half of it half; others count nothing."""
     all_around, half = np.arange(36) * 10.0 + 5.0, np.arange(18) * 10.0 + 5.0
     tree = Semantic.TREE
-    table = write(
+    write(
         tmp_path / "returns.parquet",
         [
             (np.repeat(ring(trees[0], 1.2, all_around), 20, axis=0), tree, PlantPart.STEM, 900),
@@ -127,7 +118,7 @@ def test_cells_with_returns_are_counted(tmp_path, trees):
             (ring(trees[0], 3.0, half), tree, PlantPart.STEM, 901),
         ],
     )
-    rows = stems_seen(trees, [table])
+    rows = stems_seen(trees, tmp_path)
     assert rows["returns_stem"].tolist() == [720, 72]
     assert rows["stem_seen"] == pytest.approx([0.1, 0.1])
     assert rows["breast_seen_deg"].tolist() == [360.0, 180.0]
@@ -138,7 +129,7 @@ def test_tables_of_several_units_add_up(tmp_path, trees):
     for name, turn in (("returns.parquet", 5.0), ("returns_2.parquet", 185.0)):
         places = ring(trees[0], 1.2, np.arange(18) * 10.0 + turn)
         write(tmp_path / name, [(places, Semantic.TREE, PlantPart.STEM, 900)])
-    rows = stems_seen(trees, tables_of_returns(tmp_path))
+    rows = stems_seen(trees, tmp_path)
     assert rows["breast_seen_deg"].tolist() == [360.0, 0.0]
     assert rows["returns_stem"].tolist() == [36, 0]
 
@@ -146,11 +137,11 @@ def test_tables_of_several_units_add_up(tmp_path, trees):
 def test_truth_of_another_scene_is_refused(tmp_path, trees):
     """Returns that lie metres off the axes of their trees are of another world, and a folder without returns is named."""
     with pytest.raises(InputError, match=r"no returns\.parquet"):
-        tables_of_returns(tmp_path)
+        stems_seen(trees, tmp_path)
     places = ring(trees[0], 1.2, np.arange(36) * 10.0, radius_m=4.0)
-    table = write(tmp_path / "returns.parquet", [(places, Semantic.TREE, PlantPart.STEM, 900)])
+    write(tmp_path / "returns.parquet", [(places, Semantic.TREE, PlantPart.STEM, 900)])
     with pytest.raises(InputError, match=r"returns from stems 4\.0 m off the axes"):
-        stems_seen(trees, [table])
+        stems_seen(trees, tmp_path)
 
 
 PAPER = np.array([252, 251, 248])

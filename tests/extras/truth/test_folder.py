@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.extras.truth.folder import TruthFolder, tum_rows
+from vlp16emu.output import write_json
 from vlp16emu.types import Poses
 
 
@@ -65,7 +66,7 @@ def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
     assert not (tmp_path / "one").exists()
     whole_or_none = pytest.raises(RunError, match=r"/rig\.json: File too large; no file is written")
     with TruthFolder(tmp_path / "more") as folder, whole_or_none, files_of_at_most(25):
-        folder.write_json("rig.json", {"key": "of more than 25 letters"})
+        write_json(folder.path / "rig.json", {"key": "of more than 25 letters"})
     assert list((tmp_path / "more").iterdir()) == []
 
 
@@ -88,8 +89,8 @@ def test_a_folder_with_something_else_is_kept_as_a_whole(tmp_path, entry):
     """A folder, or a file of another name, beside the truth of an earlier run is refused, and nothing of that run is lost."""
     place = tmp_path / "t"
     with TruthFolder(place) as folder:
-        folder.write_json("scenario.json", {"written_by": "vlp16emu"})
-        folder.write_json("rig.json", {})
+        write_json(folder.path / "scenario.json", {"written_by": "vlp16emu"})
+        write_json(folder.path / "rig.json", {})
     (place / entry).mkdir()
     with pytest.raises(OutputError, match=rf"holds {entry}"):
         TruthFolder(place)
@@ -100,7 +101,7 @@ def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(tmp_path):
     """A run that fails leaves the folder of the one before as it was; one that ends replaces all its files."""
     place = tmp_path / "t"
     with TruthFolder(place) as folder:
-        folder.write_json("scenario.json", {"written_by": "vlp16emu"})
+        write_json(folder.path / "scenario.json", {"written_by": "vlp16emu"})
         folder.append("imu.csv", "earlier\n")
     with pytest.raises(RunError), TruthFolder(place) as folder:  # noqa: PT012
         folder.append("imu.csv", "half\n")

@@ -18,8 +18,7 @@ TABLES = {
     "motion": {"kind": "static"},
     "world": {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0},
 }
-DARK = {"kind": "setting", "at_s": 0.0, "laser": False}
-"""Position packets alone, which cost nothing."""
+DARK = {"kind": "setting", "at_s": 0.0, "laser": False}  # position packets alone, which cost nothing
 
 
 def emulator(*events, duration_s=1.5, **tables):

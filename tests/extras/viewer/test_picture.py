@@ -10,7 +10,7 @@ from vlp16emu import Emulator
 from vlp16emu.cli.app import run
 from vlp16emu.extras.camera import Orthographic
 from vlp16emu.extras.clouds.scan import decode
-from vlp16emu.extras.viewer.picture import Canvas, laser_rows
+from vlp16emu.extras.viewer.picture import Drawing, View, laser_rows
 
 Image = pytest.importorskip("PIL.Image", reason="the extra picture is not installed")
 pytest.importorskip("matplotlib", reason="the extra picture is not installed")
@@ -66,7 +66,7 @@ def test_what_is_nearer_hides_what_is_behind():
     up = np.array([0.0, -np.cos(np.radians(30)), np.sin(np.radians(30))])  # towards the eye
     points_m, rgb = np.stack([np.zeros(3), 3 * up]), np.array([[255, 0, 0], [0, 255, 0]], np.uint8)
     for order in ([0, 1], [1, 0]):
-        canvas = Canvas(view.size)
+        canvas = Drawing(View(view.size, view.pixels, lambda sweep: sweep.world_m), "range", {})
         for one in order:
             canvas.add(view.pixels(points_m[[one]]), rgb[[one]])
         seen = canvas.image().reshape(-1, 3)

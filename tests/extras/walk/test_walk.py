@@ -1,14 +1,12 @@
 """Standing and walking."""
 
-import math
-
 import numpy as np
 import pytest
 from extras.walk.kit import START_NS, STILL, Circle, at, gait, straps, walking
 
 from vlp16emu.extras.walk import Harness
 from vlp16emu.extras.walk.motion import _sit
-from vlp16emu.motion.pose import StaticMotion, rotations
+from vlp16emu.motion.pose import rotations
 
 STRAPS = Harness(vertical_hz=2.0, damping_ratio=0.2)
 SLACK, STIFF = (straps(hz, 0.1) for hz in (0.5, 30.0))
@@ -31,13 +29,6 @@ def test_gait_moves_the_pack_about_the_path():
     np.testing.assert_allclose(sway[:, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(sway[:, 2], 0.02 * np.sin(2 * np.pi * 1.85 * t), atol=1e-9)
     np.testing.assert_allclose(sway[:, 1], 0.02 * np.sin(np.pi * 1.85 * t + np.pi / 4), atol=1e-9)
-
-
-def test_one_who_stops_stops_bobbing():
-    """Before the first step the pack hangs still over the foot point."""
-    poses = at(walking(harness=STRAPS), np.linspace(-5.0, -0.1, 50))
-    np.testing.assert_allclose(poses.world_p_body_m, np.tile([0.0, 0.0, 2.0], (50, 1)), atol=1e-15)
-    np.testing.assert_allclose(poses.world_R_body, np.tile(np.eye(3), (50, 1, 1)), atol=1e-15)
 
 
 @pytest.mark.parametrize("harness", [None, STIFF])
@@ -85,17 +76,6 @@ def test_poses_are_finite_and_continuous(after_s, centre_m):
     assert np.isfinite(poses.world_p_body_m).all()
     assert np.linalg.norm(np.diff(poses.world_p_body_m, axis=0), axis=1).max() < 3e-6
     assert np.abs(np.diff(poses.world_R_body, axis=0)).max() < 1e-6
-
-
-def test_standing_sensor_has_one_pose_for_all_times():
-    """A static sensor computes a single pose, whatever it is asked for."""
-    motion = StaticMotion(np.array([1.0, 2.0, 3.0]), 90.0, 0.0, 0.0)
-    poses = motion.poses_at(np.arange(1000))
-    assert poses is motion.poses_at(np.arange(5))
-    assert len(poses.t_ns) == 1
-    assert motion.run_time_s == math.inf
-    np.testing.assert_allclose(poses.world_R_body[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
-    assert not motion.kinematics_at(np.arange(7)).world_a_body_m_s2.any()
 
 
 def test_angles_turn_as_documented():

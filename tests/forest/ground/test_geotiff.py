@@ -12,8 +12,7 @@ from vlp16emu.forest.settings import Dem
 rasterio = pytest.importorskip("rasterio")
 
 HEIGHTS = np.arange(12, dtype=np.float32).reshape(3, 4)
-PLACE = 10.0, 0.0, 100.0, 0.0, -10.0, 230.0
-"""Cells of 10 m, their north-western corner at E 100, N 230."""
+PLACE = 10.0, 0.0, 100.0, 0.0, -10.0, 230.0  # cells of 10 m, their north-western corner at E 100, N 230
 
 
 def write(path, heights=HEIGHTS, place=PLACE, crs="EPSG:25832", units=None, **options):

@@ -8,9 +8,9 @@ from forest.kit import trees_of
 from scipy import stats
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.species import species_table, tapers
+from vlp16emu.forest.plants.species import flora, tapers
 
-TABLE = species_table()
+TABLE = flora().trees
 LIVING = [species for species in TABLE.values() if species.foliage]
 
 

@@ -11,7 +11,7 @@ from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.branches import Branches, bole_branches
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
-from vlp16emu.forest.plants.species import species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.types import PlantPart
 
 
@@ -24,9 +24,9 @@ def tree_of(species):
     return CrownKey(species.name, 0, 0.24, 21.0, base_m, width_m, leaf_area_m2)
 
 
-KEYS = {name: tree_of(species) for name, species in species_table().items()}
+KEYS = {name: tree_of(species) for name, species in flora().trees.items()}
 LIVING = {name: key for name, key in KEYS.items() if key.leaf_area_m2}
-BROAD = {name: key for name, key in LIVING.items() if species_table()[name].foliage.kind == "leaf"}
+BROAD = {name: key for name, key in LIVING.items() if flora().trees[name].foliage.kind == "leaf"}
 BIRCH, BEECH, SPRUCE = KEYS["silver_birch"], KEYS["european_beech"], KEYS["norway_spruce"]
 
 
@@ -43,7 +43,7 @@ def test_leaves_are_planar_and_as_large_as_in_nature():
         normal = normals(leaves) / 2 / areas_m2(leaves)[:, None]
         assert np.abs(((b - a) * normal).sum(axis=1)).max() < 2e-6, name
         length = np.linalg.norm(c - a, axis=1) if key in BROAD.values() else np.linalg.norm(d - a, axis=1)
-        assert length.mean() == pytest.approx(species_table()[key.species].foliage.length_m, rel=0.03), name
+        assert length.mean() == pytest.approx(flora().trees[key.species].foliage.length_m, rel=0.03), name
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def first_rings(key):
 
 
 def stem_radius_m(key, heights_m):
-    taper = species_table()[key.species].taper.row[None]
+    taper = flora().trees[key.species].taper.row[None]
     return taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), np.array([heights_m]))[0]
 
 
@@ -95,13 +95,13 @@ def test_branches_are_together_as_thick_as_their_species_says():
         ring = ring[ring[:, :, 2].mean(axis=1) >= 0]
         corner = np.linalg.norm(ring - ring.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
         radius = corner * np.sin(np.pi / 6) / (np.pi / 6)
-        area_m2 = species_table()[key.species].crown.branch_area * stem_radius_m(key, [key.crown_base_m])[0] ** 2
+        area_m2 = flora().trees[key.species].crown.branch_area * stem_radius_m(key, [key.crown_base_m])[0] ** 2
         assert 0.7 < (radius**2).sum() / area_m2 < 1.05, name
 
 
 def bole(name):
     """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, and twigs of the dead ones."""
-    habit, key = species_table()[name].crown, KEYS[name]
+    habit, key = flora().trees[name].crown, KEYS[name]
     size = key.crown_base_m, habit.base_fraction * key.crown_width_m / 2, np.array([0.08, 0.12])
     return [bole_branches(np.random.default_rng(n), habit, *size) for n in range(40)]
 
@@ -134,7 +134,7 @@ def test_spruce_keeps_dead_branches_down_to_a_foot_as_free_as_measured():
 
 def test_branches_below_the_crown_die_and_fall_with_depth():
     """Within one `living_depth_m` 1 - 1/e live, in the next 1/e of that; the lower half bears fewer; dead ones have twigs."""
-    habit = species_table()["norway_spruce"].crown
+    habit = flora().trees["norway_spruce"].crown
     all_parts = zip(*bole("norway_spruce"), strict=True)
     living, dead, twigs = ([-part.nodes_m[:, 0, 2] for part in parts] for parts in all_parts)
     alive, all_m = np.concatenate(living), np.concatenate([*living, *dead])
@@ -152,7 +152,7 @@ def test_needles_of_pine_sit_in_tufts_at_the_ends_of_twigs():
     nodes_m = np.linspace([0.0, 0, 0], [1, 0, 0], 3)[None].repeat(50, 0)
     twigs = Branches(nodes_m, np.zeros(50), np.ones(50), np.full(50, 0.01))
     for name, bare in (("scots_pine", 0.55), ("norway_spruce", 0.0)):
-        mesh = foliage_mesh(np.random.default_rng(1), species_table()[name].foliage, twigs, 5.0)
+        mesh = foliage_mesh(np.random.default_rng(1), flora().trees[name].foliage, twigs, 5.0)
         base_m = corners(mesh)[:, :2].mean(axis=1)[:, 0]
         assert base_m.min() == pytest.approx(bare, abs=0.02), name
         assert base_m.max() == pytest.approx(1.0, abs=0.02), name

@@ -6,17 +6,12 @@ from forest.kit import areas_m2, corners, trees_of
 from scipy import stats
 
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
-from vlp16emu.forest.plants.stem import axis_m, stem_forms, stem_rings
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.settings import Ivy
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import PlantPart, Semantic
 
 SECTION = Ivy(share=0.3, height_m=(2.0, 6.0))
-
-
-@pytest.fixture(scope="module")
-def covered(make_forest):
-    return make_forest(ivy=SECTION)
 
 
 @pytest.fixture(scope="module")
@@ -45,26 +40,28 @@ def test_leaves_hang_on_the_bark(trees):
     """Quads of twice the area of the bark, by the DBH, start 2 to 12 cm off it, from the ground to the top; without ivy there are none."""
     few = trees[:3]
     meshes = ivy_meshes(few, np.array([5.0, 0.0, 3.0]), np.zeros(3), seed=6, tile=TileKey(0, 0))
-    rings, forms = stem_rings(few), stem_forms(few)
+    stems = Stems(few)
     assert len(meshes[1].faces) == 0
     for i, top_m in ((0, 5.0), (2, 3.0)):
         leaves = corners(meshes[i])
         assert areas_m2(leaves).sum() == pytest.approx(2 * np.pi * 0.35 * top_m, rel=0.05)
         base = leaves[:, 0] - [few["x_m"][i], few["y_m"][i], 0.0]
-        axis = axis_m(few[i : i + 1], forms.of(np.array([i])), base[None, :, 2])[0]
+        axis = stems.axis_m(base[None, :, 2], np.array([i]))[0]
         away = np.hypot(*(base - axis)[:, :2].T)
-        off = away - np.interp(base[:, 2], rings.above_ground_m[i], rings.radius_m[i])
+        off = away - np.interp(base[:, 2], stems.above_ground_m[i], stems.radius_m[i])
         assert 0.019 < off.min() < 0.03
         assert 0.11 < off.max() < 0.121
         assert 0 <= base[:, 2].min() < 0.05
         assert 0.85 * top_m < base[:, 2].max() <= top_m
 
 
-def test_ivy_is_leaf_of_its_tree_and_in_the_medium(covered, track_m):
-    """In a forest its surfaces have class tree, part leaf and the number of a tree; a tile seen from afar has it too."""
-    forest = covered
+def test_ivy_is_leaf_of_its_tree_and_in_the_medium(make_forest, forest, track_m):
+    """Its surfaces have class tree, part leaf and the number of a tree, from afar too; all else stands as without ivy, the default."""
+    bare, forest = forest.window(track_m), make_forest(ivy=SECTION)
     window = forest.window(track_m)
-    own = np.flatnonzero([isinstance(window.shapes[i], IvyKey) for i in window.shape])
+    is_ivy = np.array([isinstance(window.shapes[i], IvyKey) for i in window.shape])
+    assert np.array_equal(window.world_T_shape[~is_ivy], bare.world_T_shape)
+    own = np.flatnonzero(is_ivy)
     rows, trees = window.surfaces[window.first_surface[own]], forest.trees(track_m)
     assert 0.2 * len(trees) < len(own) < 0.4 * len(trees)
     assert set(rows["part"]) == {PlantPart.LEAF}
@@ -77,11 +74,3 @@ def test_ivy_is_leaf_of_its_tree_and_in_the_medium(covered, track_m):
     tree = trees[trees["id"] == rows["instance"][0]][0]
     at_m = mesh.vertices_m @ window.world_T_shape[own[0], :, :3].T + window.world_T_shape[own[0], :, 3]
     assert np.hypot(*(at_m[:, :2].mean(axis=0) - [tree["x_m"], tree["y_m"]])) < 1.0
-
-
-def test_without_ivy_nothing_changes(covered, forest, track_m):
-    """By default no stem has ivy, and stems and crowns stand as they do beside it."""
-    bare, window = forest.window(track_m), covered.window(track_m)
-    assert not any(isinstance(key, IvyKey) for key in bare.shapes)
-    kept = [not isinstance(window.shapes[i], IvyKey) for i in window.shape]
-    assert np.array_equal(window.world_T_shape[kept], bare.world_T_shape)

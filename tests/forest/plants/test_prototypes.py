@@ -16,11 +16,11 @@ from vlp16emu.forest.plants.prototypes import (
     sapling_meshes,
     shrub_meshes,
 )
-from vlp16emu.forest.plants.species import flora, species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.types import PlantPart
 
-PLANTS = {**species_table(), **flora().shrubs}
-CROWNS = [CrownKey(name, 0, 0.24, 21.0, 9.0, 4.5, 90.0) for name, one in species_table().items() if one.foliage]
+PLANTS = {**flora().trees, **flora().shrubs}
+CROWNS = [CrownKey(name, 0, 0.24, 21.0, 9.0, 4.5, 90.0) for name, one in flora().trees.items() if one.foliage]
 SAPLINGS = [SaplingKey(name, 1, 3.0, "leaf_on") for name in ("european_beech", "norway_spruce")]
 SHRUBS = [
     ShrubKey(name, 1, 0.7 * one.height_m[1], 0.7 * one.height_m[1] * one.width_share, "leaf_on")

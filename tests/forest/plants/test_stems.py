@@ -10,25 +10,22 @@ from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_branches, crown_meshes, crown_placements
-from vlp16emu.forest.plants.species import StemForm, species_table, tapers
+from vlp16emu.forest.plants.species import StemForm, flora, tapers
 from vlp16emu.forest.plants.stem import (
     ROOT_RINGS,
     ROOT_SIDES,
     STEM_PARTS,
-    axis_m,
+    Stems,
     polygon_m2,
     root_points,
-    second_leaders,
     stem_forms,
     stem_meshes,
-    stem_rings,
     tape_m,
-    vertex_angles,
 )
 from vlp16emu.forest.stand.inventory import branch_circles, far_stems
 from vlp16emu.types import PlantPart
 
-TABLE = species_table()
+TABLE = flora().trees
 BREAST_RING = 6
 
 
@@ -46,9 +43,8 @@ def make_trees(name, count=1, dbh_m=0.35, **fields):
 def sections_m(trees, ring=BREAST_RING, **changes):
     """Corners of sections (n, sides) of trees of one size, some keys of their species changed."""
     table = {name: one.model_copy(update={"stem": one.stem.model_copy(update=changes)}) for name, one in TABLE.items()}
-    rings = stem_rings(trees, table=table)
-    angle = vertex_angles(trees, int(rings.sides[0]))
-    return rings.forms.outline(angle, rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2)[:, ring]
+    stems = Stems(trees, table=table)
+    return stems.outlines(slice(None), int(stems.sides[0]))[:, ring]
 
 
 def forking(name):
@@ -63,8 +59,7 @@ def test_area_at_breast_height_is_that_of_the_dbh(name):
         trees["lean_deg"], trees["form"][0] = lean_deg, 0
         meshes = stem_meshes(trees, np.zeros(3), slope)
         at = np.full((3, 1), 1.3)
-        forms = stem_forms(trees)
-        low, middle, high = (axis_m(trees, forms, at + d)[:, 0] for d in (-1e-4, 0.0, 1e-4))
+        low, middle, high = (Stems(trees).axis_m(at + d)[:, 0] for d in (-1e-4, 0.0, 1e-4))
         for i, tree in enumerate(trees):
             normal = (high - low)[i] / np.linalg.norm((high - low)[i])
             at_m = middle[i] + [tree["x_m"], tree["y_m"], tree["z_m"]] + 1e-4 * normal
@@ -78,7 +73,7 @@ def test_stems_are_closed_and_buried(name):
     trees = make_trees(name, 14, height_m=23.5, crown_base_m=11.75, crown_width_m=5.6, dbh_m=np.linspace(0.08, 0.9, 14))
     trees["form"][::7] = 0
     meshes = stem_meshes(trees, np.zeros(3), slope)
-    sides = stem_rings(trees).sides
+    sides = Stems(trees).sides
     for flare, stem, count in zip(meshes[::2], meshes[1::2], sides, strict=True):
         solid = solid_of((flare, stem))
         assert solid.is_watertight
@@ -92,14 +87,11 @@ def test_sections_have_the_area_of_published_tapers():
     """Whatever their outline, the rings of a whole stem have the areas that the taper equation of the species gives."""
     for name in ("norway_spruce", "scots_pine", "english_oak"):
         trees = make_trees(name, 20)
-        rings = stem_rings(trees)
-        rings.forms.forks[:, 0] = 0
-        own = np.setdiff1d(np.arange(20), rings.forked)
-        taper_m = taper_radius_m(tapers(trees), trees["dbh_m"], trees["height_m"], rings.above_ground_m)
-        sides = int(rings.sides[0])
-        away_m = rings.forms.outline(
-            vertex_angles(trees, sides), rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2
-        )
+        stems = Stems(trees)
+        own = np.setdiff1d(np.arange(20), stems.forked)
+        taper_m = taper_radius_m(tapers(trees), trees["dbh_m"], trees["height_m"], stems.above_ground_m)
+        sides = int(stems.sides[0])
+        away_m = stems.outlines(slice(None), sides)
         area_m2 = polygon_m2(away_m, 2 * np.pi / sides)
         assert np.allclose(area_m2[own], np.pi * taper_m[own] ** 2, rtol=1e-9)
         assert np.ptp(away_m[:, BREAST_RING], axis=1).min() > 1e-3
@@ -194,7 +186,7 @@ def test_a_tape_shows_too_much_as_it_does_around_real_stems():
 def test_as_many_trees_fork_as_the_table_says():
     """Of 10 000 beeches 15 % have a second leader, evenly between the heights of the table."""
     trees = make_trees("european_beech", 10_000)
-    rings = stem_rings(trees)
+    rings = Stems(trees)
     assert stats.binomtest(len(rings.forked), 10_000, TABLE["european_beech"].stem.fork_share).pvalue > 0.01
     share = rings.fork_m / trees["height_m"][rings.forked]
     low, high = TABLE["european_beech"].stem.fork_height
@@ -205,16 +197,14 @@ def test_as_many_trees_fork_as_the_table_says():
 def test_both_leaders_together_are_as_thick_as_one():
     """At a ring above the fork both have the section of an unforked stem, and the second stays within the crown."""
     trees = forking("european_beech")
-    rings = stem_rings(trees)
-    leaders = second_leaders(trees, rings, np.linspace(0, 1, 50))
+    rings = Stems(trees)
+    second_up_m, second_radius_m = rings.leaders(np.linspace(0, 1, 50))
     above = np.flatnonzero(rings.above_ground_m[0] > rings.fork_m[0])[1]
     z = rings.above_ground_m[0, above]
-    second_m = np.interp(z, leaders.above_ground_m[0], leaders.radius_m[0])
+    second_m = np.interp(z, second_up_m[0], second_radius_m[0])
     whole_m = taper_radius_m(tapers(trees), trees["dbh_m"], trees["height_m"], np.array([[z]]))[0, 0]
     assert np.hypot(rings.radius_m[0, above], second_m) == pytest.approx(whole_m, rel=0.01)
-    gap_m = np.linalg.norm(
-        leaders.axis_m(leaders.above_ground_m) - axis_m(trees, rings.forms, leaders.above_ground_m), axis=2
-    )
+    gap_m = np.linalg.norm(rings.leader_axis_m(second_up_m) - rings.axis_m(second_up_m), axis=2)
     assert gap_m[0, 0] < 1e-9
     assert rings.radius_m[0, above] + second_m < gap_m[0, -1] < trees["crown_width_m"][0] / 2
 
@@ -222,10 +212,10 @@ def test_both_leaders_together_are_as_thick_as_one():
 def test_stems_from_afar_run_where_those_of_the_mesh_run():
     """At its knots a far stem has the middle and the radius of the ring, leaders as well, and their labels."""
     trees = np.concatenate([make_trees("english_oak", 3), forking("european_beech")])
-    far, rings = far_stems(trees, 7), stem_rings(trees)
+    far, rings = far_stems(trees, 7), Stems(trees)
     middle_m = far["foot_m"][:, None] + far["along_m"][..., None] * far["axis"][:, None].astype(float)
     middle_m[..., :2] += np.moveaxis(far["aside_m"], 1, 2)
-    expected_m = feet_m(trees)[:, None] + axis_m(trees, rings.forms, rings.above_ground_m)
+    expected_m = feet_m(trees)[:, None] + rings.axis_m(rings.above_ground_m)
     assert np.abs(middle_m[:4, :-1] - expected_m).max() < 1e-5
     assert np.allclose(far["radius_m"][:4, :-1], rings.radius_m)
     forked = rings.forked.tolist()
@@ -250,7 +240,7 @@ def test_a_root_flare_ends_half_a_metre_up_and_a_snag_at_full_width():
     assert STEM_PARTS == (PlantPart.ROOT_FLARE, PlantPart.STEM)
     trees = make_trees("snag", 6, np.linspace(0.05, 1.2, 6), x_m=0.0, z_m=0.0, lean_deg=0.0, form=0)
     meshes = [mesh.vertices_m for mesh in stem_meshes(trees, np.zeros(3), lambda x, y: 0 * x)]
-    for tree, sides, flare_m, stem_m in zip(trees, stem_rings(trees).sides, meshes[::2], meshes[1::2], strict=True):
+    for tree, sides, flare_m, stem_m in zip(trees, Stems(trees).sides, meshes[::2], meshes[1::2], strict=True):
         assert np.array_equal(flare_m[-sides:], stem_m[:sides])
         assert stem_m[:sides, 2] == pytest.approx(np.full(sides, 0.5), abs=5e-6)
         width_m = 2 * np.hypot(*stem_m[-1 - sides : -1, :2].T).mean()
@@ -279,7 +269,7 @@ def old_trees():
 
 
 def roots_of(old_trees, height_m=steep):
-    return root_points(old_trees, stem_rings(old_trees), height_m)
+    return root_points(Stems(old_trees), height_m)
 
 
 def test_old_spruces_and_beeches_have_roots_and_no_others(old_trees):
@@ -287,7 +277,7 @@ def test_old_spruces_and_beeches_have_roots_and_no_others(old_trees):
     stem, _ = roots_of(old_trees)
     for first, share in ((0, 0.55), (1, 0.75)):
         assert (stem % 2 == first).sum() / (N_OLD / 2) == pytest.approx(4.5 * share, rel=0.1)
-    for changes in ({"dbh_m": 0.29}, {"species": species_table()["scots_pine"].number}, {"form": 0}):
+    for changes in ({"dbh_m": 0.29}, {"species": flora().trees["scots_pine"].number}, {"form": 0}):
         others = old_trees.copy()
         for name, value in changes.items():
             others[name] = value
@@ -298,7 +288,7 @@ def test_roots_run_along_the_ground_half_buried_and_dive(old_trees):
     """They reach 0.5 m to 2 m from the butt, rise over the ground by less than half a DBH, 0.3 m over the foot at most, and end in it."""
     stem, points_m = roots_of(old_trees)
     rings_m = points_m[:, 1:-1].reshape(len(stem), ROOT_RINGS, ROOT_SIDES, 3)
-    away_m = np.hypot(*np.moveaxis(points_m[:, -1, :2], -1, 0)) - 0.8 * stem_rings(old_trees).radius_m[stem, 1]
+    away_m = np.hypot(*np.moveaxis(points_m[:, -1, :2], -1, 0)) - 0.8 * Stems(old_trees).radius_m[stem, 1]
     assert (away_m > 0.5).all()
     assert away_m.max() < 2.2
     assert points_m[..., 2].max() <= 0.3 + 1e-12

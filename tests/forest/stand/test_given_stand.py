@@ -7,10 +7,11 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
-from vlp16emu.forest.plants.species import flora, species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.settings import Plot
 from vlp16emu.forest.stand.given_stand import GivenStand, read_stem_list
 from vlp16emu.forest.stand.inventory import INVENTORY, write_csv
+from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import TREE
 
 LIST = """\
@@ -25,12 +26,12 @@ NO_ORIGIN = (0.0, 0.0, 0.0)
 def read(tmp_path, text=LIST, origin_m=NO_ORIGIN):
     path = tmp_path / "stems.csv"
     path.write_text(text, encoding="utf-8")
-    return read_stem_list(path, species_table(), origin_m)
+    return read_stem_list(path, flora().trees, origin_m)
 
 
 def test_a_list_is_read_as_it_stands(tmp_path):
     """Place less the origin, species, diameter, height, crown and lean come from the list, in its order; other columns are ignored."""
-    trees, table = read(tmp_path), species_table()
+    trees, table = read(tmp_path), flora().trees
     moved = read(tmp_path, origin_m=(1.0, 2.0, 300.0))
     assert (moved["x_m"].tolist(), moved["y_m"].tolist()) == ([0.5, -4, 9], [0.5, 2, -9.25])
     columns = ["x_m", "y_m", "height_m", "lean_deg", "lean_towards_deg", "list_line"]
@@ -47,7 +48,7 @@ def test_a_list_is_read_as_it_stands(tmp_path):
 def test_species_have_their_names_in_any_spelling(tmp_path, name):
     """The name of the table is found with any case and any space, and so is the scientific one."""
     (number,) = read(tmp_path, f"x,y,species,dbh_cm,height_m\n1,2,{name},30,25\n")["species"].tolist()
-    assert number == species_table()["norway_spruce"].number
+    assert number == flora().trees["norway_spruce"].number
 
 
 def test_diameters_in_millimetres_are_refused(tmp_path):
@@ -64,7 +65,7 @@ def test_an_inventory_is_a_stem_list(tmp_path):
     trees = np.zeros(2, INVENTORY)
     for name in INVENTORY.names:
         trees[name] = [1.25, 2.5]
-    trees["species"] = [species_table()[name].number for name in ("european_beech", "scots_pine")]
+    trees["species"] = [flora().trees[name].number for name in ("european_beech", "scots_pine")]
     trees["height_m"], trees["lean_towards_deg"] = [20.0, 30.0], [200.0, 45.0]
     trees["list_line"], trees["biomass_kg"] = 0, np.nan
     with (tmp_path / "inventory.csv").open("wb") as file:
@@ -72,7 +73,7 @@ def test_an_inventory_is_a_stem_list(tmp_path):
     with (tmp_path / "inventory.csv").open(encoding="utf-8", newline="") as file:
         for line in csv.DictReader(file):
             assert (line["list_line"], line["biomass_kg"]) == ("", "")
-    back = read_stem_list(tmp_path / "inventory.csv", species_table(), NO_ORIGIN)
+    back = read_stem_list(tmp_path / "inventory.csv", flora().trees, NO_ORIGIN)
     for name in set(INVENTORY.names) & set(TREE.names) - {"id", "z_m", "list_line"}:
         assert back[name] == pytest.approx(trees[name], abs=1e-4)
 
@@ -83,15 +84,15 @@ def test_missing_crowns_follow_species_and_neighbours(tmp_path):
     rows += [f"{1000 + 30 * (i % 20)},{30 * (i // 20)},norway_spruce,28,24" for i in range(400)]
     file = tmp_path / "many.csv"
     file.write_text("\n".join(["x,y,species,dbh_cm,height_m", *rows]), encoding="utf-8")
-    trees = read_stem_list(file, species_table(), NO_ORIGIN, 3)
+    trees = read_stem_list(file, flora().trees, NO_ORIGIN, 3)
     ratio = (1 - trees["crown_base_m"] / trees["height_m"]).reshape(2, 400)
     dense, alone = np.median(ratio, axis=1)
     assert dense < 0.6 < 0.75 < alone
-    spruce = species_table()["norway_spruce"]
+    spruce = flora().trees["norway_spruce"]
     assert np.log(ratio / (1 - ratio))[1].std() == pytest.approx(spruce.spread.crown_ratio, rel=0.12)
     assert np.log(trees["crown_width_m"]).std() == pytest.approx(spruce.spread.crown_width, rel=0.12)
     assert trees["crown_width_m"].mean() == pytest.approx(spruce.crown_width_m(np.array([28.0]))[0], rel=0.02)
-    again, other = (read_stem_list(file, species_table(), NO_ORIGIN, seed) for seed in (3, 4))
+    again, other = (read_stem_list(file, flora().trees, NO_ORIGIN, seed) for seed in (3, 4))
     assert np.array_equal(again, trees)
     assert not np.array_equal(other["crown_base_m"], trees["crown_base_m"])
 
@@ -100,7 +101,7 @@ def test_missing_heights_follow_the_measured_ones(tmp_path):
     """An empty height lies on the species' curve through the mean diameter and height of its measured trees."""
     rows = [f"{10 * i},0,silver_birch,{dbh},{h}" for i, (dbh, h) in enumerate([(20, 18), (26, 22), (31, "")])]
     trees = read(tmp_path, "\n".join(["x,y,species,dbh_cm,height_m", *rows]))
-    birch = species_table()["silver_birch"]
+    birch = flora().trees["silver_birch"]
     assert trees["height_m"][:2].tolist() == [18, 22]
     expected = birch.height_curve(np.array([31.0]), np.sqrt((20**2 + 26**2) / 2), 20.0)[0]
     assert trees["height_m"][2] == pytest.approx(expected, abs=1e-9)
@@ -137,10 +138,10 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
     """A spreadsheet's own file, and a file that is not there, are refused by name."""
     path = tmp_path / "stems.csv"
     with pytest.raises(GeometryError, match=r"stems.csv: no such file or directory; expected a stem list"):
-        read_stem_list(path, species_table(), NO_ORIGIN)
+        read_stem_list(path, flora().trees, NO_ORIGIN)
     path.write_bytes(b"PK\x03\x04\xff\xfe")
     with pytest.raises(GeometryError, match=r"stems.csv, line 1: no UTF-8 text"):
-        read_stem_list(path, species_table(), NO_ORIGIN)
+        read_stem_list(path, flora().trees, NO_ORIGIN)
 
 
 TREE_HEADER = "x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg\n"
@@ -161,10 +162,7 @@ def make(tmp_path):
         path.write_text(TREE_HEADER + rows, encoding="utf-8")
         return GivenStand(
             Plot(kind="plot", stem_list=str(path), on_conflict=on_conflict),
-            seed=1,
-            height_m=lambda x, y: 0.1 * x + 0.01 * y,
-            path=Corridor(path_xy_m, path_clearance_m),
-            plants=flora(),
+            Land(1, lambda x, y: 0.1 * x + 0.01 * y, Corridor(path_xy_m, path_clearance_m)),
         )
 
     return make_stand
@@ -191,7 +189,7 @@ def test_crowns_are_prototypes_of_the_lists_own_trees(make):
     key = keys[0]
     assert key.species == "silver_birch"
     assert (key.dbh_m, key.height_m, key.crown_base_m, key.crown_width_m) == pytest.approx((0.205, 20.5, 9, 4.5))
-    lai = species_table()["silver_birch"].leaf_area_index
+    lai = flora().trees["silver_birch"].leaf_area_index
     assert key.leaf_area_m2 == pytest.approx(lai * np.pi / 4 * 4.5**2)
 
 

@@ -8,10 +8,11 @@ from scipy.spatial import ConvexHull
 
 from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.prototypes import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
-from vlp16emu.forest.plants.species import species_table
-from vlp16emu.forest.plants.stem import axis_m, lean_rotation, stem_forms, stem_meshes
+from vlp16emu.forest.plants.species import flora
+from vlp16emu.forest.plants.stem import Stems, lean_rotation, stem_meshes
 from vlp16emu.forest.settings import Forest, SpeciesShare
 from vlp16emu.forest.stand.inventory import INVENTORY, inventory
+from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import TREE, Stand
 from vlp16emu.types import PlantPart
 
@@ -92,8 +93,7 @@ def test_crooked_stems_are_measured_on_their_meshes(trees, crowns, rootless):
         depth_m = np.linalg.norm(bottom_m)
         buried_m3 = depth_m * section_m2(solid, bottom_m / depth_m, bottom_m / 2)
         assert row["stem_m3"] == pytest.approx(solid.volume - buried_m3, rel=1e-3)
-        forms = stem_forms(tree)
-        low_m, at_m, high_m = (axis_m(tree, forms, np.array([[1.3 + d]]))[0, 0] for d in (-1e-4, 1e-5, 1e-4))
+        low_m, at_m, high_m = (Stems(tree).axis_m(np.array([[1.3 + d]]))[0, 0] for d in (-1e-4, 1e-5, 1e-4))
         assert [row["x_breast_m"], row["y_breast_m"]] == pytest.approx(foot_m[:2] + at_m[:2], abs=1e-5)
         normal = (high_m - low_m) / np.linalg.norm(high_m - low_m)
         assert row["dbh_m"] == pytest.approx(section_diameter_m(solid, normal, at_m), abs=1e-4)
@@ -112,7 +112,7 @@ def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
             assert row["leaf_m2"] == 0
             continue
         area_m2 = areas_m2(corners(leaves) * [w, w, h]).sum()
-        clumping = species_table()[key.species].foliage.clumping
+        clumping = flora().trees[key.species].foliage.clumping
         assert row["leaf_m2"] == pytest.approx(area_m2 * clumping, rel=1e-6)
 
 
@@ -156,8 +156,8 @@ def test_mass_wood_and_density_of_one_tree_agree(name, kg_m3, branches, stand):
     dbh_cm, height_m, per_ha = stand
     share = SpeciesShare(species=name, share=1.0, dbh_cm=dbh_cm, height_m=height_m)
     section = Forest(kind="forest", stems_per_ha=per_ha, species=[share])
-    path, species = Corridor(np.array([[0.0, 1e5]]), 0.8), species_table()[name]
-    key = Stand(section, seed=SEED, height_m=lambda x, _: 0 * x, path=path).crown(0, 0, 1)
+    path, species = Corridor(np.array([[0.0, 1e5]]), 0.8), flora().trees[name]
+    key = Stand(section, Land(SEED, lambda x, _: 0 * x, path)).crown(0, 0, 1)
     sizes = ("dbh_m", "height_m", "crown_base_m", "crown_width_m")
     tree = trees_of([name], **{size: getattr(key, size) for size in sizes})
     (row,) = inventory(tree, [key], seed=SEED)

@@ -1,6 +1,6 @@
 """Where plants stand and stones lie."""
 
-from functools import cache
+from functools import cache, partial
 from itertools import product
 
 import numpy as np
@@ -18,20 +18,10 @@ ROWS = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.25, azi
 CLUMPS = Clusters(kind="clusters", per_cluster=8.0, sigma_m=3.0)
 
 
-def scattered(per_ha=700.0, seed=9):
-    return module.scattered(seed=seed, purpose=Growth.STONES, per_ha=per_ha)
-
-
-def hard_core(per_ha=700.0, seed=9):
-    return module.hard_core(seed=seed, purpose=Growth.STAND, per_ha=per_ha)
-
-
-def clusters(per_ha=700.0, seed=9):
-    return module.clustered(CLUMPS, seed=seed, purpose=Growth.SHRUBS, per_ha=per_ha)
-
-
-def rows(per_ha=1600.0, seed=9):
-    return module.planted(ROWS, seed=seed, purpose=Growth.STAND, per_ha=per_ha)
+scattered = partial(module.scattered, purpose=Growth.STONES, per_ha=700.0, seed=9)
+hard_core = partial(module.hard_core, purpose=Growth.STAND, per_ha=700.0, seed=9)
+clusters = partial(module.clustered, section=CLUMPS, purpose=Growth.SHRUBS, per_ha=700.0, seed=9)
+rows = partial(module.planted, section=ROWS, purpose=Growth.STAND, per_ha=1600.0, seed=9)
 
 
 def patchy(per_ha=700.0, seed=9):
@@ -46,7 +36,7 @@ def points_of(pattern, across=ACROSS):
 @cache
 def field(make, per_ha):
     """Points of a pattern, which several tests look at."""
-    return points_of(make(per_ha))
+    return points_of(make(per_ha=per_ha))
 
 
 def clark_evans(points, per_ha):

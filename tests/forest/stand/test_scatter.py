@@ -13,10 +13,10 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor, distance_m
 from vlp16emu.forest import settings
 from vlp16emu.forest.plants.prototypes import SAPLING_PARTS, SHRUB_PARTS, SaplingKey, sapling_meshes
-from vlp16emu.forest.plants.species import flora, species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
-from vlp16emu.forest.stand.placed import Site
-from vlp16emu.forest.stand.scatter import layer_of
+from vlp16emu.forest.stand.points import Land
+from vlp16emu.forest.stand.scatter import Layer
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.types import PlantPart, Semantic
 
@@ -25,21 +25,38 @@ YOUNG = ["european_beech", "norway_spruce"]
 BUSHES = ["hazel", "hawthorn"]
 
 ANYWHERE = settings.Scattered(kind="random")
+FAR = np.array([[0.0, 1e5]])
+NEAR = np.array([[-10.0, 10.0], [60.0, 30.0]])
+ACROSS = np.array([[-10.0, 10.0], [170.0, 60.0]])
+NO_TRUNKS = np.zeros((0, 3))
+TILES = list(product(range(8), range(8)))
+
+
+def ground(x, y):
+    return 0.2 * x + 0.1 * y + 0.1 * np.sin(x / 3)
+
+
+def layer(section, *, path=FAR, height_m=ground, seed=6):
+    return Layer(section, Land(seed, height_m, Corridor(path, 0.8)))
+
+
+def things(section, tiles=TILES, *, trunks=NO_TRUNKS, **where):
+    """Things on tiles, tile by tile."""
+    own = layer(section, **where)
+    return [own.place(*tile, trunks) for tile in tiles]
 
 
 def saplings(*species):
-    section = settings.Regeneration(stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE)
-    return layer_of(section, seed=6, season="leaf_on")
+    return settings.Regeneration(stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE)
 
 
 def shrubs(*species):
-    section = settings.Shrubs(per_ha=1500.0, species=[*species], pattern=ANYWHERE)
-    return layer_of(section, seed=6, season="leaf_on")
+    return settings.Shrubs(per_ha=1500.0, species=[*species], pattern=ANYWHERE)
 
 
-def placed(layer):
+def placed(section):
     where = {"path": PATH, "trunks": np.array([[10.0, 50.0, 3.0]]), "height_m": lambda x, y: 0.1 * x}
-    return [layer.place(plot(*tile, **where)) for tile in product(range(6), repeat=2)]
+    return things(section, product(range(6), repeat=2), **where)
 
 
 def test_sapling_heights_are_even_and_their_species_as_frequent():
@@ -47,7 +64,7 @@ def test_sapling_heights_are_even_and_their_species_as_frequent():
     trees = np.concatenate([tile.trees for tile in placed(saplings(*YOUNG))])
     far = trees[distance_m(np.column_stack([trees["x_m"], trees["y_m"]]), PATH) > 2]
     assert stats.kstest(far["height_m"], stats.uniform(0.5, 3.5).cdf).pvalue > 0.01
-    beeches = int((far["species"] == species_table()["european_beech"].number).sum())
+    beeches = int((far["species"] == flora().trees["european_beech"].number).sum())
     assert stats.binomtest(beeches, len(far), 0.5).pvalue > 0.01
     assert trees["z_m"] == pytest.approx(0.1 * trees["x_m"])
     assert set(trees["storey"]) == {REGENERATION}
@@ -58,7 +75,7 @@ def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
     tile = next(t for t in placed(saplings(*YOUNG)) if (t.trees["height_m"] > 3).any())
     i = int(np.argmax(tile.trees["height_m"]))
     tree, T = tile.trees[i], tile.world_T_shape[i]
-    stem = sapling_meshes(6, tile.keys[tile.shape[i]])[0]
+    stem = sapling_meshes(6, tile.keys[i])[0]
     body = trimesh.Trimesh(stem.vertices_m @ T[:, :3].T + T[:, 3], stem.faces, process=False)
     assert body.is_watertight
     assert body.bounds[1, 2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-5)
@@ -72,8 +89,8 @@ def test_shrub_heights_are_those_of_their_kind():
     for tile in tiles:
         scale = np.linalg.norm(tile.world_T_shape[:, :, 2], axis=1)
         assert np.abs(np.log(scale)).max(initial=0) < np.log(1.2)
-        heights += (scale * [tile.keys[i].height_m for i in tile.shape]).tolist()
-        kinds += [tile.keys[i].species for i in tile.shape]
+        heights += (scale * [key.height_m for key in tile.keys]).tolist()
+        kinds += [key.species for key in tile.keys]
     for name in BUSHES:
         low, high = flora().shrubs[name].height_m
         own = np.array(heights)[np.array(kinds) == name]
@@ -92,8 +109,8 @@ def test_plants_keep_away_from_path_and_trunks():
         for tile in placed(kind):
             xy = tile.world_T_shape[:, :2, 3]
             scale = np.linalg.norm(tile.world_T_shape[:, :, 0], axis=1)
-            keys = [tile.keys[i] for i in tile.shape]
-            width = scale * [key.height_m / 2 if isinstance(key, SaplingKey) else key.width_m for key in keys]
+            widths = [key.height_m / 2 if isinstance(key, SaplingKey) else key.width_m for key in tile.keys]
+            width = scale * widths
             assert (distance_m(xy, PATH) - width / 2).min(initial=0.8) >= 0.8 - 1e-9
             gap_m = np.hypot(*(xy - (10, 50)).T) - 3.0
             assert gap_m.min(initial=0.0) >= 0.0
@@ -110,54 +127,37 @@ def test_unknown_plants_are_named():
         (shrubs, "broom", "shrubs", "hazel"),
     ):
         with pytest.raises(GeometryError, match=f"{key}.species: unknown species '{name}'; expected one of {first}"):
-            kind(name)
+            layer(kind(name))
 
 
-FAR = np.array([[0.0, 1e5]])
-NEAR = np.array([[-10.0, 10.0], [60.0, 30.0]])
-ACROSS = np.array([[-10.0, 10.0], [170.0, 60.0]])
-NO_TRUNKS = np.zeros((0, 3))
-TILES = list(product(range(8), range(8)))
-
-
-def ground(x, y):
-    return 0.2 * x + 0.1 * y + 0.1 * np.sin(x / 3)
-
-
-def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
-    return Site(seed=6, ix=ix, iy=iy, height_m=height_m, path=Corridor(path, 0.8), trunks=trunks)
-
-
-def log_layer(uprooted=0.0, broken=0.0, decayed=0.0):
-    """Layer of logs that are sound, whole and cut if nothing else is said."""
+def some_logs(uprooted=0.0, broken=0.0, decayed=0.0):
+    """Logs that are sound, whole and cut if nothing else is said."""
     shares = {"uprooted": uprooted, "broken": broken, "decayed": decayed}
     size = {"diameter_m": (0.2, 0.6), "length_m": (3.0, 12.0)}
-    return layer_of(settings.Logs(per_ha=200.0, species=["norway_spruce", "european_beech"], **size, **shares), seed=6)
+    return settings.Logs(per_ha=200.0, species=["norway_spruce", "european_beech"], **size, **shares)
 
 
-def found_of(layer, tiles=TILES, **where):
+def found_of(section, **where):
     """Transforms and surface rows by kind, on level ground."""
     found = {}
-    for tile in tiles:
-        things = layer.place(plot(*tile, height_m=lambda x, y: 0 * x, **where))
-        for i, which in enumerate(things.shape.tolist()):
-            kind = things.keys[which].kind
-            found.setdefault(kind, []).append((things.world_T_shape[i], things.surfaces[i, 0]))
+    for tile in things(section, height_m=lambda x, y: 0 * x, **where):
+        for i, key in enumerate(tile.keys):
+            found.setdefault(key.kind, []).append((tile.world_T_shape[i], tile.surfaces[i, 0]))
     return {kind: tuple(map(np.array, zip(*rows, strict=True))) for kind, rows in found.items()}
 
 
-STONES = layer_of(settings.Stones(cover=0.05), seed=6)
-LOGS = log_layer()
-STUMPS = layer_of(settings.Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
-GRASS = layer_of(settings.Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
-FERNS = layer_of(settings.Ferns(cover=0.3), seed=6)
+STONES = settings.Stones(cover=0.05)
+LOGS = some_logs()
+STUMPS = settings.Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5))
+GRASS = settings.Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5))
+FERNS = settings.Ferns(cover=0.3)
 ALL = pytest.mark.parametrize(
-    "layer", [STONES, LOGS, STUMPS, GRASS, FERNS], ids=["stones", "logs", "stumps", "grass", "ferns"]
+    "section", [STONES, LOGS, STUMPS, GRASS, FERNS], ids=["stones", "logs", "stumps", "grass", "ferns"]
 )
 
 
-def world_T(layer, tiles=TILES, **where):
-    return np.concatenate([layer.place(plot(*tile, **where)).world_T_shape for tile in tiles])
+def world_T(section, tiles=TILES, **where):
+    return np.concatenate([tile.world_T_shape for tile in things(section, tiles, **where)])
 
 
 def size_m(world_T):
@@ -168,12 +168,11 @@ def test_stones_cover_the_share_that_was_asked_for():
     """One in twenty vertical rays on 0.6 hectares of flat ground meets a stone, within 12 %, three sigma."""
     at_m = np.random.default_rng(2).uniform(2, [38, 158], (20_000, 2))
     tree, rays = KDTree(at_m), {}
-    for tile in TILES[:16]:
-        placed = STONES.place(plot(*tile, height_m=lambda x, y: np.zeros(np.shape(x))))
-        for shape, T in zip(placed.shape, placed.world_T_shape, strict=True):
+    for placed in things(STONES, TILES[:16], height_m=lambda x, y: np.zeros(np.shape(x))):
+        for key, T in zip(placed.keys, placed.world_T_shape, strict=True):
             number = np.array(tree.query_ball_point(T[:2, 3], np.linalg.norm(T[:2, 0])), int)
             own = np.linalg.solve(T[:, :3], np.pad(at_m[number], ((0, 0), (0, 1))).T - T[:, 3:]).T
-            rays.setdefault(placed.keys[shape], []).append(np.column_stack([own, number]))
+            rays.setdefault(key, []).append(np.column_stack([own, number]))
     met = set()
     for key, parts in rays.items():
         (stone,), (x, y, ground_z, number) = floor_meshes(6, key), np.concatenate(parts).T
@@ -234,8 +233,7 @@ def test_grass_grows_beside_the_path_alone():
     near = distance_m(np.random.default_rng(1).uniform(0, 160, (100_000, 2)), NEAR)
     area_m2 = 160**2 * ((near < 25) & (near > 0.95)).mean()
     assert len(placed) == pytest.approx(area_m2, rel=0.06)
-    assert len(GRASS.place(plot(2, 1, path=NEAR)).shape) > 0
-    assert len(GRASS.place(plot(1, 4, path=NEAR)).shape) == 0
+    assert [len(tile.keys) > 0 for tile in things(GRASS, [(2, 1), (1, 4)], path=NEAR)] == [True, False]
 
 
 HIGH = [settings.Herbs(cover=0.2), settings.Ferns(cover=0.1), settings.DwarfShrubs(cover=0.15)]
@@ -249,7 +247,7 @@ def test_plants_cover_the_share_that_was_asked_for(section):
     away = distance_m(at_m, NEAR)
     at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
     for seed in range(6, 12):
-        placed = world_T(layer_of(section, seed=seed), path=NEAR, height_m=lambda x, y: 0 * x)
+        placed = world_T(section, seed=seed, path=NEAR, height_m=lambda x, y: 0 * x)
         wide, _, high = size_m(placed).T
         assert reach_m - 0.5 < distance_m(placed[:, :2, 3], NEAR).max() < reach_m
         low_m, high_m = section.height_m
@@ -274,17 +272,17 @@ def test_plants_stand_in_patches_and_moss_and_litter_do_not():
     ):
         counts = []
         for seed in range(6, 9):
-            pattern = layer_of(section, seed=seed).pattern
+            pattern = layer(section, seed=seed).pattern
             xy_m = np.concatenate([pattern.points(*tile) for tile in TILES])
             counts.append(np.histogram2d(*xy_m.T, bins=80, range=[(0, 160)] * 2)[0])
-            assert (pattern.points(3, 4) == layer_of(section, seed=seed).pattern.points(3, 4)).all()
+            assert (pattern.points(3, 4) == layer(section, seed=seed).pattern.points(3, 4)).all()
         ratio = np.var(counts) / np.mean(counts)
         assert ratio > least if least else ratio == pytest.approx(1.0, abs=0.05), section
 
 
 def test_no_tile_has_far_more_small_plants_than_others():
     """Of herbs 3 to 6 cm high, as dense as a forest may be, no tile has over 1.5 times the mean: its numbers do not run out."""
-    pattern = layer_of(settings.Herbs(cover=0.076, height_m=(0.03, 0.06)), seed=6).pattern
+    pattern = layer(settings.Herbs(cover=0.076, height_m=(0.03, 0.06))).pattern
     assert pattern.per_ha == pytest.approx(120_000, rel=0.05)
     counts = [len(pattern.points(*tile)) for tile in TILES]
     assert np.mean(counts) == pytest.approx(pattern.per_ha / 25, rel=0.1)
@@ -294,45 +292,43 @@ def test_no_tile_has_far_more_small_plants_than_others():
 def test_moss_and_litter_are_ground_and_lie_along_it():
     """On a slope their axes are across it; they are on the path too, and labelled as ground."""
     for section in (settings.Moss(cover=0.3), settings.Litter(cover=0.3)):
-        layer = layer_of(section, seed=6)
-        placed = [layer.place(plot(*tile, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)) for tile in TILES]
+        placed = things(section, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)
         world = np.concatenate([one.world_T_shape for one in placed])
         up = world[:, :, 2] / np.linalg.norm(world[:, :, 2], axis=1, keepdims=True)
         np.testing.assert_allclose(up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9)
         assert distance_m(world[:, :2, 3], NEAR).min() < 0.3
-        assert layer.kind.is_ground
         assert all(one.is_ground and (one.surfaces["semantic"] == Semantic.GROUND).all() for one in placed)
 
 
 @ALL
-def test_nothing_lies_in_the_way(layer):
+def test_nothing_lies_in_the_way(section):
     """With a path through the tiles things keep their own extent and 0.8 m away; farther ones stay as they were."""
-    kept, free = world_T(layer, path=NEAR), world_T(layer, path=NEAR + [0, 0.001])
+    kept, free = world_T(section, path=NEAR), world_T(section, path=NEAR + [0, 0.001])
     assert len(kept) > 50
-    ends = np.array([-0.5, 0.0, 0.5]) if layer is LOGS else np.zeros(1)
+    ends = np.array([-0.5, 0.0, 0.5]) if section is LOGS else np.zeros(1)
     along = kept[:, None, :2, 3] + ends[:, None] * kept[:, None, :2, 0]
     size = size_m(kept)
-    half = size[:, 1 if layer is LOGS else 0] / 2
+    half = size[:, 1 if section is LOGS else 0] / 2
     gap = distance_m(along.reshape(-1, 2), NEAR).reshape(len(kept), -1).min(axis=1)
     assert (gap - half).min() >= 0.8 - 1e-9
     assert abs(len(free) - len(kept)) <= 3
 
 
 @ALL
-def test_nothing_lies_in_a_trunk(layer):
+def test_nothing_lies_in_a_trunk(section):
     """A trunk of 4 m radius in a tile keeps everything out of it, and changes nothing else."""
     path = np.array([[0.0, -5.0], [20.0, -5.0]])
-    before = world_T(layer, [(0, 0)], path=path)
-    after = world_T(layer, [(0, 0)], path=path, trunks=np.array([[10.0, 10.0, 4.0]]))
+    before = world_T(section, [(0, 0)], path=path)
+    after = world_T(section, [(0, 0)], path=path, trunks=np.array([[10.0, 10.0, 4.0]]))
     inside = np.hypot(before[:, 0, 3] - 10, before[:, 1, 3] - 10) < 4.0
-    assert inside.any() or layer in (LOGS, STUMPS)
+    assert inside.any() or section in (LOGS, STUMPS)
     assert np.hypot(after[:, 0, 3] - 10, after[:, 1, 3] - 10).min(initial=4.0) >= 4.0
     kept = {row.tobytes() for row in before}
     assert all(row.tobytes() in kept for row in after)
 
 
 @pytest.mark.parametrize(
-    ("layer", "semantic", "parts", "species"),
+    ("section", "semantic", "parts", "species"),
     [
         (saplings(*YOUNG), Semantic.TREE, SAPLING_PARTS, YOUNG),
         (shrubs(*BUSHES), Semantic.SHRUB, SHRUB_PARTS, BUSHES),
@@ -343,10 +339,10 @@ def test_nothing_lies_in_a_trunk(layer):
         (FERNS, Semantic.GRASS, [PlantPart.LEAF], []),
     ],
 )
-def test_labels_say_what_it_is(layer, semantic, parts, species):
+def test_labels_say_what_it_is(section, semantic, parts, species):
     """Each kind has its semantic class, parts and species, and reflectances even within 0.08 of those of its plant or material."""
-    plants = {one.number: one for one in (*species_table().values(), *flora().shrubs.values())}
-    rows = np.concatenate([layer.place(plot(*tile, path=NEAR)).surfaces for tile in TILES])
+    plants = {one.number: one for one in (*flora().trees.values(), *flora().shrubs.values())}
+    rows = np.concatenate([tile.surfaces for tile in things(section, path=NEAR)])
     assert (rows["semantic"] == semantic).all()
     assert (rows["part"] == parts).all()
     assert sorted(plants[n].name if n else "" for n in np.unique(rows["species"])) == sorted(species or [""])
@@ -363,15 +359,15 @@ def test_shares_are_those_that_were_asked_for():
 
     Stumps, broken or not, lie where they would if all were sound.
     """
-    found = found_of(log_layer(uprooted=0.3, broken=0.25, decayed=0.4))
+    found = found_of(some_logs(uprooted=0.3, broken=0.25, decayed=0.4))
     kinds = FloorKind.LOG, FloorKind.BROKEN_LOG, FloorKind.ROOT_PLATE
     whole, pieces, plates = (len(found[kind][0]) for kind in kinds)
-    logs = whole + pieces / 2
+    count = whole + pieces / 2
     _, wide, high = size_m(found[FloorKind.LOG][0]).T
-    for share, expected in ((plates / logs, 0.3), (pieces / 2 / logs, 0.25), ((high < 0.9 * wide).mean(), 0.7 * 0.4)):
+    for share, expected in ((plates / count, 0.3), (pieces / 2 / count, 0.25), ((high < 0.9 * wide).mean(), 0.7 * 0.4)):
         assert share == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / whole))
     section = {"per_ha": 200.0, "species": ["silver_birch"]}
-    found, felled = (found_of(layer_of(settings.Stumps(**section, broken=share), seed=6)) for share in (0.3, 0.0))
+    found, felled = (found_of(settings.Stumps(**section, broken=share)) for share in (0.3, 0.0))
     sound, broken = (found[kind][0] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
     n = len(sound) + len(broken)
     assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
@@ -384,7 +380,7 @@ def test_a_root_plate_stands_at_the_butt_of_a_log_whose_top_lies_on_the_ground()
 
     The axis of the log's thin end is less than its radius over the ground, up to what its straight line rises.
     """
-    found = found_of(log_layer(uprooted=1.0))
+    found = found_of(some_logs(uprooted=1.0))
     logs, (plates, rows) = found[FloorKind.LOG][0], found[FloorKind.ROOT_PLATE]
     butt_m = logs[:, :, 3] - logs[:, :, 0] / 2
     assert plates[:, :, 3] == pytest.approx(butt_m)
@@ -403,7 +399,7 @@ def test_a_root_plate_stands_at_the_butt_of_a_log_whose_top_lies_on_the_ground()
 
 def test_a_rotten_log_is_flat_and_sunk():
     """Up to half as high as it was and a fifth wider, with its upper side 0.3 to 0.75 of its former diameter over the ground."""
-    logs, sound = (found_of(log_layer(decayed=share))[FloorKind.LOG][0] for share in (1.0, 0.0))
+    logs, sound = (found_of(some_logs(decayed=share))[FloorKind.LOG][0] for share in (1.0, 0.0))
     (_, wide, high), (_, diameter, _) = size_m(logs).T, size_m(sound).T
     assert ((high / diameter < 0.86) & (high / diameter > 0.49)).all()
     assert ((wide / diameter > 1.05) & (wide / diameter < 1.21)).all()
@@ -413,7 +409,7 @@ def test_a_rotten_log_is_flat_and_sunk():
 
 def test_plates_and_pieces_keep_off_the_path_and_trunks():
     """No part of a plate is nearer to the path than 0.8 m, or in a trunk; a log is left out whole if any part of it would be."""
-    one, trunk = log_layer(uprooted=0.5, broken=0.5), np.array([[50.0, 90.0, 6.0]])
+    one, trunk = some_logs(uprooted=0.5, broken=0.5), np.array([[50.0, 90.0, 6.0]])
     found = found_of(one, path=ACROSS, trunks=trunk)
     plates = found[FloorKind.ROOT_PLATE][0]
     assert len(plates) > 50

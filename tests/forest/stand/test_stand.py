@@ -12,11 +12,11 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor, distance_m
 from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.species import species_table, tapers
+from vlp16emu.forest.plants.species import flora, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Forest, Plantation, Scattered, SpeciesShare, Storey, Terrain
-from vlp16emu.forest.stand.points import scattered
+from vlp16emu.forest.stand.points import Land, scattered
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 
 FAR_XY_M = np.array([[0.0, 1e5]])
@@ -32,10 +32,7 @@ def make_stand(
     species = [one.model_copy(update={"share": one.share / whole}) for one in species]
     return Stand(
         Forest(kind="forest", stems_per_ha=stems_per_ha, species=species, path_clearance_m=clearance_m, **section),
-        seed=14,
-        height_m=lambda x, y: 0.01 * x + 0.02 * y,
-        path=Corridor(path_xy_m, clearance_m),
-        trails=trails,
+        Land(14, lambda x, y: 0.01 * x + 0.02 * y, Corridor(path_xy_m, clearance_m), trails=trails),
     )
 
 
@@ -52,7 +49,7 @@ def spruces():
 @pytest.mark.parametrize("mix", [BIRCH, SPRUCE])
 def test_diameters_follow_their_truncated_weibull(trees, mix):
     """Diameters pass a Kolmogorov-Smirnov test against scipy's truncated Weibull, scaled to the wanted mean."""
-    species = species_table()[mix.species]
+    species = flora().trees[mix.species]
     a0, a1, c0, c1, c2 = species.diameters
     weibull = stats.weibull_min(c0 + c1 * mix.dbh_cm + c2 * 1.6 * mix.dbh_cm, scale=a0 + a1 * mix.dbh_cm)
     cut = weibull.cdf(6.9)

@@ -8,13 +8,13 @@ from forest.kit import section_diameter_m, trees_of
 from vlp16emu import Emulator
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT
-from vlp16emu.forest.plants.species import flora, species_table
+from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.settings import ModelPart, TreeModelFile
 from vlp16emu.forest.stand.tree_models import Cutter, TreeModels
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 
-BIRCH = species_table()["silver_birch"]
+BIRCH = flora().trees["silver_birch"]
 PARTS = [ModelPart(name="crown", part="leaf"), ModelPart(name="bough", part="branch_first_order")]
 FOOT_M = [5.0, -3.0]
 
@@ -183,7 +183,7 @@ def test_broadleaves_bear_no_leaves_in_winter(path):
     trees = some_trees(1)
     winter = TreeModels([section_of(path)], flora(), "leaf_off")
     assert winter.inventory(trees)["leaf_m2"] == 0.0
-    trees["species"] = species_table()["norway_spruce"].number
+    trees["species"] = flora().trees["norway_spruce"].number
     spruce = TreeModels([section_of(path, species="Picea abies")], flora(), "leaf_off")
     assert spruce.inventory(trees)["leaf_m2"] > 1.0
 

@@ -10,7 +10,7 @@ import math
 import threading
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,16 +230,11 @@ class AuditFinding:
 class Audit:
     """Audit of a run, called from any number of threads; without effect if the scene itself chose one ray per pulse."""
 
-    def __init__(self, apart_m: float, *, exact: bool) -> None:
-        self._apart_m = apart_m
-        self.exact = exact
+    def __init__(self, scenario: Scenario) -> None:
+        self._apart_m = apart_m(scenario.detector)
+        self.exact = scenario.beam.model not in _SAMPLED
         self._lock = threading.Lock()
         self.tally = Tally()  # errors so far, of all units
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> Self:
-        """Make the audit of a run."""
-        return cls(apart_m(scenario.detector), exact=scenario.beam.model not in _SAMPLED)
 
     @property
     def finding(self) -> AuditFinding:

@@ -13,7 +13,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,6 @@ from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Poses, ReturnMode, Returns
 from vlp16emu.units import seconds_to_ns
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
 
@@ -101,21 +98,12 @@ class Accuracy:
     """Worlds cast leaf by leaf to some distances, the explicit one last; none of a hall."""
 
 
-def front(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows that no other beats in both speed and mean error, the quickest first.
+def choices(rows: Sequence[Row]) -> dict[str, float]:
+    """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for.
 
     The paper's beam errors do not count: they are there to be compared with, not to be chosen.
     """
-    kept, chosen = list[Row](), (row for row in rows if row.kind is not Kind.BEAM_ERROR)
-    for row in sorted(chosen, key=lambda row: (row.us_per_pulse, row.errors.mean_error_m)):
-        if not kept or row.errors.mean_error_m < kept[-1].errors.mean_error_m:
-            kept.append(row)
-    return kept
-
-
-def choices(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for."""
-    found: dict[str, float] = {}
+    found = dict[str, float]()
     for wanted_m in WANTED_M:
         within = [row for row in rows if row.errors.mean_error_m <= wanted_m]
         good = [row for row in within if row.kind is not Kind.BEAM_ERROR]
@@ -125,48 +113,40 @@ def choices(rows: Sequence[Row]) -> dict[str, float]:
 
 
 _SIZE_PX = 1100, 480
-_IN_USE = CYCLE[3]
 _STYLES = {
-    Kind.ONE_RAY: (INK, "s", (6, -10)),
-    Kind.BEAM_ERROR: (CYCLE[4], "x", (4, 5)),
-    Kind.FIXED: (CYCLE[0], "o", (4, 5)),
-    Kind.ADAPTIVE: (CYCLE[2], "D", (-8, -13)),
-}  # colour, mark, and offset of the label in points; to the left it is right-aligned
+    Kind.ONE_RAY: (INK, "s", ""),
+    Kind.BEAM_ERROR: (CYCLE[4], "x", ""),
+    Kind.FIXED: (CYCLE[0], "o", "-"),
+    Kind.ADAPTIVE: (CYCLE[2], "D", "-"),
+}  # colour, mark and line
+_PANELS = {
+    "mean_error_m": ("All returns: wrong and lost ones count as the resolution", "mean error, m"),
+    "range_rmse_m": ("Returns of the right echo", "range RMSE, m"),
+}  # title and axis by the field of `Errors`
 
 
 def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
     """Draw mean error and RMSE of each setting of the beam against its run time, as PNG."""
-    rows = accuracy.rows
     with plotted(file, _SIZE_PX) as figure:
-        left, right = figure.subplots(1, 2)
-        _draw(left, rows, lambda row: row.errors.mean_error_m)
-        us, error_m = zip(*((row.us_per_pulse, row.errors.mean_error_m) for row in front(rows)), strict=True)
-        left.plot(us, error_m, color=SOFT, linewidth=6, alpha=0.5, zorder=0, label="Pareto front")
-        left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
-        _draw(right, rows, lambda row: row.errors.range_rmse_m)
-        right.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
-        right.set(title="Returns of the right echo", ylabel="range RMSE, m")
-        for axes in (left, right):
+        for axes, (name, (title, label)) in zip(figure.subplots(1, 2), _PANELS.items(), strict=True):
+            for row in accuracy.rows:
+                place, colour = (row.us_per_pulse, getattr(row.errors, name)), _STYLES[row.kind][0]
+                words: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour}
+                axes.annotate(row.name.rpartition("=")[2], place, (4, 5), **words)
+                if row.in_use:
+                    axes.plot(*place, "o", ms=15, mfc="none", mec=CYCLE[3], mew=2, label="in use")
+            for kind, (colour, marker, line) in _STYLES.items():
+                own = [row for row in accuracy.rows if row.kind is kind]
+                us, spread_us = ([getattr(row, of) for row in own] for of in ("us_per_pulse", "us_spread"))
+                look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "label": kind.value}
+                axes.errorbar(us, [getattr(row.errors, name) for row in own], xerr=np.array(spread_us) / 2, **look)
+            if name == "range_rmse_m":
+                axes.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
+            axes.set(title=title, ylabel=label, xscale="log", yscale="log", xlabel="us per pulse, one core")
+            axes.grid(which="both", alpha=0.5)
+            axes.xaxis.set_minor_formatter("")
             axes.legend(loc="upper right")
-        figure.suptitle(f"{accuracy.scene}: error against run time, {rows[0].errors.pulses} pulses")
-
-
-def _draw(axes: "Axes", rows: Sequence[Row], error_m: Callable[[Row], float]) -> None:
-    for kind, (colour, marker, aside) in _STYLES.items():
-        own = [row for row in rows if row.kind is kind]
-        us, spread = ([getattr(row, name) for row in own] for name in ("us_per_pulse", "us_spread"))
-        line = "-" if kind in (Kind.FIXED, Kind.ADAPTIVE) else ""
-        look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "label": kind.value}
-        axes.errorbar(us, [error_m(row) for row in own], xerr=np.array(spread) / 2, **look)
-        words: dict[str, Any] = {"fontsize": 7, "color": colour, "ha": "left" if aside[0] > 0 else "right"}
-        for row in own:
-            place, short = (row.us_per_pulse, error_m(row)), row.name.rpartition("=")[2]
-            axes.annotate(short, place, aside, textcoords="offset points", **words)
-            if row.in_use:
-                axes.plot(*place, "o", ms=15, mfc="none", mec=_IN_USE, mew=2, label="in use")
-    axes.set(xscale="log", yscale="log", xlabel="us per pulse, one core")
-    axes.grid(which="both", alpha=0.5)
-    axes.xaxis.set_minor_formatter("")
+        figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
 
 
 PosesAt = Callable[[I8], Poses]
@@ -262,12 +242,11 @@ class Bench:
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(self.rays)
 
 
-Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
-
 _COUNTS = (4, 8, 16, 32, 64, 128)
 _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, over that of the scene
 _RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times those of a pulse of the scene
 _REPEATS = 5
+_PER_PULSE = "pose per pulse"
 _POSED = 4  # every fourth group measures errors of poses and of the answer itself, as answers are costly
 
 
@@ -280,44 +259,37 @@ class BeamSetting(NamedTuple):
     beam: Footprint
 
 
-class PoseRate(NamedTuple):
-    """A rate at which pulses get new poses."""
-
-    name: str
-    in_use: bool
-    poses_at: PosesAt
-
-
 def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     """List one ray, the paper's beam errors, fixed counts and adaptive targets, the scene's own among them."""
     section = scenario.beam
     counts = sorted({*_COUNTS, section.rays} if section.model == "fixed" else _COUNTS)
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
-
-    def setting(kind: Kind, model: Model, **own: float) -> BeamSetting:
-        changed = section.model_copy(update={"model": model, **own})
-        name = " ".join([f"beam.model={model}", *(f"beam.{key}={value:.4g}" for key, value in own.items())])
-        beam = beam_of(scenario.model_copy(update={"beam": changed}), seed)
-        return BeamSetting(kind, name, changed == section, beam)
-
-    return [
-        setting(Kind.ONE_RAY, "none"),
-        setting(Kind.BEAM_ERROR, "angle"),
-        setting(Kind.BEAM_ERROR, "offset"),
-        *(setting(Kind.FIXED, "fixed", rays=count) for count in counts),
-        *(setting(Kind.ADAPTIVE, "adaptive", target_m=target_m) for target_m in targets_m),
+    ladder: list[tuple[Kind, dict[str, Any]]] = [
+        (Kind.ONE_RAY, {"model": "none"}),
+        (Kind.BEAM_ERROR, {"model": "angle"}),
+        (Kind.BEAM_ERROR, {"model": "offset"}),
+        *((Kind.FIXED, {"model": "fixed", "rays": count}) for count in counts),
+        *((Kind.ADAPTIVE, {"model": "adaptive", "target_m": target_m}) for target_m in targets_m),
     ]
+    settings = list[BeamSetting]()
+    for kind, own in ladder:
+        changed = section.model_copy(update=own)
+        beam = beam_of(scenario.model_copy(update={"beam": changed}), seed)
+        words = {key: value if isinstance(value, str) else f"{value:.4g}" for key, value in own.items()}
+        name = " ".join(f"beam.{key}={word}" for key, word in words.items())
+        settings.append(BeamSetting(kind, name, changed == section, beam))
+    return settings
 
 
-def pose_rates(unit: Unit) -> list[PoseRate]:
-    """List a pose per pulse, per firing sequence and per packet; nothing if the sensor stands still."""
+def pose_rates(unit: Unit) -> dict[str, PosesAt]:
+    """Return poses per pulse, per firing sequence and per packet by name; nothing if the sensor stands still."""
     if not unit.motion.moves:
-        return []
+        return {}
     sequence_ns, start_ns = unit.head.beams.sequence_ns, unit.head.start_ns
     packet_ns = SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * sequence_ns
     poses_at, holds_ns = unit.motion.poses_at, {"firing sequence": sequence_ns, "packet": packet_ns}
-    held = [PoseRate(f"pose per {what}", False, _held(poses_at, start_ns, ns)) for what, ns in holds_ns.items()]
-    return [PoseRate("pose per pulse", in_use=True, poses_at=poses_at), *held]
+    held = {f"pose per {what}": _held(poses_at, start_ns, ns) for what, ns in holds_ns.items()}
+    return {_PER_PULSE: poses_at, **held}
 
 
 def _held(poses_at: PosesAt, start_ns: int, hold_ns: int) -> PosesAt:
@@ -356,8 +328,8 @@ class _Ladder:
             for group in groups:
                 detections = bench.detections(geometry, bench.aimed(group, poses_at), setting.beam)
                 self._detections[setting.name].append(detections)
-        for rate in self._pose_rates:
-            self._detections[rate.name] += answers(some, rate.poses_at)
+        for name, held_at in self._pose_rates.items():
+            self._detections[name] += answers(some, held_at)
 
     def time(self, geometry: Geometry, block: range) -> None:
         """Measure run time of all settings, in turn, so that other load meets them alike."""
@@ -365,7 +337,7 @@ class _Ladder:
         firings = bench.aimed(block[:TIMED_SEQUENCES], bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
-            timed |= {rate.name: bench.timed_aim(block, rate.poses_at) for rate in self._pose_rates}
+            timed |= {name: bench.timed_aim(block, poses_at) for name, poses_at in self._pose_rates.items()}
             if repeat:  # the first one compiled and warmed up
                 for name, (us, rays) in timed.items():
                     self._us[name].append(us)
@@ -379,8 +351,8 @@ class _Ladder:
             seed=seed,
             answer_rays=self._bench.rays,
             answer_rmse_m=answer.range_rmse_m / float(np.sqrt(2.0)),
-            rows=distinct([self._row(one.kind, one.name, "answer", one.in_use) for one in self._beams]),
-            poses=tuple(self._row(Kind.POSE, rate.name, "answer of some", rate.in_use) for rate in self._pose_rates),
+            rows=tuple(self._row(one.kind, one.name, "answer", one.in_use) for one in self._beams),
+            poses=tuple(self._row(Kind.POSE, one, "answer of some", one == _PER_PULSE) for one in self._pose_rates),
         )
 
     def _row(self, kind: Kind, name: str, answer: str, in_use: bool) -> Row:
@@ -391,19 +363,6 @@ class _Ladder:
     def _errors(self, name: str, answer: str) -> Errors:
         compared = compare(joined(self._detections[answer]), joined(self._detections[name]), self._apart_m)
         return errors_of(compared, self._apart_m)
-
-
-def distinct(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """Return rows without adaptive settings that cast the same rays as another: the one in use is kept, or the coarsest.
-
-    A beam takes its first eight sub-rays at any target, so coarse targets are one and the same setting.
-    """
-    kept = dict[object, Row]()
-    for row in rows:
-        key = (row.errors, row.rays_per_pulse) if row.kind is Kind.ADAPTIVE else row.name
-        if row.in_use or key not in kept:
-            kept[key] = row
-    return tuple(kept.values())
 
 
 def measure_accuracy(

@@ -4,7 +4,6 @@ import heapq
 import logging
 import shutil
 import sqlite3
-import tempfile
 from collections.abc import Iterable
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
-from vlp16emu.output import final_name
+from vlp16emu.output import final_name, part_beside
 from vlp16emu.units import S_NS
 
 _log = logging.getLogger(__name__)
@@ -30,7 +29,6 @@ _OWN_TYPES = {
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
 _HELD_NS = S_NS  # time for which messages wait for earlier ones
 _FAILURES = (OSError, sqlite3.Error)  # errors of a full disk, the second one in a folder of ROS 2
-_NAME = 60  # characters of the name that are part of the temporary folder's
 LATEST_NS = (2**31 - 1) * S_NS
 """Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
 _METADATA_VERSION = 8  # last version of rosbag2 whose quality of service is a text
@@ -76,7 +74,8 @@ class BagFile:
         with ExitStack() as stack:
             try:
                 self._final = final_name(path)
-                beside = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME]}.", dir=self._final.parent))
+                beside = part_beside(self._final)
+                beside.mkdir()
                 stack.callback(shutil.rmtree, beside, ignore_errors=True)
                 self._made = beside / path.stem
                 plugin = StoragePlugin.MCAP if suffix else StoragePlugin.SQLITE3

@@ -2,7 +2,6 @@
 
 import csv
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
 from vlp16emu.extras.imu.sampler import Inertial
 from vlp16emu.extras.slam import Rig, written_beside
+from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
@@ -29,6 +29,7 @@ from vlp16emu.sinks import PacketSink, PcapResult
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import S_NS, US_NS
 
+_EXPECTED = "a file of a --truth folder"
 _TIME = "t_utc_s"
 _POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
 _AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
@@ -272,7 +273,7 @@ def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
 
 def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
     """Return the truth in a folder of some of so many units in the capture."""
-    rig, scenario = (_json(folder / name) for name in ("rig.json", "scenario.json"))
+    rig, scenario = (read_json(folder / name, _EXPECTED) for name in ("rig.json", "scenario.json"))
     if len(rig["units"]) != units:
         raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture")
     rig = {**rig, "units": [rig["units"][number] for number in taken]}
@@ -289,14 +290,6 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
         return found
 
     return Truth(rig, scenario, feeds, _EVER_NS)
-
-
-def _json(path: Path) -> Any:
-    with readable(path, "a file of a --truth folder", InputError):
-        try:
-            return json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
-            raise InputError(str(path), "no JSON", "a file of a --truth folder") from None
 
 
 def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Feed:
@@ -339,7 +332,7 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
 
 def _table(path: Path, columns: Sequence[str], names: Sequence[str] = (), *, time: str = _TIME) -> Iterator[Row]:
     """Yield the numbers of columns, and the time, of a CSV; or of a TUM file, which has no names of its own."""
-    with readable(path, "a file of a --truth folder", InputError, most_bytes=_EVER_NS), path.open() as lines:
+    with readable(path, _EXPECTED, InputError, most_bytes=_EVER_NS), path.open() as lines:
         reader = csv.DictReader(lines, names or None, delimiter=" " if names else ",")
         if missing := {time, *columns} - set(reader.fieldnames or ()):
             raise InputError(f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}")

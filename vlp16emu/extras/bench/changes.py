@@ -189,6 +189,8 @@ class DisturbedGps(GpsInput):
     def _turns_ns(self) -> Iterator[int]:
         """Instants at which the state may change: pulses and sentences near the begin and the end of events."""
         late_ns = {0, *(seconds_to_ns(event.by_s) for event in self.events if event.kind == "late_sentence")}
+        come_ns = [self.sentence_delay_ns + by_ns for by_ns in late_ns]
+        after_edge_ns = [0, *come_ns, *(one_ns + _STALE_NS for one_ns in come_ns)]
         bounds_ns = {bound_ns for event in self.events for bound_ns in self._span_ns(event)}
         yield from (bound_ns for span in self._off for bound_ns in span)
         for _, end_ns in (*self._off, *self._lost):
@@ -197,10 +199,7 @@ class DisturbedGps(GpsInput):
             first_ns = bound_ns // S_NS * S_NS - S_NS
             last_ns = bound_ns + max(late_ns) + _STALE_NS + 2 * S_NS
             for edge_ns in range(first_ns, last_ns, S_NS):
-                yield edge_ns
-                for by_ns in late_ns:
-                    comes_ns = edge_ns + self.sentence_delay_ns + by_ns
-                    yield from (comes_ns, comes_ns + _STALE_NS)
+                yield from (edge_ns + one_ns for one_ns in after_edge_ns)
 
 
 def _ceil(t_ns: int) -> int:
@@ -270,7 +269,7 @@ def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, star
     power_up_ns, own_ppm = start_ns - seconds_to_ns(section.powered_for_s or 0.0), section.clock_error_ppm or 0.0
     ppm = own_ppm
     locked_ns = gps.spans_ns(PpsState.LOCKED)
-    pulsed_ns = tuple((-(-begin // S_NS) * S_NS, end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
+    pulsed_ns = tuple((_ceil(begin), end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
     turns: list[tuple[int, Event | None]] = [(t_ns, None) for span in locked_ns + pulsed_ns for t_ns in span]
     turns += [(start_ns + event.end_ns, event) for event in events if event.effect in ("clock", "power")]
     spans = list[ClockSpan]()

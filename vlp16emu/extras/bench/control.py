@@ -16,11 +16,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from vlp16emu.engine import Unit
-from vlp16emu.errors import InputError, OutputError, PacketError
+from vlp16emu.errors import InputError, OutputError
 from vlp16emu.explain import explain
 from vlp16emu.extras.bench.device import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.events import FOREVER_NS, Event, InForce, checked, event, tables
-from vlp16emu.extras.bench.gps_in import parse_rmc
 from vlp16emu.extras.bench.options import Http
 from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
@@ -84,12 +83,11 @@ class Control:
     def __init__(self, feed: PacketFeed, sink: UdpSink, under_way: UnderWay, saved: Path | None) -> None:
         self._feed, self._sink, self._under_way = feed, sink, under_way
         self._factory = [_settings_of(unit, sink.address) for unit in feed.engine.parts.units]
-        self._made = list(self._factory)  # settings that packets are made with
-        self._restarts = set[int]()  # units that start again with the next change
         self._events: list[Event] = list(feed.engine.scenario.events)
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
-        self._wanted = list[dict[str, Any]]()  # events that are to happen with the next change, without their times
+        self._set, self._wanted = list[Event](), list[Event]()
+        """What the web interface has set, and other events, that the next change brings; `at_s` counts from that change."""
         self._at_ns = 0  # UTC, ns, from which on packets follow the latest change
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
         self._taking_up = threading.Lock()
@@ -113,6 +111,7 @@ class Control:
         """Make the stream follow what is set; saved settings hold from the first packets on."""
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
+            self._follow(number, self._factory[number], device.settings)
         if self._take_up() is None:  # what changes need is loaded, so that the first one is followed as soon as others
             engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
             if not self._scenario.motion.takes_poses:
@@ -134,14 +133,14 @@ class Control:
         table: dict[str, Any] = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
         scene = {key: getattr(self._scenario, key) for key in ("sensor", "rig", "gps")}
         try:
-            checked([table], scene)
+            wanted = checked([table], scene)
         except ValidationError as error:
             where, found, expected = explain(error, tables().json_schema())
             raise InputError(f"event {kind}{where.removeprefix('[0]')}", found, expected) from None
         except ValueError as error:
             raise InputError(f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)) from None
         with self._lock:
-            self._wanted.append(table)
+            self._wanted += wanted
         self._take_up()
         return self._at_ns
 
@@ -192,18 +191,30 @@ class Control:
         """
         with self._lock:
             self._redirect(unit, old, new)
-            self._restarts |= {unit} if restarts else set()
+            if restarts:  # what was set before is lost
+                others = [one for one in self._set if one.unit != unit + 1]
+                self._set = [*others, event("power_cycle", 0.0, unit + 1)]
+            self._follow(unit, self._factory[unit] if restarts else old, new)
         self._asked.set()
+
+    def _follow(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
+        """Let the next change bring what is set anew: one event, after a restart that comes with it."""
+        before, after = asdict(_in_force(old)), asdict(_in_force(new))
+        if not self._scenario.gps.connected:
+            del after["phase_lock_deg"]
+        keys = {key: value for key, value in after.items() if value != before[key]}
+        own = [one for one in self._set if one.unit == unit + 1]
+        if keys and own and own[-1].kind == "setting":
+            self._set[self._set.index(own[-1])] = own[-1].model_copy(update=keys)
+        elif keys:
+            self._set.append(event("setting", own[-1].off_s if own else 0.0, unit + 1, **keys))
 
     def _adopt(self) -> None:
         """Show what events of the scene have set by now."""
-        since_s = self._since_ns() / S_NS
-        due = list[Event]()
+        since_s, due = self._since_ns() / S_NS, list[Event]()
         with self._lock:
             while self._to_come and self._to_come[0].at_s <= since_s:
                 due.append(self._to_come.pop(0))
-                n = due[-1].unit - 1
-                self._made[n] = self._after(due[-1], self._made[n])
         for one in due:  # without the lock: a device that is being set waits for it
             self.devices[one.unit - 1].adopt(partial(self._after, one))
 
@@ -242,18 +253,11 @@ class Control:
                 from_ns = max(from_ns, until_ns - self._scenario.start_ns)
             at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
             with self._lock:
-                made = list[Event]()
-                for unit, device in enumerate(self.devices):
-                    new, restarts = device.settings, unit in self._restarts
-                    keys = self._keys(self._factory[unit] if restarts else self._made[unit], new)
-                    lost = [event("power_cycle", at_s, unit + 1)] if restarts else []
-                    made += lost
-                    if keys:
-                        made.append(event("setting", at_s + (lost[0].off_s if lost else 0.0), unit + 1, **keys))
-                    self._made[unit] = new
-                self._restarts.clear()
-                happening = [event(**wanted | {"at_s": at_s}) for wanted in self._wanted]
-                self._wanted.clear()
+                made, happening = (
+                    [one.model_copy(update={"at_s": at_s + one.at_s}) for one in some]
+                    for some in (self._set, self._wanted)
+                )
+                self._set, self._wanted = [], []
                 self._to_come += happening
                 self._events = self._events + made + happening
             if not made and not happening:
@@ -275,12 +279,6 @@ class Control:
             if has_begun and until_ns >= self._under_way.due_in_ns(min(self._lead_ns, self._ahead_ns // 2)):
                 return
 
-    def _keys(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
-        before, after = asdict(_in_force(old)), asdict(_in_force(new))
-        if not self._scenario.gps.connected:
-            del after["phase_lock_deg"]
-        return {key: value for key, value in after.items() if value != before[key]}
-
 
 def _in_force(settings: DeviceSettings) -> InForce:
     phase: float | Literal["off"] = settings.phase_lock_cdeg / 100 if settings.phase_lock_on else "off"
@@ -297,14 +295,16 @@ def _showing(settings: DeviceSettings, new: InForce) -> DeviceSettings:
 
 def _place(sentence: bytes) -> str:
     """Write where the receiver is, as the sensor does: `49 00.00N 200 .00W`."""
+    import pynmea2  # here, since a sensor without a receiver does without it
+
     try:
-        fix = parse_rmc(sentence)
-    except PacketError:
+        fix = pynmea2.parse(sentence.decode("ascii"), check=True)
+    except ValueError:
         return ""
-    if not fix.valid:
+    if not isinstance(fix, pynmea2.RMC) or not fix.is_valid:
         return ""
     parts = []
-    for angle_deg, letters in ((fix.latitude_deg, "NS"), (fix.longitude_deg, "EW")):
+    for angle_deg, letter in ((fix.latitude, fix.lat_dir), (fix.longitude, fix.lon_dir)):
         minutes = round(abs(angle_deg) * 60, 2)
-        parts.append(f"{int(minutes // 60):02d} {minutes % 60:05.2f}{letters[angle_deg < 0]}")
+        parts.append(f"{int(minutes // 60):02d} {minutes % 60:05.2f}{letter}")
     return " ".join(parts)

@@ -6,8 +6,9 @@ So a part of a run is the same as cut out of the whole, and threads change nothi
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
+from itertools import count
 
 from vlp16emu.engine import Unit
 from vlp16emu.engine.engine import number_at
@@ -111,55 +112,44 @@ class PacketFault:
         return 2 * self.number + (packet.kind is PacketKind.POSITION)
 
 
+@dataclass
 class Wire:
-    """Passes packets on, to which faults happen; once.
+    """Passes packets on, to which faults happen; once."""
 
-    Parameters
-    ----------
-    faults : of all units
-    numbers : of the first data packet of each unit that comes
-    frozen : packets that sensors hang at since before the first one, by fault and kind
-    """
-
-    def __init__(
-        self, faults: Sequence[PacketFault], numbers: Mapping[int, int], frozen: Mapping[tuple[int, PacketKind], Packet]
-    ) -> None:
-        self._faults = sorted(faults, key=lambda fault: _ORDER.index(fault.event.kind))
-        self._numbers = Counter(numbers)
-        self._frozen = dict(frozen)
-        self._left_ns = Counter[tuple[int, int, PacketKind]]()
+    faults: list[PacketFault]  # of all units, in `_ORDER`
+    numbers: Counter[int]  # number of the next data packet of each unit
+    frozen: dict[tuple[int, PacketKind], Packet]  # packets that sensors hang at, by fault and kind
+    left_ns: Counter[tuple[int, PacketKind]] = field(default_factory=Counter)
+    """When the last packet left, by jitter and kind."""
 
     def passed(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Yield what arrives, in order of sending."""
-        waiting = list[tuple[int, int, Packet]]()
-        serial = 0
+        waiting, serials = list[tuple[int, int, Packet]](), count()
         for packet in packets:
             for sent in self._after_faults(packet):
-                heappush(waiting, (sent.due_ns, serial, sent))
-                serial += 1
+                heappush(waiting, (sent.due_ns, next(serials), sent))
             while waiting and waiting[0][0] <= packet.due_ns:
                 yield heappop(waiting)[-1]
-        while waiting:
-            yield heappop(waiting)[-1]
+        yield from (packet for *_, packet in sorted(waiting))
 
     def _after_faults(self, packet: Packet) -> list[Packet]:
         number = packet.number
         if packet.kind is PacketKind.DATA:
-            number = self._numbers[packet.unit]
-            self._numbers[packet.unit] += 1
+            number = self.numbers[packet.unit]
+            self.numbers[packet.unit] += 1
         out = [packet]
-        for fault in self._faults:
+        for fault in self.faults:
             if fault.unit.number != packet.unit:
                 continue
+            key = fault.number, packet.kind
             hit = fault.befalls(packet, number)
             # The first of `_ORDER`: of one packet.
             if fault.event.kind == "jitter" and packet.kind in kinds_of(fault.event):
-                key = fault.number, packet.unit, packet.kind
                 due_ns = out[0].due_ns + (fault.jitter_ns(out[0], number) if hit else 0)
-                self._left_ns[key] = max(due_ns, self._left_ns[key])  # it stays behind the one before it
-                out = [replace(out[0], due_ns=self._left_ns[key])]
+                self.left_ns[key] = max(due_ns, self.left_ns[key])  # it stays behind the one before it
+                out = [replace(out[0], due_ns=self.left_ns[key])]
             elif hit and fault.event.kind == "freeze":
-                first = self._frozen.setdefault((fault.number, packet.kind), packet)
+                first = self.frozen.setdefault(key, packet)
                 as_first = {"payload": first.payload, "fired_ns": first.fired_ns, "slots": first.slots}
                 out = [replace(each, **as_first) for each in out]  # type: ignore[arg-type]  # each of its own type
             elif hit:
@@ -193,6 +183,7 @@ def arriving(
     faults = faults_of(scenario, units)
     if not faults:
         return streams(start_ns, stop_ns)
+    faults.sort(key=lambda fault: _ORDER.index(fault.event.kind))
     from_ns = earliest_ns(faults, start_ns)
     frozen = {
         (fault.number, kind): packet
@@ -202,6 +193,6 @@ def arriving(
         for earlier in [streams(fault.event.begin_ns, stop_ns)]
         if (packet := next((one for one in earlier if (one.unit, one.kind) == (fault.unit.number, kind)), None))
     }
-    numbers = {unit.number: unit.timeline.count(0, from_ns) for unit in units}
+    numbers = Counter({unit.number: unit.timeline.count(0, from_ns) for unit in units})
     passed = Wire(faults, numbers, frozen).passed(streams(from_ns, stop_ns))
     return (packet for packet in passed if start_ns <= packet.due_ns - scenario.start_ns < stop_ns)

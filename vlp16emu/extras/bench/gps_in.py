@@ -4,7 +4,7 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from vlp16emu.errors import OutputError, PacketError
@@ -13,9 +13,9 @@ from vlp16emu.extras.bench.outlets import Away, SerialPort, has_line
 from vlp16emu.extras.bench.retime import age_ns, restamped
 from vlp16emu.motion.settings import Gps
 from vlp16emu.packets import STAMP_LEAD_NS
-from vlp16emu.packets.nmea import KNOT_M_S, fields_of, rmc_time, utc_ns
+from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.sinks import TOLERANCE_NS, PacketSink
-from vlp16emu.types import GnssFix, Packet, PacketKind, PpsState
+from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, seconds_to_ns
 
 _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
@@ -33,9 +33,9 @@ _SHARE = 8
 class Heard:
     """Input of a receiver so far."""
 
-    pulses: int
-    sentences: int  # good ones
-    refused: int  # RMC sentences that were garbled; others are not looked at
+    pulses: int = 0
+    sentences: int = 0  # good ones
+    refused: int = 0  # RMC sentences that were garbled; others are not looked at
 
 
 class GpsLine:
@@ -43,19 +43,16 @@ class GpsLine:
 
     Parameters
     ----------
+    gps : of the scene: how long pulses must be steady, and whether only sentences of status A set the clock
     power_up_ns : when the sensor's own clock was at zero
-    window_ns : for so long pulses must be steady ("Require PPS lock", delay; 63-9243 Rev D, appendix G)
-    requires_valid : whether only sentences of status A set the clock ("Require GPS receiver valid")
-    sentence_delay_ns : where no pulse comes by a line, how long before its sentence a second began; None for a line that pulses
+    is_pulsed : false if no pulse comes by a line: then a second begins `gps.sentence_delay_s` before its sentence
     """
 
-    def __init__(
-        self, power_up_ns: int, *, window_ns: int, requires_valid: bool, sentence_delay_ns: int | None
-    ) -> None:
-        self._window_ns, self._requires_valid, self._delay_ns = window_ns, requires_valid, sentence_delay_ns
+    def __init__(self, gps: Gps, power_up_ns: int, *, is_pulsed: bool) -> None:
+        self._gps, self._is_pulsed = gps, is_pulsed
         self._lock = threading.RLock()  # `receive` takes pulses
         self._buffer = b""
-        self._pulses = self._sentences = self._refused = 0
+        self.heard = Heard()
         self._zero_ns = power_up_ns  # instant at which the clock showed a whole hour
         self._edge_ns: int | None = None
         self._steady_since_ns: int | None = None
@@ -69,7 +66,7 @@ class GpsLine:
         It pulls the fraction of a second to the edge: at once at first, in small parts once pulses are steady.
         """
         with self._lock:
-            self._pulses += 1
+            self.heard = replace(self.heard, pulses=self.heard.pulses + 1)
             since_ns = _LOST_NS + 1 if self._edge_ns is None else t_ns - self._edge_ns
             off_ns = (t_ns - self._zero_ns + S_NS // 2) % S_NS - S_NS // 2
             is_first = since_ns > _LOST_NS
@@ -95,7 +92,8 @@ class GpsLine:
                 return PpsState.ABSENT
             if self._is_bad:
                 return PpsState.ERROR
-            steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= self._window_ns
+            window_ns = seconds_to_ns(self._gps.pps_window_s)
+            steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= window_ns
             is_set = self._set_ns is not None and t_ns - self._set_ns < _STALE_NS
             return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
 
@@ -104,12 +102,6 @@ class GpsLine:
         with self._lock:
             return (t_ns - self._zero_ns) % HOUR_NS
 
-    @property
-    def heard(self) -> Heard:
-        """Result so far."""
-        with self._lock:
-            return Heard(self._pulses, self._sentences, self._refused)
-
     def _take(self, line: bytes, t_ns: int) -> None:
         """Take a line: an RMC sentence names the second of the edge before it."""
         if not line.startswith(b"$GPRMC,"):
@@ -117,52 +109,19 @@ class GpsLine:
         try:
             named_ns, valid = rmc_time(line + b"\r\n")
         except PacketError:
-            self._refused += 1
+            self.heard = replace(self.heard, refused=self.heard.refused + 1)
             self._is_bad = True
             return
-        self._sentences += 1
+        self.heard = replace(self.heard, sentences=self.heard.sentences + 1)
         self.sentence = line + b"\r\n"
-        if self._delay_ns is not None:
-            self.pulse(t_ns - self._delay_ns)
-        if named_ns is not None and (valid or not self._requires_valid):
+        if not self._is_pulsed:
+            self.pulse(t_ns - seconds_to_ns(self._gps.sentence_delay_s))
+        if named_ns is not None and (valid or not self._gps.requires_valid):
             self._set_ns = t_ns
             if self._edge_ns is not None and t_ns - self._edge_ns < _LOST_NS:
                 # Whole seconds alone: the fraction is that of the pulse.
                 shown_ns = (self._edge_ns - self._zero_ns + S_NS // 2) // S_NS * S_NS
                 self._zero_ns -= (named_ns - shown_ns) % HOUR_NS
-
-
-def parse_rmc(sentence: bytes) -> GnssFix:
-    """Read a sentence back, ASCII that ends with CR and LF.
-
-    Raises PacketError: no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number.
-    """
-    fields = fields_of(sentence)
-    try:
-        return GnssFix(
-            t_ns=utc_ns(fields[8], fields[0]),
-            valid={"A": True, "V": False}[fields[1]],
-            latitude_deg=_degrees(fields[2], 2, {"N": 1, "S": -1}[fields[3]]),
-            longitude_deg=_degrees(fields[4], 3, {"E": 1, "W": -1}[fields[5]]),
-            speed_m_s=_number(fields[6]) * KNOT_M_S,
-            course_deg=_number(fields[7]),
-        )
-    except (ValueError, KeyError, IndexError) as error:
-        raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
-
-
-def _degrees(field: str, width: int, sign: int) -> float:
-    degrees, minutes = int(field[:width]), _number(field[width:])
-    if minutes >= 60:
-        raise ValueError(field)
-    return sign * (degrees + minutes / 60)
-
-
-def _number(field: str) -> float:
-    """Read a plain number without sign; float alone would take nan and 1e9."""
-    if not field.replace(".", "", 1).isdecimal():
-        raise ValueError(field)
-    return float(field)
 
 
 _BAUD = 9600  # 63-9243 Rev D, section 7.4
@@ -198,12 +157,8 @@ class GpsReader:
         if self._pulse and self._port.use(lambda port: has_line(lambda: getattr(port, gps_in.pulse))) is False:
             self._port.close()
             raise OutputError(f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence")
-        self.line = GpsLine(
-            time.monotonic_ns() - seconds_to_ns(powered_for_s),
-            window_ns=seconds_to_ns(gps.pps_window_s),
-            requires_valid=gps.requires_valid,
-            sentence_delay_ns=None if self._pulse else seconds_to_ns(gps.sentence_delay_s),
-        )
+        power_up_ns = time.monotonic_ns() - seconds_to_ns(powered_for_s)
+        self.line = GpsLine(gps, power_up_ns, is_pulsed=self._pulse is not None)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"gps in {gps_in.port}", daemon=True)
 

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import reduce
+from operator import xor
 from threading import Event
 
 import numpy as np
@@ -19,8 +21,6 @@ from vlp16emu.types import Packet, PacketKind, PpsState, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _STAMP = struct.Struct("<I")
-_ASLEEP_NS = 20_000_000
-"""Last part of the wait for an instant, in which only the clock is looked at and no longer the stop event."""
 _RMC = re.compile(
     rb"\$(?P<kind>G[A-Z]RMC),(?P<time>\d{6})(?P<decimals>(?:\.\d*)?)"
     rb",(?P<place>(?:[^,*]*,){7})(?P<date>\d{6})(?P<rest>,[^*]*)\*[0-9A-Fa-f]{2}"
@@ -72,19 +72,16 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
     now_ns : UTC at which the packet is sent, where the date of the sentence may be another one than that of the
         capture: then the sentence is moved by whole hours too, to that hour
     """
-    if packet.kind is PacketKind.PPS:
-        return packet
+    payload = bytearray(packet.payload)
     if packet.kind is PacketKind.NMEA:
-        return replace(packet, payload=_moved_sentence(packet.payload, by_s, now_ns))
-    if packet.kind is PacketKind.IMU:
-        return replace(packet, payload=moved_imu(packet.payload, by_s))
-    if not has_stamp(packet):
-        return packet
-    at, payload = _STAMP_AT[packet.kind], bytearray(packet.payload)
-    _STAMP.pack_into(payload, at, (stamp_ns(packet) + by_s * S_NS) % HOUR_NS // US_NS)
-    if packet.kind is PacketKind.POSITION:
-        sentence = _moved_sentence(bytes(payload[_SENTENCE]), by_s, now_ns)
-        payload[_SENTENCE] = sentence
+        payload[:] = _moved_sentence(packet.payload, by_s, now_ns)
+    elif packet.kind is PacketKind.IMU:
+        payload[:] = moved_imu(packet.payload, by_s)
+    elif has_stamp(packet):
+        stamp_us = (stamp_ns(packet) + by_s * S_NS) % HOUR_NS // US_NS
+        _STAMP.pack_into(payload, _STAMP_AT[packet.kind], stamp_us)
+        if packet.kind is PacketKind.POSITION:
+            payload[_SENTENCE] = _moved_sentence(packet.payload[_SENTENCE], by_s, now_ns)
     return replace(packet, payload=bytes(payload))
 
 
@@ -121,10 +118,7 @@ def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
         utc += timedelta(hours=round((now_ns / S_NS - utc.timestamp()) / 3600))
     clock, day = (f"{utc:{form}}".encode() for form in ("%H%M%S", "%d%m%y"))
     body = b"%b,%b%b,%b%b%b" % (found["kind"], clock, found["decimals"], found["place"], day, found["rest"])
-    checksum = 0
-    for byte in body:
-        checksum ^= byte
-    return b"$%b*%02X%b" % (body, checksum, field[found.end() :])
+    return b"$%b*%02X%b" % (body, reduce(xor, body), field[found.end() :])
 
 
 class NowSink(PacketSink):
@@ -137,17 +131,10 @@ class NowSink(PacketSink):
     ----------
     sink : where they go
     clock_ns : UTC
-    sleep : suspends the thread for some seconds
     """
 
-    def __init__(
-        self,
-        sink: PacketSink,
-        *,
-        clock_ns: Callable[[], int] = time.time_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._sink, self._clock_ns, self._sleep = sink, clock_ns, sleep
+    def __init__(self, sink: PacketSink, *, clock_ns: Callable[[], int] = time.time_ns) -> None:
+        self._sink, self._clock_ns = sink, clock_ns
         self._ahead_ns = 0
         self.moved_s = 0
         """Whole seconds from the time of the packets to the present; known when the first one leaves, as `began_ns`."""
@@ -162,10 +149,7 @@ class NowSink(PacketSink):
         """
         sent_ns, now_ns = self._sent_ns(first), self._clock_ns()
         at_ns = now_ns + (sent_ns - now_ns) % S_NS
-        if (left_ns := at_ns - self._clock_ns()) > _ASLEEP_NS:
-            stop.wait((left_ns - _ASLEEP_NS) / S_NS)
-        while not stop.is_set() and (left_ns := at_ns - self._clock_ns()) > 0:
-            self._sleep(left_ns / S_NS)
+        stop.wait((at_ns - now_ns) / S_NS)
         self._start(first, sent_ns, at_ns)
         return self._clock_ns() - at_ns
 

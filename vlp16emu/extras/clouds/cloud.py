@@ -4,12 +4,12 @@ import shutil
 import tempfile
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from enum import IntEnum
-from functools import cache, partial
+from functools import cache
 from importlib.resources import files
 from itertools import chain
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.doors import door, has_door
+from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
 from vlp16emu.packets import PointFrame
@@ -27,8 +27,8 @@ from vlp16emu.types import U1, U4, HeightField, PlantPart, Semantic
 
 
 @cache
-def _schemes() -> Mapping[str, Mapping[str, Any]]:
-    return toml(files("vlp16emu.extras.clouds").joinpath("labels.toml").read_text("utf-8"))
+def _table(name: str) -> Mapping[str, Any]:
+    return toml(files("vlp16emu.extras.clouds").joinpath(name).read_text("utf-8"))
 
 
 class LabelScheme:
@@ -50,9 +50,10 @@ class LabelScheme:
 
 def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
     """Return a scheme by its name; InputError, in the name of `where`, if there is none."""
-    if name not in _schemes():
-        raise InputError(where, f"found {name}", ", ".join(_schemes()))
-    return LabelScheme(name, _schemes()[name])
+    schemes = _table("labels.toml")
+    if name not in schemes:
+        raise InputError(where, f"found {name}", ", ".join(schemes))
+    return LabelScheme(name, schemes[name])
 
 
 class PointLabels:
@@ -87,13 +88,13 @@ Block = Mapping[str, NDArray[Any]]  # arrays of one length by the names of their
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One array of the points, and how each format shows it."""
+    """One array of the points, and how each format shows it: a row of `columns.toml`."""
 
     name: str  # in .npz
     dtype: str
-    csv: tuple[str, ...]  # headers, one for each number that a point has in this column
+    csv: Sequence[str]  # headers, one for each number that a point has in this column
     decimals: int = 0  # behind the point in .csv. Whole numbers with decimals count units of the last one
-    ply: tuple[str, ...] = ()  # names of properties, as many; empty for a column that only .npz and .csv have
+    ply: Sequence[str] = ()  # names of properties, as many; empty for a column that only .npz and .csv have
     ply_dtype: str = ""  # type of the properties, if it is not the array's
 
     @property
@@ -121,20 +122,6 @@ class CloudAbout:
 
 RETURN_NAMES = ("strongest", "last", "second_strongest")  # meaning of the numbers in the column `return_number`
 
-_TIME = Column("t_ns", "<i8", ("t_utc_s",), 9, ("time",), "<f8")
-"""UTC as in all outputs of a run: ns since 1970 in .npz, seconds elsewhere, but for LAS, whose GPS time is adjusted by its bit."""
-CAPTURE_COLUMNS = (
-    _TIME,
-    Column("clock_ns", "<i8", ("clock_s",), 9),
-    Column("xyz_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("x", "y", "z")),
-    Column("distance_m", "<f4", ("distance_m",), 3),
-    Column("azimuth_deg", "<f8", ("azimuth_deg",), 4),
-    Column("reflectivity", "|u1", ("reflectivity",), 0, ("intensity",), "<f4"),
-    Column("ring", "|u1", ("ring",), 0, ("ring",), "<u2"),
-    Column("laser", "|u1", ("laser",)),
-    Column("is_last", "|b1", ("is_last",)),
-)
-"""Columns of points of a capture: the arrays of `Points`, UTC, and the sensor's clock from the full hour before the capture on."""
 _AXES = {
     PointFrame.SENSOR: "x forward (azimuth 0), y left, z up",
     PointFrame.MANUAL: "x right, y forward (azimuth 0), z up: the frame of Velodyne's manual",
@@ -151,38 +138,14 @@ def capture_comments(frame: PointFrame, clock: str) -> tuple[str, ...]:
     return f"x, y, z in the sensor, in metres: {_AXES[frame]}", time_comment(clock)
 
 
-SCENE_COLUMNS = (
-    _TIME,
-    Column("since_start_ns", "<i8", ("since_start_s",), 9),
-    Column("world_m", "<f8", ("world_x_m", "world_y_m", "world_z_m"), 4, ("x", "y", "z")),
-    Column("sensor_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("sensor_x", "sensor_y", "sensor_z")),
-    Column("distance_m", "<f4", ("distance_m",), 4, ("distance",)),
-    Column("azimuth_deg", "<f8", ("azimuth_deg",), 4, ("azimuth",), "<f4"),
-    Column("elevation_deg", "<f4", ("elevation_deg",), 4, ("elevation",)),
-    Column("reflectivity", "|u1", ("reflectivity",), 0, ("intensity",), "<f4"),
-    Column("ring", "<u2", ("ring",), 0, ("ring",)),
-    Column("laser", "<u2", ("laser",), 0, ("laser",)),
-    Column("return_number", "|u1", ("return_number",), 0, ("return_number",)),
-)  # columns of points of a scene
-_LABELS = {"semantic": "|u1", "part": "|u1", "leaf_wood": "|u1", "instance": "<u4", "species": "<u2"}
-TRUTH_COLUMNS = (
-    *(Column(name, dtype, (name,), 0, (name,)) for name, dtype in _LABELS.items()),
-    Column("reflectance", "<f4", ("reflectance",), 4, ("reflectance",)),
-)  # columns of the surface behind each point of a scene
-
-
-_VIEWPOINT = Column("viewpoint_m", "<f8", tuple(f"viewpoint_{axis}_m" for axis in "xyz"), 4, ("vp_x", "vp_y", "vp_z"))
+_ROWS = {name: tuple(Column(*row) for row in rows) for name, rows in _table("columns.toml").items()}
+CAPTURE_COLUMNS, SCENE_COLUMNS = _ROWS["capture"], _ROWS["scene"]
+TRUTH_COLUMNS, LABEL_COLUMNS = _ROWS["truth"], _ROWS["labels"]
+"""What points of a scene, and of a capture with truth, may have besides: the surface behind each, and labels by a scheme."""
 DESKEWED_COLUMNS = (
     *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
-    Column("is_last", "|u1", ("is_last",), 0, ("is_last",)),
-    _VIEWPOINT,
+    *_ROWS["placed"],
 )  # columns of points of a capture that a trajectory places in the world
-LABEL_COLUMNS = (
-    Column("label", "|u1", ("label",), 0, ("label",)),
-    Column("tree_id", "<u4", ("tree_id",), 0, ("treeID",)),
-    Column("height_m", "<f4", ("height_above_ground_m",), 4, ("height_above_ground",)),
-    _VIEWPOINT,
-)  # beside the truth, for a scheme of labels
 
 
 def scene_comments() -> tuple[str, ...]:
@@ -215,7 +178,7 @@ class PointWriter(ABC):
         """Write what needs the number of points."""
 
 
-class _Csv(PointWriter):
+class CsvFile(PointWriter):
     """One line per point; the header names the units."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack) -> None:
@@ -223,6 +186,7 @@ class _Csv(PointWriter):
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
+        """Write a line for each point."""
         formats, fields = list[str](), list[list[Any]]()
         for column in self._columns:
             values, unit = block[column.name], 10**column.decimals
@@ -245,7 +209,7 @@ class _Csv(PointWriter):
 _PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<u4": "uint"}
 
 
-class _Ply(PointWriter):
+class PlyFile(PointWriter):
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
@@ -256,6 +220,7 @@ class _Ply(PointWriter):
         file.write(self._header())
 
     def write(self, block: Block) -> None:
+        """Write a record for each point."""
         vertices = np.empty(len(block[self._columns[0].name]), self._vertex)
         for column in self._columns:
             for name, values in column.properties(block[column.name]).items():
@@ -284,7 +249,7 @@ class _Ply(PointWriter):
         return "\n".join(lines).encode("ascii")
 
 
-class _Pcd(_Ply):
+class PcdFile(PlyFile):
     """Binary PCD 0.7, which differs from PLY in its header alone; coordinates are float32, which PCL's types have.
 
     Source: pointclouds.org, The PCD (Point Cloud Data) file format.
@@ -313,7 +278,7 @@ class _Pcd(_Ply):
         return "\n".join(lines).encode("ascii")
 
 
-class _Npz(PointWriter):
+class NpzFile(PointWriter):
     """Numpy arrays by the names of the columns.
 
     The format wants all of one array before the next, so each waits on the disk, beside the file to come.
@@ -324,11 +289,13 @@ class _Npz(PointWriter):
         self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
+        """Put the arrays aside, each behind what came before."""
         for column, waiting in zip(self._columns, self._waiting, strict=True):
             waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
         self.points += len(block[self._columns[0].name])
 
     def finish(self) -> None:
+        """Write the archive."""
         with zipfile.ZipFile(self._file, "w") as archive:
             for column, waiting in zip(self._columns, self._waiting, strict=True):
                 shape = (self.points, len(column.csv)) if len(column.csv) > 1 else (self.points,)
@@ -337,24 +304,6 @@ class _Npz(PointWriter):
                     np.lib.format.write_array_header_1_0(member, header)
                     waiting.seek(0)
                     shutil.copyfileobj(waiting, member, 1 << 20)
-
-
-def _las(
-    file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack, *, laz: bool = False
-) -> PointWriter:
-    from vlp16emu.extras.clouds.las import LasFile
-
-    return LasFile(file, columns, about, compressed=laz)
-
-
-_WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack], PointWriter]] = {
-    ".csv": _Csv,
-    ".npz": _Npz,
-    ".ply": _Ply,
-    ".pcd": _Pcd,
-    ".las": _las,
-    ".laz": partial(_las, laz=True),
-}
 
 
 @contextmanager
@@ -367,9 +316,9 @@ def point_file(
     the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
     its library is not there, OutputError and RunError as of `OutputFile`.
     """
-    if path.suffix not in _WRITERS and not has_door(path.suffix, "clouds"):
-        raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
-    make = _WRITERS.get(path.suffix) or door(path.suffix, "clouds")
+    if not has_door(path.suffix, "clouds"):
+        raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(DOORS["clouds"]))
+    make = door(path.suffix, "clouds")
     with OutputFile(path, where=where, inputs=inputs) as output:
         failed: Exception | None = None
         with output.writing() as file, ExitStack() as stack:

@@ -1,6 +1,5 @@
 """A capture put into the world, each point with the pose of its own pulse, by the true trajectory or by any other."""
 
-import json
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from itertools import chain, pairwise
@@ -12,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
-from vlp16emu.errors import InputError, TrajectoryError, readable
+from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import twins
 from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
+from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.scenario import load
@@ -202,14 +202,12 @@ def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float]
     """Find a unit's trajectory, the world's origin, and the unit's address and port where there are several."""
     rig = folder / "rig.json"
     expected = "a folder that `record --truth` has written, or a TUM file"
-    with readable(rig, expected, InputError):
-        text = rig.read_text(encoding="utf-8")
+    tree = read_json(rig, expected)
     try:
-        tree = json.loads(text)
         units, world = tree["units"], tree["world"]
         origin = world["latitude_deg"], world["longitude_deg"], world["height_m"]
         known = [(folder / one["trajectory"], f"{one['address']}:{one['data_port']}") for one in units]
-    except (ValueError, KeyError, TypeError):
+    except (KeyError, TypeError):
         raise InputError(str(rig), "no description of a rig", expected) from None
     if unit > len(known):
         raise InputError("--unit", f"found {unit}", f"at most {len(known)}, the units in {rig}")

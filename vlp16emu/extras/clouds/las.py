@@ -6,10 +6,11 @@ dimensions by the names of .ply.
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import IO, Any
+from importlib.resources import files
+from typing import IO, Any, ClassVar
 
 import numpy as np
 
@@ -50,16 +51,18 @@ class LasFile(PointWriter):
     sensor is one, and has no angle about a line of flight.
     """
 
-    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, *, compressed: bool) -> None:
+    compressed: ClassVar[bool] = False
+
+    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
         try:
             import laspy
 
-            if compressed:
+            if self.compressed:
                 import lazrs  # laspy looks for it too late
         except ImportError:
             raise MissingExtraError("laspy[lazrs]", "cloud", "writing LAS and LAZ") from None
-        self._laspy, self._file, self._compressed = laspy, file, compressed
-        self._failures: tuple[type[Exception], ...] = (lazrs.LazrsError,) if compressed else ()
+        self._laspy, self._file = laspy, file
+        self._failures: tuple[type[Exception], ...] = (lazrs.LazrsError,) if self.compressed else ()
         self._about = about
         self._writer: Any = None
         self._columns = [column for column in columns if column.ply]
@@ -132,10 +135,16 @@ class LasFile(PointWriter):
         self._writer = laspy.LasWriter(
             self._file,
             header,
-            do_compress=self._compressed,
-            laz_backend=laspy.LazBackend.Lazrs if self._compressed else None,  # one thread, block by block
+            do_compress=self.compressed,
+            laz_backend=laspy.LazBackend.Lazrs if self.compressed else None,  # one thread, block by block
             closefd=False,
         )
+
+
+class LazFile(LasFile):
+    """LAS compressed as LAZ, by lazrs."""
+
+    compressed = True
 
 
 def echoes_of(block: Block) -> tuple[U1, U1]:
@@ -163,20 +172,9 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
     squared = _FLATTENING * (2 - _FLATTENING)
     bulge = 1 - squared * math.sin(math.radians(latitude_deg)) ** 2
     radius_m = _EQUATOR_M * math.sqrt(1 - squared) / bulge
-    return (
-        'COMPD_CS["local east, north, up",'
-        'PROJCS["east and north of the origin of the scene",'
-        'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],'
-        'AUTHORITY["EPSG","6326"]],PRIMEM["Greenwich",0,AUTHORITY["EPSG","8901"]],'
-        'UNIT["degree",0.0174532925199433,AUTHORITY["EPSG","9122"]],AUTHORITY["EPSG","4326"]],'
-        'PROJECTION["Transverse_Mercator"],'
-        f'PARAMETER["latitude_of_origin",{latitude_deg!r}],PARAMETER["central_meridian",{longitude_deg!r}],'
-        f'PARAMETER["scale_factor",{1 + height_m / radius_m!r}],'
-        'PARAMETER["false_easting",0],PARAMETER["false_northing",0],'
-        'UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Easting",EAST],AXIS["Northing",NORTH]],'
-        f'VERT_CS["height over the origin",VERT_DATUM["ellipsoidal height {height_m!r} m",2005],'
-        'UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Up",UP]]]'
-    )
+    text = files(__package__).joinpath("local.wkt").read_text(encoding="utf-8").replace("\n", "")
+    place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "height_m": height_m}
+    return text.format(scale=1 + height_m / radius_m, **place)
 
 
 def adjusted_gps_s(t_ns: I8) -> F8:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.errors import InputError
-from vlp16emu.extras.clouds.place import place
 from vlp16emu.extras.displace import offset_tangents
 from vlp16emu.packets import (
     BLOCK_PERIOD_NS,
@@ -24,7 +24,9 @@ from vlp16emu.packets import (
     Points,
     scan_starts,
 )
-from vlp16emu.types import F4, F8, I8, SURFACE, Labels, ReturnMode, Returns, Scan
+from vlp16emu.sensor.beams import BeamTable
+from vlp16emu.sensor.head import in_sensor
+from vlp16emu.types import F4, F8, I8, SURFACE, Firings, Labels, Poses, ReturnMode, Returns, Scan
 from vlp16emu.units import seconds_to_ns
 
 _LABELS = ("semantic", "part", "instance", "species")
@@ -217,18 +219,58 @@ def points_of(
     tangents = None
     if unit.beam.section.model == "offset":
         tangents = offset_tangents(distance_m, unit.beam, firings.index + sequence, laser, t_ns.shape[1])
-    placed = place(beams, firings, sequence, laser, distance_m, poses, tangents)
     points: dict[str, NDArray[Any]] = {
         "t_ns": pulse_ns,
-        **{name: getattr(placed, name) for name in ("world_m", "sensor_m", "azimuth_deg", "elevation_deg")},
+        **place(beams, firings, sequence, laser, distance_m, poses, tangents),
         "distance_m": distance_m,
         "reflectivity": returns.reflectivity[sent],
         "ring": beams.ring[laser],
         "laser": laser,
         "return_number": number,
-        "viewpoint_m": np.broadcast_to(poses.world_p_body_m, placed.world_m.shape),
+        "viewpoint_m": np.broadcast_to(poses.world_p_body_m, (len(pulse_ns), 3)),
     }
     return points | (_labels(returns, sent) if truth else {}), sequence
+
+
+def place(
+    beams: BeamTable,
+    firings: Firings,
+    sequence: I8,
+    laser: I8,
+    distance_m: F4,
+    poses: Poses,
+    tangents: F8 | None = None,
+) -> dict[str, F8]:
+    """Place returns by the manual's formulas (63-9243 Rev D, section 9.2), as a driver with perfect poses does.
+
+    What the sensor does not report is not known here either: encoder and angle errors displace the points.
+    Without such errors a point in the world is the pulse's origin + distance * direction.
+
+    Parameters
+    ----------
+    sequence, laser : (n,) which pulses of `firings` they belong to
+    distance_m : (n,)
+    poses : of the body at the pulses, n or one that holds for all
+    tangents : (n, 2) how far points are off their pulses, over their distance, to greater azimuths and upwards; None on them
+
+    Returns
+    -------
+    `azimuth_deg` (n,), what the encoder read for the firing sequence and what the rotor turned until the pulse, [0, 360);
+    `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the sensor's frame at the instant of the pulse; `world_m` (n, 3)
+    """
+    turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
+    azimuth_deg, elevation_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0, beams.elevation_deg[laser]
+    range_m = distance_m.astype(np.float64)
+    sensor_m = in_sensor(azimuth_deg, elevation_deg, beams.vertical_offset_m[laser], range_m)
+    if tangents is not None:  # off the axis of the pulse, at the same range
+        (a, b), azimuth_rad, elevation_rad = tangents.T, np.radians(azimuth_deg), np.radians(elevation_deg)
+        cosine, sine, level, up = cos(azimuth_rad), sin(azimuth_rad), cos(elevation_rad), sin(elevation_rad)
+        shorter = 1.0 - np.sqrt(1.0 - a * a - b * b)
+        sensor_m[:, 0] -= range_m * (shorter * level * cosine + a * sine + b * up * cosine)
+        sensor_m[:, 1] += range_m * (shorter * level * sine - a * cosine + b * up * sine)
+        sensor_m[:, 2] += range_m * (b * level - shorter * up)
+    world_m = matvec(poses.world_R_body, sensor_m) + poses.world_p_body_m
+    return {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "sensor_m": sensor_m, "world_m": world_m}
 
 
 def _sent(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:

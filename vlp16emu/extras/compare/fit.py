@@ -17,7 +17,7 @@ from vlp16emu.extras.compare.statistics import (
 )
 from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
-from vlp16emu.sensor import Sensor
+from vlp16emu.sensor.settings import Sensor
 
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
 _LEVEL = 80.0  # reflectivity in the middle of those whose neighbours are compared

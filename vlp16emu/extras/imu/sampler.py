@@ -10,7 +10,7 @@ from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Motion, rotations
 from vlp16emu.random import Purpose, normal, normal_pair, uniform
-from vlp16emu.types import Array, IntArray
+from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
 GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
@@ -28,17 +28,17 @@ _HEADING = 6  # lane of the heading's random walk, behind those of the six axes
 class Inertial:
     """Readings at n instants, in the unit's own axes."""
 
-    t_ns: IntArray  # (n,) UTC
-    angular_rate_rad_s: Array  # (n, 3)
-    specific_force_m_s2: Array  # (n, 3) acceleration less gravity: at rest it points up
-    true_angular_rate_rad_s: Array  # (n, 3) without errors, as the next
-    true_specific_force_m_s2: Array
-    gyro_bias_rad_s: Array
+    t_ns: I8  # (n,) UTC
+    angular_rate_rad_s: F8  # (n, 3)
+    specific_force_m_s2: F8  # (n, 3) acceleration less gravity: at rest it points up
+    true_angular_rate_rad_s: F8  # (n, 3) without errors, as the next
+    true_specific_force_m_s2: F8
+    gyro_bias_rad_s: F8
     """(n, 3) at switch-on, with what it has wandered since, as the next; what is left of an error is white noise."""
-    accel_bias_m_s2: Array
-    world_R_imu: Array | None = None
+    accel_bias_m_s2: F8
+    world_R_imu: F8 | None = None
     """(n, 3, 3) the attitude that the unit reports, with its drift; None without `attitude`."""
-    stamp_ns: IntArray | None = None  # (n,) UTC by the unit's time stamps; None if that is `t_ns`
+    stamp_ns: I8 | None = None  # (n,) UTC by the unit's time stamps; None if that is `t_ns`
 
 
 class ImuSampler:
@@ -50,7 +50,7 @@ class ImuSampler:
         # What the axes of gyroscopes, and of accelerometers, show of a rate or a force (3, 3).
         self._responses = [np.eye(3) + _AXIS_ERROR * each for each in drawn]
 
-    def late_ns(self, first: int, count: int) -> IntArray:
+    def late_ns(self, first: int, count: int) -> I8:
         """Return how long after samples first .. first + count - 1 their time stamps are: (count,)."""
         (least_s, greatest_s), late_s = self._imu.delay_s, np.zeros(count)
         if greatest_s:
@@ -77,7 +77,7 @@ class ImuSampler:
         read = seen_w + w_errors, seen_force + force_errors
         return Inertial(t_ns, *read, w, force, w_bias, force_bias, attitude, stamp_ns)
 
-    def _attitude(self, world_R_imu: Array, w_bias: Array, force_bias: Array, first: int) -> Array:
+    def _attitude(self, world_R_imu: F8, w_bias: F8, force_bias: F8, first: int) -> F8:
         """Return the reported attitude (n, 3, 3) of samples from `first` on.
 
         Levelled by gravity, it is tilted by what the accelerometers' bias adds to 1 g, and its heading drifts with the bias of
@@ -96,7 +96,7 @@ class ImuSampler:
 
     def _errors_of(
         self, sizes: tuple[float, float, float, float], first: int, count: int, first_axis: int
-    ) -> tuple[Array, Array]:
+    ) -> tuple[F8, F8]:
         """Errors (count, 3) of three axes, white noise and bias; and the bias alone. What is zero is not drawn."""
         bias, noise, walk, warm_up = sizes
         warmed = 1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * _WARM_UP_S)) if warm_up else 0.0
@@ -120,7 +120,7 @@ class ImuSampler:
         return out, slow
 
 
-def _random_walk(seed: int, first: int, count: int, lane: int) -> Array:
+def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
     """Add up standard normal numbers to samples first .. first + count - 1 (count,), 0 at sample 0.
 
     Ends of chunks by halving intervals (Levy's construction of Brownian motion), the samples between as a
@@ -132,7 +132,7 @@ def _random_walk(seed: int, first: int, count: int, lane: int) -> Array:
     return np.concatenate(parts)[begin : begin + count]
 
 
-def _bridge(seed: int, chunk: int, lane: int) -> Array:
+def _bridge(seed: int, chunk: int, lane: int) -> F8:
     """Random walk (4096,) at the samples of a chunk."""
     # Lanes: two for each axis, one for the ends of chunks and one within.
     purpose, scale = int(Purpose.IMU_WALK), math.sqrt(_CHUNK)

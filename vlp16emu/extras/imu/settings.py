@@ -8,9 +8,17 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.motion import Mount
+from vlp16emu.motion.settings import Mount
 from vlp16emu.settings import NonNegative, Preset
 
+_CONSUMER = {
+    "gyro_bias_rad_s": 1.7e-3,
+    "gyro_noise_rad_s_sqrt_hz": 2.4e-4,
+    "gyro_walk_rad_s2_sqrt_hz": 7.0e-6,
+    "accel_bias_m_s2": 0.049,
+    "accel_noise_m_s2_sqrt_hz": 1.2e-3,
+    "accel_walk_m_s3_sqrt_hz": 1.5e-4,
+}
 _Error = Annotated[float, Field(ge=0, le=1000)]
 
 
@@ -22,14 +30,7 @@ class Imu(Preset):
         # Noise of Bosch's BMG160 and BMA280, 0.014 deg/s and 120 ug per sqrt(Hz), and a tenth of their offsets of
         # 1 deg/s and 50 mg (Bosch CISS manual, section 4.11.1); that a tenth is left by calibration is an assumption.
         # Random walks as measured on a tracker with such parts (libsurvive wiki, IMU variance measurements).
-        "consumer": {
-            "gyro_bias_rad_s": 1.7e-3,
-            "gyro_noise_rad_s_sqrt_hz": 2.4e-4,
-            "gyro_walk_rad_s2_sqrt_hz": 7.0e-6,
-            "accel_bias_m_s2": 0.049,
-            "accel_noise_m_s2_sqrt_hz": 1.2e-3,
-            "accel_walk_m_s3_sqrt_hz": 1.5e-4,
-        },
+        "consumer": _CONSUMER,
         # Gyroscopes of Sensonor's STIM210, 0.10 deg/sqrt(h) and 10 deg/h over temperature (maker's FAQ);
         # accelerometers of 1 mg and 0.06 m/s/sqrt(h), and the random walks, are assumptions.
         "tactical": {
@@ -43,16 +44,7 @@ class Imu(Preset):
         # A unit of a robot as it comes, by USB. Noise of Bosch's BMI088, 0.014 deg/s and 160 ug per sqrt(Hz) (BST-BMI088-DS001,
         # tables 4 and 5). Reads of a USB serial line come in steps of 4 ms (ROS wiki,
         # camera_calibration/calibration_notes/Timing), and 2 to 4 ms after the sample (assumption).
-        "field": {
-            "gyro_bias_rad_s": 1.7e-3,
-            "gyro_noise_rad_s_sqrt_hz": 2.4e-4,
-            "gyro_walk_rad_s2_sqrt_hz": 7.0e-6,
-            "accel_bias_m_s2": 0.049,
-            "accel_noise_m_s2_sqrt_hz": 1.6e-3,
-            "accel_walk_m_s3_sqrt_hz": 1.5e-4,
-            "delay_s": (0.002, 0.004),
-            "jitter_s": 0.004,
-        },
+        "field": _CONSUMER | {"accel_noise_m_s2_sqrt_hz": 1.6e-3, "delay_s": (0.002, 0.004), "jitter_s": 0.004},
     }
 
     preset: Literal["ideal", "consumer", "tactical", "field"] = "ideal"

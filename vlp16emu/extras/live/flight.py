@@ -93,9 +93,8 @@ class PoseReceiver:
                     else:
                         self.malformed += 1
             if last is not None:
-                pose = unpack_pose(last)
                 with suppress(InputError):  # `put` counts what is no pose
-                    self._put(pose.position_m, pose.quaternion, pose.t_ns)
+                    self._put(*unpack_pose(last))
             self._over.wait(_MERGED_S)
 
 
@@ -180,7 +179,7 @@ class Flight(PacketSink):
         if pacer.speed != 1.0:
             raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")
         self._news(f"waiting for poses{f' on {self._receiver.where}' if self._receiver else ''}")
-        while not self._motion.poses.wait(_POLL_S):
+        while not self._motion.poses.came.wait(_POLL_S):
             if stop.is_set():
                 return Late.SKIP
         with suppress(CancelledError):

@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from vlp16emu.extras.live.knots import STEP_NS, Knots
 from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.tables import Column, read_table
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 if TYPE_CHECKING:
@@ -38,14 +38,7 @@ _COLUMNS = {**TIMED_POSES, **_RATE_COLUMNS, "cell": Column({"cell": 1.0}, is_fil
 FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 
 
-class Flown(NamedTuple):
-    """A table of knots."""
-
-    states: Array  # (n, 13), a step apart, from the first pulse on
-    cells: tuple[tuple[int, Cell], ...]  # knots from which windows of other cells are in use; the first is 0
-
-
-def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
+def flown_rows(first: int, states: F8, cells: dict[int, Cell]) -> str:
     """Write knots (n, 13) from number `first` on, each number with all the digits that it needs to be read back as it is."""
     lines = []
     for number, state in enumerate(states.tolist(), start=first):
@@ -55,8 +48,11 @@ def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
     return "".join(lines)
 
 
-def read_flown(path: Path) -> Flown:
-    """Read a table of knots; `TrajectoryError` if the file is none, or is not whole from its beginning."""
+def read_flown(path: Path) -> tuple[F8, dict[int, Cell]]:
+    """Read a table of knots: states (n, 13), a step apart, and cells by the knot from which their windows are in use.
+
+    Raises TrajectoryError if the file is no such table, or is not whole from its beginning.
+    """
     table = read_table(path, _COLUMNS, "a table of knots", TrajectoryError)
     if len(table) < 2:
         raise TrajectoryError(str(path), f"found {len(table)} knots", "at least 2")
@@ -66,30 +62,31 @@ def read_flown(path: Path) -> Flown:
             raise TrajectoryError(table.where(number, "t_s"), f"found {table.cells['t_s'][number]}", expected)
     states = table.numbers(*POSE, *_RATES)
     unit_lengths(table, states[:, 3:7])
-    cells = list[tuple[int, Cell]]()
+    cells = dict[int, Cell]()
     for i, text in enumerate(table.texts("cell")):
         if text or i == 0:
             try:
                 x, y, z = map(int, text.split())
             except ValueError:
                 raise TrajectoryError(table.where(i, "cell"), f"found {text!r}", "three whole numbers") from None
-            cells.append((i, (x, y, z)))
-    return Flown(states, tuple(cells))
+            cells[i] = x, y, z
+    return states, cells
 
 
 class FlownMotion(Knots):
-    """Motion of a body as it was flown; the first knot is at `start_ns`, UTC."""
+    """Motion of a body as the table `path` has it; the first knot is at `start_ns`, UTC. Errors as of `read_flown`."""
 
-    def __init__(self, flown: Flown, *, start_ns: int) -> None:
-        super().__init__(start_ns, flown.states)
-        self.flown, self.run_time_s = flown, self.last_ns / S_NS
+    def __init__(self, path: Path, *, start_ns: int) -> None:
+        states, self.cells = read_flown(path)
+        super().__init__(start_ns, states)
+        self.run_time_s = self.last_ns / S_NS
 
     def require_open(self) -> None:
         """Do nothing: what was flown is known."""
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
         """Return the windows that were in use; parameters as of `engine.windows.windows_of`."""
-        cells = [(number // STEPS, cell) for number, cell in self.flown.cells]
+        cells = [(number // STEPS, cell) for number, cell in self.cells.items()]
         return CellWindows(parts, start_ns, batching, threads, cells)
 
 
@@ -108,13 +105,13 @@ _NICE = 10
 _Name = tuple[Cell, int]  # box, and segment of time where trees sway
 
 
-def cell_of(place_m: Array) -> Cell:
+def cell_of(place_m: F8) -> Cell:
     """Name of the box that holds a place (3,)."""
     x, y, z = np.floor(place_m / [_WIDE_M, _WIDE_M, _HIGH_M]).astype(int).tolist()
     return x, y, z
 
 
-def track_of(cell: Cell, arm_m: float) -> Array:
+def track_of(cell: Cell, arm_m: float) -> F8:
     """Positions (n, 3) all over a box and around it, whose sensors are up to so far from the body."""
     aside_m = _ASIDE_M + arm_m
     lines = 1 + math.ceil((_WIDE_M + 2 * aside_m) / _APART_M)
@@ -217,7 +214,7 @@ class LiveWindows(CellWindows):
                 self.cells.append((self.decided, wanted))
 
 
-def _serves(cell: Cell, place_m: Array, velocity_m_s: Array) -> bool:
+def _serves(cell: Cell, place_m: F8, velocity_m_s: F8) -> bool:
     middle_m = (np.array(cell[:2]) + 0.5) * _WIDE_M
     spare_m = _SPARE_M + _SPARE_S * float(norm(velocity_m_s))
     return bool((np.abs(place_m[:2] - middle_m) <= _WIDE_M / 2 + _ASIDE_M - spare_m).all())

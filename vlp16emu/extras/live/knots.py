@@ -8,7 +8,7 @@ from vlp16emu.elementary import atan2, exp
 from vlp16emu.extras.recorded.motion import Pieces
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 STEP_NS = 5_308_416  # from knot to knot: 96 firing sequences of a VLP-16, four packets of single return
@@ -33,7 +33,7 @@ class Knots(Pieces):
     states : (n, 13) the first knots, at least one
     """
 
-    def __init__(self, start_ns: int, states: Array) -> None:
+    def __init__(self, start_ns: int, states: F8) -> None:
         self._first = self._count = 0
         room = max(_MOST, len(states))
         self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
@@ -53,11 +53,11 @@ class Knots(Pieces):
         """Time of the last knot since the first one."""
         return self.last * STEP_NS
 
-    def states(self, first: int, stop: int) -> Array:
+    def states(self, first: int, stop: int) -> F8:
         """Knots (n, 13) from number `first` until before `stop`, not older than 20 s."""
         return self._states[first - self._first : stop - self._first]
 
-    def append(self, state: Array) -> None:
+    def append(self, state: F8) -> None:
         """Add a knot (13,), a step after the last one."""
         if self._count == len(self._states):  # drop the older half, in new arrays: others may be reading these
             half = self._count // 2
@@ -73,49 +73,42 @@ class Knots(Pieces):
 
 
 @numba.njit(cache=True, nogil=True)
-def _multiply(a: Array, b: Array, out: Array) -> None:
-    """Fill the product of two quaternions x, y, z, w."""
+def _product(a: F8, b: F8) -> F8:
+    """Multiply two quaternions x, y, z, w."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
-    out[0] = aw * bx + ax * bw + ay * bz - az * by
-    out[1] = aw * by - ax * bz + ay * bw + az * bx
-    out[2] = aw * bz + ax * by - ay * bx + az * bw
-    out[3] = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    return np.array([x, y, z, aw * bw - ax * bx - ay * by - az * bz])
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
+def _values(knot: F8) -> tuple[F8, F8]:
+    """Position and quaternion (7,) of a knot, and their change per second."""
+    value, rate, turning = knot[:7].copy(), np.empty(7), np.zeros(4)
+    turning[:3] = 0.5 * knot[10:]
+    rate[:3], rate[3:] = knot[7:10], _product(knot[3:7], turning)
+    return value, rate
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
-    value, rate = np.empty((2, 7)), np.empty((2, 7))
-    turning = np.zeros(4)
-    for side, knot in enumerate((begin, end)):
-        value[side] = knot[:7]
-        rate[side, :3] = knot[7:10]
-        turning[:3] = 0.5 * knot[10:]
-        _multiply(knot[3:7], turning, rate[side, 3:])
-    if (value[0, 3:] * value[1, 3:]).sum() < 0.0:
-        value[1, 3:], rate[1, 3:] = -value[1, 3:], -rate[1, 3:]
+    (value, rate), (end_value, end_rate) = _values(begin), _values(end)
+    if (value[3:] * end_value[3:]).sum() < 0.0:
+        end_value[3:], end_rate[3:] = -end_value[3:], -end_rate[3:]
     for a in range(7):
-        slope = (value[1, a] - value[0, a]) / step_s
-        out[0, a] = (rate[0, a] + rate[1, a] - 2.0 * slope) / (step_s * step_s)
-        out[1, a] = (3.0 * slope - 2.0 * rate[0, a] - rate[1, a]) / step_s
-        out[2, a], out[3, a] = rate[0, a], value[0, a]
+        slope = (end_value[a] - value[a]) / step_s
+        out[0, a] = (rate[a] + end_rate[a] - 2.0 * slope) / (step_s * step_s)
+        out[1, a] = (3.0 * slope - 2.0 * rate[a] - end_rate[a]) / step_s
+        out[2, a], out[3, a] = rate[a], value[a]
 
 
 @numba.njit(cache=True, nogil=True)
-def _exp(vector: Array, out: Array) -> None:
-    """Fill the quaternion of a rotation vector (3,)."""
-    angle = math.sqrt((vector * vector).sum())
-    cosine, sine = cos_sin(0.5 * angle)
-    share = 0.5 - angle * angle / 48.0 if angle < _SMALL else sine / angle
-    out[:3], out[3] = share * vector, cosine
-
-
-@numba.njit(cache=True, nogil=True)
-def turn_between(old: Array, new: Array) -> Array:
+def turn_between(old: F8, new: F8) -> F8:
     """Rotation vector (3,), in body axes, from one quaternion (4,) to another, the short way round."""
-    q, back = np.empty(4), np.append(-old[:3], old[3])
-    _multiply(back, new, q)
+    q = _product(np.append(-old[:3], old[3]), new)
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = -1.0 if q[3] < 0.0 else 1.0
     angle = 2.0 * atan2(sine, abs(q[3]))
@@ -123,66 +116,28 @@ def turn_between(old: Array, new: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-@numba.njit(cache=True, nogil=True)
-def _turned_back(by: Array, vector: Array) -> Array:
-    """Apply the inverse of the rotation by a vector (3,) to a vector (3,)."""
-    angle = math.sqrt((by * by).sum())
-    if angle < _SMALL:
-        return vector - _cross(by, vector)
-    across, (cosine, sine) = _cross(by, vector), cos_sin(angle)
-    return vector - sine / angle * across + (1.0 - cosine) / (angle * angle) * _cross(by, across)
-
-
-@numba.njit(cache=True, nogil=True)
-def _rate_of(phi: Array, change: Array) -> Array:
-    """Body rate (3,) of exp(phi) from the change of phi: the right Jacobian (Sola et al., arXiv:1812.01537, eq. 143)."""
-    angle = math.sqrt((phi * phi).sum())
-    across = _cross(phi, change)
-    if angle < 1e-4:
-        return change - 0.5 * across + _cross(phi, across) / 6.0
-    cosine, sine = cos_sin(angle)
-    far = (angle - sine) / (angle * angle * angle)
-    return change - (1.0 - cosine) / (angle * angle) * across + far * _cross(phi, across)
-
-
-@numba.njit(cache=True, nogil=True)
-def _change_of(phi: Array, rate: Array) -> Array:
-    """Change of phi from the body rate (3,) of exp(phi): the inverse of `_rate_of` (eq. 144)."""
-    angle = math.sqrt((phi * phi).sum())
-    across = _cross(phi, rate)
+def _gone_on(seen: F8, since_s: float) -> F8:
+    """Return a pose (13,) some time after it came in: it goes on as it did, and comes to rest where no other follows."""
+    moving_s, share, late_s = since_s, 1.0, since_s - _COAST_S
+    if late_s > 0.0:
+        share = exp(-late_s / _COAST_S)
+        moving_s = _COAST_S + _COAST_S * (1.0 - share)
+    turn = moving_s * seen[10:]
+    angle = math.sqrt((turn * turn).sum())
     cosine, sine = cos_sin(0.5 * angle)
-    share = 1.0 / 12.0 if angle < 1e-4 else (1.0 - 0.5 * angle * cosine / sine) / (angle * angle)
-    return rate + 0.5 * across + share * _cross(phi, across)
+    turned = turn * (0.5 - angle * angle / 48.0 if angle < _SMALL else sine / angle)
+    out = np.empty(STATE)
+    out[:3], out[7:] = seen[:3] + moving_s * seen[7:10], share * seen[7:]
+    out[3:7] = _product(seen[3:7], np.append(turned, cosine))
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _coast(since_s: float) -> tuple[float, float]:
-    """Seconds of motion at the speed of the last pose, and share of that speed, some time after it."""
-    late_s = since_s - _COAST_S
-    if late_s <= 0.0:
-        return since_s, 1.0
-    left = exp(-late_s / _COAST_S)
-    return _COAST_S + _COAST_S * (1.0 - left), left
+def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: float) -> F8:
+    """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
 
-
-@numba.njit(cache=True, nogil=True)
-def _settle(error: Array, change: Array, per_s: float, step_s: float) -> tuple[Array, Array]:
-    """Solve e'' + 2 w e' + w^2 e = 0, critically damped, over a step: the error (3,) and its change."""
-    push = change + per_s * error
-    fade = exp(-per_s * step_s)
-    return (error + push * step_s) * fade, (change - per_s * push * step_s) * fade
-
-
-@numba.njit(cache=True, nogil=True)
-def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s: float, out: Array) -> None:
-    """Fill the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
-
-    The last pose goes on as it did, and comes to rest where no other follows. What the body is off from it dies away as a
-    critically damped oscillator, which is solved exactly over the step.
+    What position and quaternion are off from the prediction dies away as a critically damped oscillator, which is solved
+    exactly over the step; then the quaternion is put to unit length.
 
     Parameters
     ----------
@@ -192,21 +147,25 @@ def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s
     step_s : from knot to knot
     smoothing_s : time constant of the correction
     """
-    (begin_s, begin), (end_s, end) = _coast(since_s), _coast(since_s + step_s)
-    error, change = state[:3] - seen[:3] - begin_s * seen[7:10], state[7:10] - begin * seen[7:10]
-    off = math.sqrt((error * error).sum()) / GAP_M
-    error, change = _settle(error, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
-    out[:3], out[7:10] = seen[:3] + end_s * seen[7:10] + error, end * seen[7:10] + change
-    target, turn, both = np.empty(4), np.empty(4), np.empty(4)
-    _exp(begin_s * seen[10:], turn)
-    _multiply(seen[3:7], turn, target)
-    phi = turn_between(target, state[3:7])
-    change = _change_of(phi, state[10:] - _turned_back(phi, begin * seen[10:]))
-    off = math.sqrt((phi * phi).sum()) / GAP_RAD
-    phi, change = _settle(phi, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
-    _exp(end_s * seen[10:], turn)
-    _multiply(seen[3:7], turn, target)
-    _exp(phi, turn)
-    _multiply(target, turn, both)
-    out[3:7] = both / math.sqrt((both * both).sum())
-    out[10:] = _rate_of(phi, change) + _turned_back(phi, end * seen[10:])
+    value, rate = _values(state)
+    wanted, wanted_rate = _values(_gone_on(seen, since_s))
+    target, target_rate = _values(_gone_on(seen, since_s + step_s))
+    if (value[3:] * wanted[3:]).sum() < 0.0:
+        value[3:], rate[3:] = -value[3:], -rate[3:]
+    error, change = value - wanted, rate - wanted_rate
+    off_m, off_rad = math.sqrt((error[:3] ** 2).sum()), 2.0 * math.sqrt((error[3:] ** 2).sum())
+    per_s = np.empty(7)
+    per_s[:3] = 1.0 / (smoothing_s * max(1.0, off_m / GAP_M))
+    per_s[3:] = 1.0 / (smoothing_s * max(1.0, off_rad / GAP_RAD))
+    # e'' + 2 w e' + w^2 e = 0
+    push = change + per_s * error
+    for a in range(7):
+        fade = exp(-per_s[a] * step_s)
+        target[a] += (error[a] + push[a] * step_s) * fade
+        target_rate[a] += (change[a] - per_s[a] * push[a] * step_s) * fade
+    length = math.sqrt((target[3:] ** 2).sum())
+    out = np.empty(STATE)
+    out[:3], out[3:7], out[7:10] = target[:3], target[3:] / length, target_rate[:3]
+    # The rate of the unit quaternion in body axes; what changes the length alone is its last number.
+    out[10:] = 2.0 / length * _product(np.append(-out[3:6], out[6]), target_rate[3:])[:3]
+    return out

@@ -18,7 +18,7 @@ from vlp16emu.extras.live.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, fo
 from vlp16emu.extras.live.settings import Live
 from vlp16emu.extras.recorded.files import UNIT_TOLERANCE
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 
 LOST_NS = S_NS  # without a pose for so long, poses are lost
@@ -39,7 +39,7 @@ _FARTHEST_M = 1e6  # as far out as a scene may lie
 class SeenPose:
     """A pose that came in."""
 
-    state: Array  # (13,) as a knot has it; rates are those since poses before
+    state: F8  # (13,) as a knot has it; rates are those since poses before
     at_ns: int  # when it was true, on the monotonic clock of this machine
     arrived_ns: int  # when it came, on the same clock
 
@@ -61,8 +61,8 @@ class PoseInput:
 
     def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._clock_ns, self._lock = clock_ns, threading.Lock()
-        self._came = threading.Event()
-        self._before = deque[tuple[int, Array]]()
+        self.came = threading.Event()  # set by the first pose
+        self._before = deque[tuple[int, F8]]()
         self._jumped = False
         self._offset_ns: int | None = None
         self._offset_at_ns = 0
@@ -109,14 +109,10 @@ class PoseInput:
                     self.gaps_ns.append((last.arrived_ns, now_ns))
             self.received += 1
             self.last = SeenPose(self._with_rates(at_ns, pose), at_ns, now_ns)
-        self._came.set()
+        self.came.set()
         return True
 
-    def wait(self, seconds: float) -> bool:
-        """Wait for the first pose, and return whether it has come."""
-        return self._came.wait(seconds)
-
-    def _with_rates(self, at_ns: int, pose: Array) -> Array:
+    def _with_rates(self, at_ns: int, pose: F8) -> F8:
         """Add to a pose (7,) the rates since the youngest pose that is old enough, and keep it for those to come."""
         before = self._before
         while before and at_ns - before[0][0] > _MOST_BASE_NS:
@@ -137,7 +133,7 @@ class PoseInput:
         before.append((at_ns, pose))
         return state
 
-    def _is_jump(self, at_ns: int, pose: Array) -> bool:
+    def _is_jump(self, at_ns: int, pose: F8) -> bool:
         """Return whether no body gets from the last pose to a pose (7,) in time: then the step says nothing of its rates."""
         if self.last is None:
             return False
@@ -219,18 +215,18 @@ class LiveMotion:
         return 0 if self.knots is None else self._clock_ns() - self._zero_ns
 
     @property
-    def state(self) -> Array:
+    def state(self) -> F8:
         """(13,) of the last knot, or before the beginning of the last pose."""
         return self._seen().state if self.knots is None else self.knots.last_state
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
+    def poses_at(self, t_ns: I8) -> Poses:
         """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
 
         Raises `TrajectoryError` if nobody streams, and `CancelledError` if the stream ends before there is a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses at UTC instants (n,) with their derivatives; the rest as of `poses_at`."""
         return self._knots_until(int(t_ns.max())).kinematics_at(t_ns)
 
@@ -244,7 +240,8 @@ class LiveMotion:
         """Make knots until a UTC instant, each when its time has come."""
         if self.knots is None:
             rest = np.append(self._seen().state[:7], np.zeros(STATE - 7))
-            return Knots(self._start_ns, np.stack([rest, self._after(rest, rest, 0.0)]))
+            still = follow(rest, rest, 0.0, STEP_NS / S_NS, self._smoothing_s)  # by the kernel, which is loaded with it
+            return Knots(self._start_ns, np.stack([rest, still]))
         while True:
             with self._lock:
                 knots, now_ns = self.knots, self._clock_ns()
@@ -257,18 +254,13 @@ class LiveMotion:
                         self._used = seen
                         self.first_uses.append((self._start_ns + knots.last_ns, seen.arrived_ns))
                     since_s = (self._zero_ns + knots.last_ns - seen.at_ns) / S_NS
-                    knots.append(self._after(knots.last_state, seen.state, since_s))
+                    knots.append(follow(knots.last_state, seen.state, since_s, STEP_NS / S_NS, self._smoothing_s))
                 else:
                     return knots
             self._sleep(early_ns / S_NS)
 
-    def _after(self, state: Array, seen: Array, since_s: float) -> Array:
-        out = np.empty(STATE)
-        follow(state, seen, since_s, STEP_NS / S_NS, self._smoothing_s, out)
-        return out
 
-
-def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> Array:
+def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> F8:
     """Put a pose into one array (7,), its quaternion scaled to unit length."""
     numbers = [*map(float, position_m), *map(float, quaternion)]
     if len(position_m) != 3 or len(quaternion) != 4:

@@ -10,7 +10,7 @@ from vlp16emu.settings import Place, SceneFile
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.motion.pose import Motion
-    from vlp16emu.types import Array
+    from vlp16emu.types import F8
     from vlp16emu.world.settings import Site
 
 _Place = Annotated[tuple[Place, Place], Field(strict=False)]
@@ -35,14 +35,14 @@ class Live(MotionSection):
         """True if poses come in, and nothing is repeated."""
         return self.flown is None
 
-    def carrier(self, site: "Site", *, start_ns: int, **_: object) -> "tuple[Motion, Array]":  # noqa: ARG002  # it flies over any ground
+    def carrier(self, site: "Site", *, start_ns: int, **_: object) -> "tuple[Motion, F8]":  # noqa: ARG002  # it flies over any ground
         """Return the motion that follows the poses, and `path_m`."""
         import numpy as np
 
-        from vlp16emu.extras.live.flown import FlownMotion, read_flown
+        from vlp16emu.extras.live.flown import FlownMotion
         from vlp16emu.extras.live.motion import LiveMotion
 
         path_m = np.array(self.path_m)
         if self.flown is None:
             return LiveMotion(self, start_ns=start_ns), path_m
-        return FlownMotion(read_flown(Path(self.flown)), start_ns=start_ns), path_m
+        return FlownMotion(Path(self.flown), start_ns=start_ns), path_m

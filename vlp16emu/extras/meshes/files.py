@@ -16,11 +16,11 @@ import numpy as np
 
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
-from vlp16emu.types import Array, IntArray, Mesh
+from vlp16emu.types import F8, I8, Mesh
 from vlp16emu.world.settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
-Faces = IntArray
+Faces = I8
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
 _KINDS = ".obj", ".ply", ".glb", ".stl"
@@ -34,20 +34,12 @@ _OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PartMesh:
-    """One geometry of a file."""
-
-    name: str
-    mesh: Mesh  # in metres from the whole mesh's centre, z up
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class UserMesh:
     """A file of meshes, ready to be placed."""
 
     path: Path
-    centre_m: Array  # (3,) middle of the bounding box in the file's frame, turned z up
-    parts: tuple[PartMesh, ...]  # in alphabetical order
+    centre_m: F8  # (3,) middle of the bounding box in the file's frame, turned z up
+    parts: tuple[tuple[str, Mesh], ...]  # in alphabetical order of their names; in metres from the centre, z up
     radius_m: float  # radius of a sphere about the centre that holds everything
 
 
@@ -72,17 +64,16 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     low, high = corners.min(axis=0), corners.max(axis=0)
     _check_size(path, high - low, unit)
     centre = (low + high) / 2
-    made = tuple(
-        PartMesh(name, Mesh((vertices - centre).astype(np.float32), faces.astype(np.uint32)))
-        for name, vertices, faces, _ in z_up
-    )
+    made = []
     for name, vertices, faces, dropped in z_up:
-        for finding in _findings(vertices - centre, faces, dropped):
+        own_m = vertices - centre
+        made.append((name, Mesh(own_m.astype(np.float32), faces.astype(np.uint32))))
+        for finding in _findings(own_m, faces, dropped):
             _log.warning("%s: %s: %s", path, name, finding)
-    return UserMesh(path, centre, made, float(norm(high - low)) / 2)
+    return UserMesh(path, centre, tuple(made), float(norm(high - low)) / 2)
 
 
-def _parts(path: Path) -> list[tuple[str, tuple[Array, Faces]]]:
+def _parts(path: Path) -> list[tuple[str, tuple[F8, Faces]]]:
     """Names, vertices and faces of all parts in the file's frame, by name."""
     scene, found = _scene(path), []
     unnamed = list(scene.geometry) in (["geometry"], ["geometry_0"])  # trimesh's names for what has none
@@ -121,7 +112,7 @@ def _scene(path: Path) -> Any:
         raise GeometryError(str(path), f"cannot be read: {error}", expected) from None
 
 
-def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Array:
+def _placed(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
     """Vertices in the file's frame, after a check of both arrays."""
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise GeometryError(where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each")
@@ -141,7 +132,7 @@ def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Ar
     return matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
 
 
-def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
+def _swept(where: str, vertices: F8, faces: Faces) -> tuple[F8, Faces, int]:
     """Vertices that are used, faces that have an area, and how many had none."""
     corner = vertices[faces]
     sides = corner - np.roll(corner, 1, axis=1)
@@ -154,11 +145,11 @@ def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int
     return vertices[used], kept.reshape(-1, 3), int((~solid).sum())
 
 
-def _turned(vertices: Array, up: UpAxis) -> Array:
+def _turned(vertices: F8, up: UpAxis) -> F8:
     return vertices if up == "z" else np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
 
 
-def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
+def _check_size(path: Path, extent_m: F8, unit: LengthUnit) -> None:
     """Refuse a size that nothing in a forest has, with the unit that was perhaps meant."""
     if extent_m[2] <= _TALLEST_M and _SMALLEST_M <= extent_m.max() <= _WIDEST_M:
         return
@@ -170,7 +161,7 @@ def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
     raise GeometryError(str(path), f"measures {size} m with unit = {unit!r}", expected)
 
 
-def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
+def _findings(vertices: F8, faces: Faces, dropped: int) -> list[str]:
     import trimesh
 
     found = [f"dropped {dropped} of {dropped + len(faces)} faces, which have no area"] if dropped else []

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
@@ -15,9 +16,9 @@ from vlp16emu.extras.meshes.files import UserMesh, load_mesh
 from vlp16emu.extras.meshes.settings import MeshFile, MeshPlace
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.types import (
+    F8,
     FIRST_FREE_INSTANCE,
     SURFACE,
-    Array,
     HeightField,
     Mesh,
     PlantPart,
@@ -30,39 +31,26 @@ from vlp16emu.types import (
 _log = logging.getLogger(__name__)
 
 
-class Furniture:
-    """A mesh of the user's, and all its places.
-
-    Raises GeometryError for a part that the mesh does not have.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    mesh : what its file holds
-    """
-
-    def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
-        self.section, self.mesh = section, mesh
-        names = [part.name for part in mesh.parts]
-        self.labels = [f"{mesh.path.name} {name}" for name in names]  # (parts,) names of their materials
-        self.things = [mesh.path.name] if section.one_thing else self.labels
-        """Names of what is a thing of its own at each place."""
-        own = {part.name: part for part in section.parts}
-        for name in own.keys() - set(names):
-            raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
-        self.surfaces = np.zeros(len(names), SURFACE)  # (parts,) `SURFACE`; material and instance still 0
-        for row, part in zip(self.surfaces, (own.get(name, section) for name in names), strict=True):
-            brightness = part.brightness
-            row["reflectance"] = section.brightness if brightness is None else brightness
-            row["semantic"] = Semantic[(part.semantic or section.semantic).upper()]
-            row["part"] = PlantPart[(part.part or section.part).upper()]
+def surfaces_of(section: MeshFile, mesh: UserMesh) -> NDArray[np.void]:
+    """Return `SURFACE` (parts,) of a mesh, material and instance still 0; GeometryError for a part that it does not have."""
+    names = [name for name, _ in mesh.parts]
+    own = {part.name: part for part in section.parts}
+    for name in own.keys() - set(names):
+        raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
+    surfaces = np.zeros(len(names), SURFACE)
+    for row, part in zip(surfaces, (own.get(name, section) for name in names), strict=True):
+        brightness = part.brightness
+        row["reflectance"] = section.brightness if brightness is None else brightness
+        row["semantic"] = Semantic[(part.semantic or section.semantic).upper()]
+        row["part"] = PlantPart[(part.part or section.part).upper()]
+    return surfaces
 
 
 @dataclass(frozen=True, slots=True)
 class MeshKey:
     """Name of a mesh's shape."""
 
-    number: int  # among the furniture
+    number: int  # among those of the user
     path: Path
 
 
@@ -81,46 +69,48 @@ class BareWorld(World, Protocol):
 class Furnished:
     """A world and what the user has put into it; a `World`.
 
-    Raises GeometryError for more things than can be numbered.
+    Raises GeometryError for more things than can be numbered, and for a part that a mesh does not have.
 
     Parameters
     ----------
     world : without them
-    furniture : in the order of their numbers
+    meshes : what the user wrote and what the file holds, in the order of their numbers
     reach_m : how far the sensor sees
     """
 
-    def __init__(self, world: BareWorld, *, furniture: Sequence[Furniture], reach_m: float) -> None:
+    def __init__(self, world: BareWorld, *, meshes: Sequence[tuple[MeshFile, UserMesh]], reach_m: float) -> None:
         self.bare = world  # the world without the user's things
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
         for name in ("name", "far_tile"):  # nothing of a hall is far
             if hasattr(world, name):
                 setattr(self, name, getattr(world, name))
         self._reach_m = reach_m
-        count = sum(len(one.section.places) * len(one.things) for one in furniture)
-        if count > 2**32 - FIRST_FREE_INSTANCE:
-            raise GeometryError("meshes", f"found {count} things", "at most 65536")
         self.names = dict[int, str]()  # names of the user's things by instance
         self._mesh_of, self._keys = dict[MeshKey, UserMesh](), list[MeshKey]()
         materials, placed, radius_m, self._rows = list(world.materials), [], [], []
-        for one in furniture:
-            key = MeshKey(len(self._mesh_of), one.mesh.path)
-            self._mesh_of[key] = one.mesh
-            for place in one.section.places:
-                first, rows = FIRST_FREE_INSTANCE + len(self.names), one.surfaces.copy()
+        for section, mesh in meshes:
+            key, surfaces = MeshKey(len(self._mesh_of), mesh.path), surfaces_of(section, mesh)
+            self._mesh_of[key] = mesh
+            labels = [f"{mesh.path.name} {name}" for name, _ in mesh.parts]
+            things = [mesh.path.name] if section.one_thing else labels
+            count = len(self.names) + len(section.places) * len(things)
+            if count > 2**32 - FIRST_FREE_INSTANCE:
+                raise GeometryError("meshes", f"found {count} things", "at most 65536")
+            for place in section.places:
+                first, rows = FIRST_FREE_INSTANCE + len(self.names), surfaces.copy()
                 rows["material"] = len(materials) + np.arange(len(rows))
-                rows["instance"] = first + np.arange(len(one.things))  # one for each part, or for all
+                rows["instance"] = first + np.arange(len(things))  # one for each part, or for all
                 where = f"at ({place.x_m:g}, {place.y_m:g}) m"
-                self.names |= {first + i: f"{thing} {where}" for i, thing in enumerate(one.things)}
+                self.names |= {first + i: f"{thing} {where}" for i, thing in enumerate(things)}
                 self._keys.append(key)
                 self._rows.append(rows)
-                placed.append(_placed(place, one.mesh, world.height_m))
-                radius_m.append(place.scale * one.mesh.radius_m)
-            materials += one.labels
+                placed.append(_placed(place, mesh, world.height_m))
+                radius_m.append(place.scale * mesh.radius_m)
+            materials += labels
         self.materials = tuple(materials)
         self._world_T_mesh, self._radius_m = np.reshape(placed, (-1, 3, 4)), np.array(radius_m)
 
-    def check(self, path_xy_m: Array) -> None:
+    def check(self, path_xy_m: F8) -> None:
         """Warn of each mesh that is out of sight all along the path (n, 2)."""
         gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m if self._keys else np.zeros(0)
         for key in self._mesh_of:
@@ -132,7 +122,7 @@ class Furnished:
                     *(key.path, nearest_m, self._reach_m),
                 )
 
-    def window(self, track_m: Array) -> Window:
+    def window(self, track_m: F8) -> Window:
         """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""
         window = self.bare.window(track_m)
         gap_m = distance_m(self._world_T_mesh[:, :2, 3], track_m[:, :2]) - self._radius_m
@@ -160,11 +150,11 @@ class Furnished:
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""
         if isinstance(key, MeshKey):
-            return tuple(part.mesh for part in self._mesh_of[key].parts)
+            return tuple(mesh for _, mesh in self._mesh_of[key].parts)
         return self.bare.shape(key)
 
 
-def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
+def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> F8:
     z_m = place.z_m
     if z_m is None:
         z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])
@@ -175,12 +165,12 @@ def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
     return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])
 
 
-def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: Array, reach_m: float) -> World:
+def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: F8, reach_m: float) -> World:
     """Put the user's own meshes into a world, and warn of those that are out of sight along a path (n, 2).
 
     Raises GeometryError if a mesh cannot be read.
     """
-    furniture = [Furniture(one, load_mesh(Path(one.file), unit=one.unit, up=one.up)) for one in files]
-    world = Furnished(bare, furniture=furniture, reach_m=reach_m)
+    meshes = [(one, load_mesh(Path(one.file), unit=one.unit, up=one.up)) for one in files]
+    world = Furnished(bare, meshes=meshes, reach_m=reach_m)
     world.check(path_xy_m)
     return world

@@ -15,7 +15,7 @@ from vlp16emu.elementary import matmul, norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.tables import Column, Table, read_table
-from vlp16emu.types import Array, IntArray
+from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
 UNIT_TOLERANCE = 1e-3
@@ -35,9 +35,9 @@ class RecordedPoses:
     """Poses as a file has them."""
 
     where: list[str]  # (n,) file and line of each, for messages
-    t_ns: IntArray  # (n,) stamps, of whatever epoch
-    position_m: Array  # (n, 3)
-    quaternion: Array  # (n, 4) x, y, z, w of unit length; body to the recording's frame
+    t_ns: I8  # (n,) stamps, of whatever epoch
+    position_m: F8  # (n, 3)
+    quaternion: F8  # (n, 4) x, y, z, w of unit length; body to the recording's frame
 
 
 def read_poses(recorded: Recorded) -> RecordedPoses:
@@ -75,7 +75,7 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     return _checked(table, _times_ns(times, len(table)), np.column_stack([matrix[:, :, 3], _quaternions(turns)]))
 
 
-def _quaternions(turns: Array) -> Array:
+def _quaternions(turns: F8) -> F8:
     """Quaternions (n, 4), x, y, z, w and about of unit length, of the rotations nearest to matrices (n, 3, 3).
 
     Source: Markley, "Unit quaternion from rotation matrix", J. Guidance, Control, and Dynamics 31(2), 2008.
@@ -107,7 +107,7 @@ def _timed(table: Table) -> RecordedPoses:
     return _checked(table, table.times_ns("t_s"), table.numbers(*POSE))
 
 
-def _checked(table: Table, t_ns: Sequence[int], poses: Array) -> RecordedPoses:
+def _checked(table: Table, t_ns: Sequence[int], poses: F8) -> RecordedPoses:
     """Refuse poses (n, 7) that are no rotations, and times that do not grow."""
     if len(table) < 2:
         raise TrajectoryError(str(table.path), f"found {len(table)} poses", "at least 2")
@@ -120,7 +120,7 @@ def _checked(table: Table, t_ns: Sequence[int], poses: Array) -> RecordedPoses:
     return RecordedPoses(where, np.array(t_ns), poses[:, :3].copy(), poses[:, 3:] / lengths[:, None])
 
 
-def unit_lengths(table: Table, quaternions: Array) -> Array:
+def unit_lengths(table: Table, quaternions: F8) -> F8:
     """Return the lengths (n,) of quaternions (n, 4) of a table, which are 1 to `UNIT_TOLERANCE`."""
     lengths = norm(quaternions)
     if (off := np.abs(lengths - 1.0) > UNIT_TOLERANCE).any():

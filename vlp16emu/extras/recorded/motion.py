@@ -12,7 +12,7 @@ from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.splines import interpolant
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 from vlp16emu.world.settings import Site
 
@@ -32,16 +32,16 @@ class Pieces:
 
     moves = True
 
-    def __init__(self, start_ns: int, knots_ns: IntArray, powers: Array) -> None:
+    def __init__(self, start_ns: int, knots_ns: I8, powers: F8) -> None:
         self._start_ns, self._arrays = start_ns, (knots_ns, powers)
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
+    def poses_at(self, t_ns: I8) -> Poses:
         """Poses at UTC instants (n,)."""
         position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
         fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
         return Poses(t_ns, turn, position_m)
 
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
         poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
         fill_rates(*self._arrays, t_ns - self._start_ns, rates)
@@ -86,28 +86,28 @@ class RecordedMotion(Pieces):
             _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
 
 
-def _refuse(poses: RecordedPoses, values: Array, most: float, found: str, expected: str) -> None:
+def _refuse(poses: RecordedPoses, values: F8, most: float, found: str, expected: str) -> None:
     """Refuse the first step (n - 1,) from pose to pose whose value, which may stand in `found`, is above the most."""
     if (values > most).any():
         i = int((values > most).argmax())
         raise TrajectoryError(poses.where[i + 1], found.format(values[i]), expected)
 
 
-def _continuous(quaternion: Array) -> Array:
+def _continuous(quaternion: F8) -> F8:
     """Return the same rotations (n, 4), each with the sign that is nearer to the one before."""
     flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
     sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
     return quaternion * sign[:, None]
 
 
-def _check_steps(poses: RecordedPoses, knots_ns: IntArray, quaternion: Array, max_gap_s: float) -> None:
+def _check_steps(poses: RecordedPoses, knots_ns: I8, quaternion: F8, max_gap_s: float) -> None:
     _refuse(poses, np.diff(knots_ns) / S_NS, max_gap_s, "found a gap of {:g} s", f"at most {max_gap_s:g} s")
     turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
     expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
     _refuse(poses, turn_deg, _MOST_TURN_DEG + 1e-6, "turns by {:.1f} degrees from the pose before", expected)
 
 
-def check_places(position_m: Array, site: Site, reach_m: float) -> None:
+def check_places(position_m: F8, site: Site, reach_m: float) -> None:
     """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - site.height_m(*plan_m.T)
@@ -125,7 +125,7 @@ def check_places(position_m: Array, site: Site, reach_m: float) -> None:
         )
 
 
-def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[Array, Array]:
+def _placed(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]:
     """Positions (n, 3) and quaternions (n, 4) in axes of the world, about the recording's origin."""
     if recorded.axes == "camera":
         # Forward is the camera's z, left its -x, up its -y, in the recording's frame and in the body's:
@@ -145,7 +145,7 @@ def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[A
 
 
 @numba.njit(cache=True, nogil=True)
-def _piece(knots_ns: IntArray, elapsed_ns: int) -> tuple[int, float]:
+def _piece(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
     """Piece that holds an instant, and seconds into it; instants beyond the ends fall on them."""
     t = min(max(elapsed_ns, 0), knots_ns[-1])
     piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
@@ -153,7 +153,7 @@ def _piece(knots_ns: IntArray, elapsed_ns: int) -> tuple[int, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_poses(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, position_m: Array, turn: Array) -> None:
+def fill_poses(knots_ns: I8, coefficients: F8, elapsed_ns: I8, position_m: F8, turn: F8) -> None:
     """Evaluate the pieces, each instant alone."""
     value = np.empty(7)
     for i in range(elapsed_ns.size):
@@ -174,7 +174,7 @@ def fill_poses(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, po
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_rates(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, rates: Array) -> None:
+def fill_rates(knots_ns: I8, coefficients: F8, elapsed_ns: I8, rates: F8) -> None:
     """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.
 
     With Q of any length and N = |Q|^2, the rate is w = 2 vec(Q* Q') / N, and as Q'* Q' has no vector part,

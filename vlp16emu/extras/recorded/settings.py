@@ -9,7 +9,7 @@ from vlp16emu.settings import Angle, Place, Positive, SceneFile
 
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.motion.pose import Motion
-    from vlp16emu.types import Array
+    from vlp16emu.types import F8
     from vlp16emu.world.settings import Site
 
 
@@ -47,7 +47,7 @@ class Recorded(MotionSection):
             raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")
         return self
 
-    def carrier(self, site: "Site", *, reach_m: float, start_ns: int, **_: object) -> "tuple[Motion, Array]":
+    def carrier(self, site: "Site", *, reach_m: float, start_ns: int, **_: object) -> "tuple[Motion, F8]":
         """Return the recorded motion and the places (n, 2) of its poses; it flies over any ground."""
         from vlp16emu.extras.recorded.files import read_poses
         from vlp16emu.extras.recorded.motion import RecordedMotion, check_places

@@ -170,15 +170,16 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
 
 
 def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None) -> None:
-    hits: dict[str, int] = {}
+    hits: list[int | None] = [None] * len(trees)
     seen = trees
     if true is not None:
-        hits, points = _hits(trees, true)
-        seen = tuple(tree for tree in trees if points[tree.number] >= LEAST_POINTS)
+        on_stem, points = _hits(trees, true)
+        kept = [i for i, count in enumerate(points) if count >= LEAST_POINTS]
+        seen, hits = tuple(trees[i] for i in kept), [on_stem[i] for i in kept]
     pairs = measures.match_stems(found, seen, card.inputs.radius_m)
     card.scores |= measures.stem_scores(found, seen, pairs)
     of_true = {j: found[i] for i, j in pairs}
-    card.trees += [_row(of_true.get(j), tree, hits.get(tree.number)) for j, tree in enumerate(seen)]
+    card.trees += [_row(of_true.get(j), tree, hits[j]) for j, tree in enumerate(seen)]
     paired = {i for i, _ in pairs}
     card.trees += [_row(stem, None, None) for i, stem in enumerate(found) if i not in paired]
     which = f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
@@ -192,8 +193,8 @@ def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
     return TreeRow(*names, place.x_m, place.y_m, off_m, true.dbh_m, one.dbh_m - true.dbh_m, hits)
 
 
-def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[str, int]]:
-    """Return the number of points of each tree by its number: on the stem at breast height, and in all."""
+def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
+    """Return the number of points of each tree: on the stem at breast height, and in all."""
     _need(true, "instance", "part")
     numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])
     order = np.argsort(numbers)
@@ -203,8 +204,7 @@ def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[st
     at_breast = np.abs(true["xyz"][:, 2] - foot_m - BREAST_HEIGHT_M) <= _BREAST_M
     on_stem = (true["part"] == PlantPart.STEM) & at_breast
     of_stem, of_tree = (np.bincount(row[(row >= 0) & of], minlength=len(trees)).tolist() for of in (on_stem, row >= 0))
-    names = [tree.number for tree in trees]
-    return dict(zip(names, of_stem, strict=True)), dict(zip(names, of_tree, strict=True))
+    return of_stem, of_tree
 
 
 def page(card: ScoreCard, missed: Sequence[str]) -> str:

@@ -1,10 +1,9 @@
 """Files that `vlp16emu forest` writes: inventory, stems, ground, digital twin; and plan and section on one sheet."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -185,7 +184,7 @@ _DRAWN_IN_ORDER = (
 _MARGIN_M = 2.0
 _LEAST_STEM_PX = 2.4  # thinner stems are drawn this wide, or nobody would see them
 _SMOOTH_M = 2.0  # one sigma of the smoothing of contour lines, which show hills and not every step
-_ARROW_EVERY = 0.12  # share of the path's length
+_ARROWS, _FIRST_ARROW = 7, 0.12  # arrows along the path, and where the first one is, as a share of its length
 _ROUND_M = (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar or a contour interval may have."""
 _DARK = 0.6  # brightness of a face's edge, relative to the face
@@ -288,11 +287,10 @@ def _draw_path(axes: "Axes", path_xy_m: F8) -> None:
         return
     axes.plot(*path_xy_m.T, color=WALK, lw=1.6, zorder=7)
     gone_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path_xy_m, axis=0).T))])
-    for share in np.arange(_ARROW_EVERY, 1.0 + 1e-9, (1 - _ARROW_EVERY) / 6):
-        head = max(1, int(np.searchsorted(gone_m, share * gone_m[-1] - 1e-9)))
-        back = max(0, min(int(np.searchsorted(gone_m, gone_m[head] - 1.0)), head - 1))
-        arrow = {"arrowstyle": "-|>", "color": WALK, "lw": 0, "mutation_scale": 13}
-        axes.annotate("", path_xy_m[head], path_xy_m[back], arrowprops=arrow, zorder=8)
+    arrow = {"arrowstyle": "-|>", "color": WALK, "lw": 0, "mutation_scale": 13}
+    for head_m in gone_m[-1] * np.linspace(_FIRST_ARROW, 1.0, _ARROWS):
+        tail, head = ([np.interp(at_m, gone_m, axis) for axis in path_xy_m.T] for at_m in (head_m - 1.0, head_m))
+        axes.annotate("", head, tail, arrowprops=arrow, zorder=8)
 
 
 def _draw_strip(axes: "Axes", section: StandSection) -> None:
@@ -412,26 +410,25 @@ def write_sheets(
         seen = survey(scenario, radius_m)
         summary = summary_of(scene, scenario, seen)
         for name, output in outputs.items():
-            write = _writer(name, seen, scenario.title, summary, truth)
             file = stack.enter_context(output.writing())
-            write(file)
+            if name == "--picture":
+                _write_picture(file, seen, scenario.title, subtitle_of(summary))
+            else:
+                _write_table_or_twin(name, file, seen, truth)
             file.flush()  # here, so that none takes its name if the disk is full
     return summary
 
 
-def _writer(
-    name: str, seen: Survey, title: str, summary: Mapping[str, Any], truth: Path | None
-) -> Callable[[BinaryIO], object]:
+def _write_table_or_twin(name: str, file: BinaryIO, seen: Survey, truth: Path | None) -> None:
     if name == "--inventory":  # all trees within the sensor's range, with what a run saw of their stems
-        more, rows = seen.stems_seen(seen.trees, truth) if truth else None, seen.inventory(seen.trees)
-        return lambda file: write_csv(file, rows, more, table=seen.plants.trees)
-    if name == "--stems":  # skeletons with radii, as a QSM has them
-        circles, header = seen.stem_circles(seen.trees), ",".join(STEM_CIRCLE.names or ())
-        text: dict[str, Any] = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "header": header, "comments": ""}
-        return partial(np.savetxt, X=circles, **text)
-    if name == "--ground":
-        return lambda file: write_ascii(file, seen.bare.height_m, *seen.bounds_m, _GROUND_CELL_M)
-    if name == "--glb":  # everything within the radius, or the whole hall
+        more = seen.stems_seen(seen.trees, truth) if truth else None
+        write_csv(file, seen.inventory(seen.trees), more, table=seen.plants.trees)
+    elif name == "--stems":  # skeletons with radii, as a QSM has them
+        text: dict[str, Any] = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "comments": ""}
+        np.savetxt(file, seen.stem_circles(seen.trees), header=",".join(STEM_CIRCLE.names or ()), **text)
+    elif name == "--ground":
+        write_ascii(file, seen.bare.height_m, *seen.bounds_m, _GROUND_CELL_M)
+    else:  # everything within the radius, or the whole hall, as a twin
         at_m = {thing.instance: thing.place_m for thing in seen.things}
         at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
         shape: Grow = seen.world.shape
@@ -439,8 +436,11 @@ def _writer(
         if seen.hall is None:
             window, shape = cut_out(window, shape, instances=np.array(list(at_m), np.uint32), inside=seen.inside)
         colours = surface_colours(seen.window.surfaces, seen.species)
-        return lambda file: write_glb(file, window, shape, places_m=at_m, species=seen.species, colours=colours)
+        write_glb(file, window, shape, places_m=at_m, species=seen.species, colours=colours)
+
+
+def _write_picture(file: BinaryIO, seen: Survey, title: str, subtitle: str) -> None:
     section = section_of(seen)  # it fills the sheet's width, or is as tall as it may be
     wide, tall = (_WIDTH_IN - 2 * _EDGE_IN) / section.length_m, section.high_m - section.low_m
     drawn = draw_stand(seen, section, min(wide, _TALLEST_SECTION_IN / tall) * _DPI)
-    return lambda file: draw_sheet(file, seen, section, drawn, title=title, subtitle=subtitle_of(summary))
+    draw_sheet(file, seen, section, drawn, title=title, subtitle=subtitle)

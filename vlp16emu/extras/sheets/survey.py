@@ -1,7 +1,7 @@
 """Survey of all that stands near the path of a sensor, in figures, and what a run saw of its stems."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
 from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
-from vlp16emu.forest.plants.stem import StemForms, axis_m, stem_circles, stem_forms
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
@@ -25,7 +25,7 @@ from vlp16emu.forest.stand.tree_models import TreeModels
 from vlp16emu.forest.stand.twin import Thing, things_near
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import F8, I8, U4, HeightField, PlantPart, Semantic, Window, World
+from vlp16emu.types import F8, I8, HeightField, PlantPart, Semantic, Window, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.vectors import places_m
@@ -46,33 +46,29 @@ _ASIDE_M = 0.5
 _COLUMNS = ["world_x_m", "world_y_m", "world_z_m", "semantic", "part", "instance"]
 
 
-def tables_of_returns(folder: Path) -> list[Path]:
-    """Return the ground truth of the returns of a run, a table per unit; InputError if there is none."""
-    tables = sorted(folder.glob("returns*.parquet"))
-    if not tables:
-        raise InputError(str(folder), "no returns.parquet", "the truth of a run with --truth-returns")
-    return tables
+def stems_seen(trees: Trees, folder: Path, *, table: Table | None = None) -> NDArray[np.void]:
+    """Return the coverage of stems by the returns of a run: (n,) `STEM_SEEN`.
 
-
-def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = None) -> NDArray[np.void]:
-    """Return the coverage of stems by the returns of a run: (n,) `STEM_SEEN`; InputError if a file is no table of returns, or of another world.
+    InputError if the folder has no table of returns, or one of another world.
 
     Parameters
     ----------
     trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
+    folder : ground truth of the run, with a table of returns per unit
     table : species; the program's own if None
     """
-    forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
+    stems, order = Stems(trees, table=table), np.argsort(trees["id"])
     cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
     first = _SECTORS * np.cumsum([0, *cells.tolist()])
     hit, breast = np.zeros(first[-1], np.bool_), np.zeros((len(trees), _SECTORS), np.bool_)
     rows = np.zeros(len(trees), STEM_SEEN)
+    tables = sorted(folder.glob("returns*.parquet"))
+    if not tables:
+        raise InputError(str(folder), "no returns.parquet", "the truth of a run with --truth-returns")
     for path in tables:
         for returns in SlotReader(path).returns(_COLUMNS):
-            which, at_m = _of_stems(returns, trees["id"][order])
-            which = order[which]
+            which, up_m, aside_m, sector = _about_axes(stems, order, returns)
             rows["returns_stem"] += np.bincount(which, minlength=len(trees)).astype(np.uint32)
-            up_m, aside_m, sector = _about_axes(trees, forms, which, at_m)
             near = aside_m < trees["dbh_m"][which] + _ASIDE_M
             if len(near) and near.mean() < 0.5:
                 found = f"returns from stems {np.median(aside_m):.1f} m off the axes of the scene's trees"
@@ -88,23 +84,19 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
     return rows
 
 
-def _of_stems(returns: dict[str, F8], ids: U4) -> tuple[I8, F8]:
-    """Return the returns from stems of trees with these ids (n,), ascending: row of the tree (k,), and place (k, 3)."""
+def _about_axes(stems: Stems, order: I8, returns: dict[str, F8]) -> tuple[I8, F8, F8, I8]:
+    """Return the row of the tree, height over its foot, distance from its axis and sector (k,) of the returns from stems."""
+    ids = stems.trees["id"][order]
     is_stem = np.isin(returns["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
     is_stem &= (returns["semantic"] == Semantic.TREE) & np.isin(returns["instance"], ids)
+    which = order[np.searchsorted(ids, returns["instance"][is_stem])]
     at_m = np.column_stack([returns[name][is_stem] for name in _COLUMNS[:3]])
-    return np.searchsorted(ids, returns["instance"][is_stem]), at_m
-
-
-def _about_axes(trees: Trees, forms: StemForms, which: I8, at_m: F8) -> tuple[F8, F8, I8]:
-    """Return height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
-    own = trees[which]
-    from_foot_m = at_m - places_m(own)
+    from_foot_m = at_m - places_m(stems.trees[which])
     up_m = from_foot_m[:, 2]
-    aside_m = from_foot_m[:, :2] - axis_m(own, forms.of(which), up_m[:, None])[:, 0, :2]
+    aside_m = from_foot_m[:, :2] - stems.axis_m(up_m[:, None], which)[:, 0, :2]
     turn = np.arctan2(aside_m[:, 1], aside_m[:, 0]) / (2 * np.pi) % 1.0
     sector = np.minimum(_SECTORS * turn, _SECTORS - 1).astype(np.int64)
-    return up_m, np.hypot(*aside_m.T), sector
+    return which, up_m, np.hypot(*aside_m.T), sector
 
 
 _STEPS_PER_S = 10  # rate of the points of the path: some 12 cm apart at walking speed
@@ -172,13 +164,13 @@ class Survey:
         """Return `STEM_SEEN` of some of the trees (k,): what the returns of a run show of them, by its truth in `folder`."""
         is_modelled, trees = self.models.has(trees), trees.copy()
         trees["form"][is_modelled] = 0  # straight
-        return stems_seen(trees, tables_of_returns(folder), table=self.plants.trees)
+        return stems_seen(trees, folder, table=self.plants.trees)
 
     def stem_circles(self, trees: NDArray[np.void]) -> NDArray[np.void]:
         """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of the near ones, by tree."""
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        stems = stem_circles(grown, table=self.plants.trees)
+        stems = Stems(grown, table=self.plants.trees).circles()
         near = grown[np.isin(grown["id"], self.near["id"])]
         branches = branch_circles(near, self._crowns(near), seed=self.seed, table=self.plants.trees)
         circles = np.concatenate([stems, self.models.circles(trees[is_modelled]), branches])
@@ -196,8 +188,8 @@ class Survey:
         return np.asarray(Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m)
 
 
-def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: F8 | None = None) -> Survey:
-    """Survey the surroundings of the path of a scenario's sensor, or of `path_xy_m` (n, 2) if its motion is not known yet.
+def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
+    """Survey the surroundings of the path of a scenario's sensor.
 
     InputError if a part of the scenario cannot be made, or the radius exceeds the sensor's range.
     """
@@ -208,10 +200,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path
     beams_deg, world = parts.head.beams.elevation_deg, parts.world
     bare = world.bare if isinstance(world, Furnished) else world
     assert isinstance(bare, ForestWorld | HallWorld)
-    if path_xy_m is None:
-        path_m = way_m(scenario, parts.motion)
-    else:
-        path_m = np.column_stack([path_xy_m, bare.height_m(*path_xy_m.T)])
+    path_m = _way_m(scenario, parts.motion)
     path, window = Polyline(path_m[:, :2]), world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
@@ -231,7 +220,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path
     )
 
 
-def way_m(scenario: Scenario, motion: Motion) -> F8:
+def _way_m(scenario: Scenario, motion: Motion) -> F8:
     """Return positions (n, 3) of the sensor over the scene's duration; one if it stands still."""
     if not motion.moves:
         return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m
@@ -241,16 +230,6 @@ def way_m(scenario: Scenario, motion: Motion) -> F8:
 
 
 CELL_M = 0.5  # edge of the cells for areas and slopes: about the length of a foot on the slope
-
-
-@dataclass(frozen=True, slots=True)
-class Relief:
-    """Ground in the area considered."""
-
-    low_m: float
-    high_m: float
-    slope_mean_deg: float
-    slope_max_deg: float
 
 
 def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[dict[str, Any]]:
@@ -297,15 +276,19 @@ def cells_near(way_xy_m: F8, radius_m: float) -> F8:
     return np.asarray(cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m])
 
 
-def relief(cells_xy_m: F8, height_m: HeightField) -> Relief:
-    """Return heights and slopes of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
+def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
+    """Return extremes of height and slope of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
     x_m, y_m = cells_xy_m.T
     half = CELL_M / 2
     rise_x = (height_m(x_m + half, y_m) - height_m(x_m - half, y_m)) / CELL_M
     rise_y = (height_m(x_m, y_m + half) - height_m(x_m, y_m - half)) / CELL_M
-    slope_deg = np.degrees(np.arctan(np.hypot(rise_x, rise_y)))
-    ground_m = height_m(x_m, y_m)
-    return Relief(float(ground_m.min()), float(ground_m.max()), float(slope_deg.mean()), float(slope_deg.max()))
+    slope_deg, ground_m = np.degrees(np.arctan(np.hypot(rise_x, rise_y))), height_m(x_m, y_m)
+    return {
+        "low_m": float(ground_m.min()),
+        "high_m": float(ground_m.max()),
+        "slope_mean_deg": float(slope_deg.mean()),
+        "slope_max_deg": float(slope_deg.max()),
+    }
 
 
 _MEASURES = {
@@ -319,15 +302,6 @@ _MEASURES = {
 }  # reported size of a kind of thing, and its axis
 
 
-@dataclass(frozen=True, slots=True)
-class PathSummary:
-    """The path of the sensor."""
-
-    length_m: float  # 0 if the sensor stands still
-    start_m: list[float]  # x, y, z
-    end_m: list[float]
-
-
 def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
     """Summarise the survey of a scene of this name: of any world its path and what has a name, of a forest its figures within the radius."""
     path_xy_m = seen.path_m[:, :2]
@@ -338,7 +312,8 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
         "title": scenario.title,
         "seed": scenario.seed,
         "world": scenario.world.kind,
-        "path": PathSummary(length_m, seen.path_m[0].tolist(), seen.path_m[-1].tolist()),
+        # length 0 if the sensor stands still
+        "path": {"length_m": length_m, "start_m": seen.path_m[0].tolist(), "end_m": seen.path_m[-1].tolist()},
         "radius_m": seen.radius_m,  # distance from the path within which things are reported
         "named": [
             {"name": name, "kind": one.kind, "instance": one.instance}
@@ -364,8 +339,8 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
 def subtitle_of(summary: Mapping[str, Any]) -> str:
     """Return a summary in one line."""
     words = [f"{Path(summary['scene']).stem}, seed {summary['seed']}"]
-    if summary["path"].length_m:
-        words.append(f"{summary['path'].length_m:.0f} m of path")
+    if length_m := summary["path"]["length_m"]:
+        words.append(f"{length_m:.0f} m of path")
     if "area_ha" in summary:
         words.append(f"{summary['area_ha']:.2f} ha within {summary['radius_m']:g} m")
         for row in summary["trees"][-1:]:

@@ -4,16 +4,15 @@ import json
 import os
 import re
 import stat
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
 from typing import Any, Self
 
-from vlp16emu.errors import InputError, MissingExtraError, RunError
+from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.extras.outputs import OutputFolder
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.output import write_json
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -72,9 +71,14 @@ class TruthFolder:
             self._failed = RunError(f"{self.path / name}: {error.strerror}; it ends with a whole line")
             raise self._failed from error
 
-    def write_json(self, name: str, tree: Mapping[str, Any]) -> None:
-        """Write a whole file, in place of the one that is there; `RunError` if it cannot be written."""
-        write_json(self.path / name, tree)
+
+def read_json(path: Path, expected: str) -> Any:
+    """Read a JSON file of a folder with truth; InputError if it cannot be read or is none."""
+    with readable(path, expected, InputError):
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            raise InputError(str(path), "no JSON", expected) from None
 
 
 def _append(file: FileIO, lines: bytes) -> None:

@@ -21,9 +21,10 @@ from vlp16emu.extras.bench.faults import PacketFault, arriving, earliest_ns, fau
 from vlp16emu.extras.imu.sampler import ImuSampler, Inertial
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
 from vlp16emu.extras.truth.slots import SlotTable
-from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
+from vlp16emu.motion.settings import Gps, Mount
+from vlp16emu.output import write_json
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import TruthPlace, TruthTo
@@ -189,8 +190,8 @@ class Truth:
         )
         with ExitStack() as stack:
             self._folder = stack.enter_context(TruthFolder(to.folder, named_files(scenario)))
-            self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
-            self._folder.write_json("rig.json", rig_of(scenario, parts))
+            write_json(self._folder.path / to.scenario.name, _resolved(scenario, span_s))
+            write_json(self._folder.path / "rig.json", rig_of(scenario, parts))
             # The first packet may have begun before it was asked for.
             earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
             firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
@@ -232,7 +233,7 @@ class Truth:
         if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
             stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
         if (ran := self._of.engine.scenario) is not self._scenario or stop_s != self._span_s[1]:
-            self._folder.write_json(self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
+            write_json(self._folder.path / self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Pass packets on, and write what was true until each of them once a second.

@@ -18,10 +18,9 @@ from vlp16emu.extras.verify.frames import (
     HOUR_US,
     JITTER_US,
     SENTENCE_OFFSET,
+    TABLES,
     ClockWatch,
     Findings,
-    Level,
-    Row,
     Rule,
     is_rewritten,
     wrap_hour_us,
@@ -73,6 +72,9 @@ class DataChunk:
     continues : the first packet was the last one of the chunk before, and stands here as its neighbour only
     ends : no chunk follows that begins with the last packet
     """
+
+    unequal_share, tolerance_deg = _UNEQUAL_REFLECTIVITY_SHARE, _STEP_TOLERANCE_CDEG / 100
+    jitter_ms, held_rpm = JITTER_US / 1e3, _HELD_RPM
 
     def __init__(self, datagrams: Sequence[Datagram], before: bytes, *, continues: bool, ends: bool) -> None:
         n = len(datagrams)
@@ -228,47 +230,6 @@ class DataChunk:
         self.even_cdeg = self.forward_cdeg[self.judged][is_even[self.judged]]
 
 
-_CODES, _PRODUCTS = f"0 .. {layout.AZIMUTH_CODES - 1}", "0x22 or 0x24"
-_SHORTEST_CODE, _FEW = f"0 or at least {layout.MIN_DISTANCE_LSB}", f"at most {_UNEQUAL_REFLECTIVITY_SHARE:.0%}"
-_WHOLE, _HELD = "all of it, unless a field of view is set", f"a multiple of {_SET_RPM} rpm within {_HELD_RPM:g}, held"
-_USUAL = f"{{usual_deg:+.2f}} deg within {_STEP_TOLERANCE_CDEG / 100:.2f}"
-_FACTORY = "bytes {mode:02x} {product:02x}", "{mode_before:02x} {product_before:02x} as before"
-_OF_PACKETS = (
-    Row(Rule.FACTORY, "is_no_mode", "return mode 0x{mode:02x}", "0x37, 0x38 or 0x39"),
-    Row(Rule.FACTORY, "is_no_product", "product 0x{product:02x}", _PRODUCTS),
-    Row(Rule.FACTORY, "is_old_product", "product 0x{product:02x}", _PRODUCTS, Level.NOTE),
-    Row(Rule.FACTORY, "is_changed", *_FACTORY),
-    Row(Rule.FACTORY, "is_set", *_FACTORY, Level.NOTE),
-    Row(Rule.FLAG, "is_no_flag", "{flag_found:04x} at block {flag_block}", "ffee"),
-    Row(Rule.AZIMUTH_RANGE, "is_past_turn", "azimuth {azimuth} at block {azimuth_block}", _CODES),
-    Row(Rule.AZIMUTH_RANGE, "is_full_turn", "azimuth {azimuth} at block {azimuth_block}", _CODES, Level.NOTE),
-    Row(Rule.TIME_RANGE, "is_past_hour", "time stamp {timestamp_us} us", f"0 .. {HOUR_US - 1}"),
-    Row(Rule.DISTANCE_CODE, "has_short", "{short} distances, the shortest {shortest} counts", _SHORTEST_CODE),
-    Row(Rule.AZIMUTH_STEP, "is_still", "azimuth frozen at {first_deg:.2f} deg", "a rotor that turns"),
-)
-_OF_PAIRS = (
-    Row(Rule.DUAL_AZIMUTH, "is_apart", "azimuths {even_cdeg} and {odd_cdeg} at blocks {even} and {odd}", "equal ones"),
-    Row(Rule.DUAL_ORDER, "has_swapped", "{swapped} pairs with the last return nearer", "the last return farther"),
-    Row(
-        Rule.DUAL_REFLECTIVITY,
-        "has_unequal",
-        "{unequal} of {pairs} pairs of equal distance differ in reflectivity",
-        _FEW,
-    ),
-)
-_OF_STEPS = (
-    Row(Rule.LOST_PACKETS, "is_lost", "{missing} data packets missing before it", "none", at="after"),
-    Row(Rule.TIME_STEP, "is_broken", "time stamp {step_us:+d} us", "+{low_us} or +{high_us} us", at="after"),
-    Row(Rule.AZIMUTH_GAP, "is_gap", "{gap_ms:.1f} ms of the revolution left out", _WHOLE, Level.NOTE, at="gap_number"),
-    Row(Rule.LATENESS, "is_late", "{late_ms:.1f} ms later than others", f"within {JITTER_US / 1e3:.0f} ms"),
-    Row(Rule.SPEED, "is_off", "a revolution at {rpm:.1f} rpm", _HELD, at="revolution_number"),
-)
-_OF_AZIMUTHS = (
-    Row(Rule.SINGLE_AS_DUAL, "is_twin", "blocks 0 and 1 with one azimuth", "two azimuths"),
-    Row(Rule.AZIMUTH_STEP, "is_odd", "azimuth {step_deg:+.2f} deg at block {step_block}", _USUAL, at="step_number"),
-)
-
-
 class DataRules:
     """Checks data packets, chunk by chunk, and keeps what only several chunks show."""
 
@@ -288,9 +249,9 @@ class DataRules:
     def check(self, chunk: DataChunk) -> None:
         """Check one chunk; the last packet of one that goes on is judged with the next, where its neighbour is known."""
         apply = self._findings.apply
-        apply(_OF_PACKETS + _OF_PAIRS * chunk.dual, chunk, chunk.own)
-        apply(_OF_STEPS, chunk)
-        apply(_OF_AZIMUTHS, chunk, chunk.judged)
+        apply(TABLES["packets"] + TABLES["pairs"] * chunk.dual, chunk, chunk.own)
+        apply(TABLES["steps"], chunk)
+        apply(TABLES["azimuths"], chunk, chunk.judged)
         if chunk.is_broken.any():
             self._clock.restart()
         else:
@@ -363,9 +324,7 @@ class OpticsRules:
             self._findings.add(Rule.WINDOW, packet, found, "about as much as before")
 
 
-_HEAD_BYTES = 14  # other sensors of the family report motion from here on; software takes the zeros for a mark
 _SHORTEST_INTERVAL_NS = 1_400_000  # real units leave 1.47 ms or more between position packets
-_LATEST_S = 2  # the sentence of a second arrives during the next one, and until then its forerunner is echoed
 _UNEVEN_S = 0.25  # difference between the delays of two sentences of one receiver
 _NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show when a sentence came
 _SENTENCE_CHARACTERS = 82  # longest sentence of NMEA 0183
@@ -396,6 +355,9 @@ class _Sentence(NamedTuple):
 class PositionChunk:
     """Columns of n consecutive position packets; the first is the last one of the chunk `before`, which has judged it."""
 
+    head_bytes = 14  # other sensors of the family report motion from here on; software takes the zeros for a mark
+    latest_s = 2  # the sentence of a second arrives during the next one, and until then its forerunner is echoed
+
     def __init__(self, datagrams: Sequence[Datagram], before: "PositionChunk | None") -> None:
         self.last = datagrams[-1]
         every = [before.last, *datagrams] if before else list(datagrams)
@@ -405,7 +367,7 @@ class PositionChunk:
         ).T
         payload = np.frombuffer(b"".join(each.payload for each in every), np.uint8).reshape(len(every), -1)
         fields = payload.view(POSITION_PAYLOAD)[:, 0]
-        self.head = payload[:, :_HEAD_BYTES].max(axis=1)
+        self.head = payload[:, : self.head_bytes].max(axis=1)
         self.has_head = self.head > 0
         self.timestamp_us, self.pps = fields["timestamp_us"].astype(np.int64), fields["pps"]
         self.clock_s, self.is_past_hour = self.timestamp_us * US_NS / S_NS, self.timestamp_us >= HOUR_US
@@ -440,7 +402,7 @@ class PositionChunk:
         self.said: int = said[-1]
         self.is_void = is_known & (self.status == "V") & (self.second != earlier)
         self.late_s = (self.clock_s - self.second) % 3600
-        is_old = is_known & (self.late_s >= _LATEST_S)
+        is_old = is_known & (self.late_s >= self.latest_s)
         self.is_old, self.is_off = (
             of & ~np.append(False, of[:-1]) for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
         )  # first of packets in a row whose sentence and clock disagree, with lock and without
@@ -465,31 +427,11 @@ class PositionRules:
     def check(self, datagrams: Sequence[Datagram]) -> None:
         """Check packets of 512 bytes."""
         chunk = self._before = PositionChunk(datagrams, self._before)
-        self._findings.apply(_TABLE, chunk, chunk.own)
+        self._findings.apply(TABLES["positions"], chunk, chunk.own)
         for datagram, timestamp_us in zip(datagrams, chunk.timestamp_us[chunk.own].tolist(), strict=True):
             self._clock.check(datagram.number, datagram.stamp_ns, datagram.stamp_ns // US_NS - timestamp_us)
         self.void_sentences += int(chunk.is_void[chunk.own].sum())
         self.lost_packets += int(chunk.missing[chunk.own][chunk.is_lost[chunk.own]].sum())
-
-
-_OLD = "no sentence after that of {named} at {clock_s:.3f} s"
-_TABLE = (
-    Row(Rule.POSITION_HEAD, "has_head", "a byte 0x{head:02x} among the first", f"{_HEAD_BYTES} zeros"),
-    Row(Rule.PPS, "is_no_state", "state {pps}", "0 .. 3"),
-    Row(Rule.PPS, "is_lost_lock", "state {pps}, {state}, from here on", "2, locked, as before"),
-    Row(Rule.PPS, "is_error", "state {pps}, {state}, from here on", "0 .. 2"),
-    Row(Rule.TIME_RANGE, "is_past_hour", "time stamp {timestamp_us} us", f"0 .. {HOUR_US - 1}"),
-    Row(Rule.LOST_PACKETS, "is_lost", "{missing} position packets missing before it", "none"),
-    Row(Rule.HEADER, "is_no_count", "position identification {identification}", "{due}, one more than before"),
-    Row(Rule.NMEA_FORMAT, "is_missing", "no sentence", "one when locked"),
-    Row(Rule.NMEA_FORMAT, "malformed", "{malformed}", "$GPRMC,time,status,... with 12 to 14 fields"),
-    Row(Rule.NMEA_FORMAT, "talker", "${talker}RMC, which some units ignore", "$GPRMC, as in the manual", Level.NOTE),
-    Row(Rule.NMEA_END, "end", "{end}", "CR LF, then NUL to the end"),
-    Row(Rule.NMEA_CHECKSUM, "checksum", "checksum {checksum}", "{right}"),
-    Row(Rule.NMEA_SECOND, "is_old", _OLD, f"one less than {_LATEST_S} s old"),
-    Row(Rule.NMEA_SECOND, "is_off", _OLD, "a clock that follows the sentences", Level.NOTE),
-    Row(Rule.NMEA_TIME, "is_uneven", "sentence {named} {late_s:.2f} s after its second", "{comes_s:.2f} s, as before"),
-)
 
 
 @lru_cache(16)

@@ -3,10 +3,12 @@
 The header fields were measured on frames of two real units, see `vlp16emu.packets.frames`.
 """
 
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib.resources import files
 from typing import Any, NamedTuple, TypeVar
 
 import dpkt
@@ -95,7 +97,7 @@ class Finding:
 
 
 class Row(NamedTuple):
-    """One row of a table of rules: what breaks a rule in the columns of a chunk, and the words for it."""
+    """One row of `rules.toml`: what breaks a rule in the columns of a chunk, and the words for it."""
 
     rule: Rule
     broken: str  # column of truth values, (n,) or of more axes
@@ -104,6 +106,15 @@ class Row(NamedTuple):
     level: Level = Level.ERROR
     at: str = "number"  # column of the frame numbers to which the findings belong
     once: bool = False  # only the first finding is kept; all are counted
+
+
+def _row(rule: str, broken: str, found: str, expected: str, level: str = Level.ERROR, *more: Any) -> Row:
+    return Row(Rule(rule), broken, found, expected, Level(level), *more)
+
+
+_ROWS = tomllib.loads(files(__package__).joinpath("rules.toml").read_text(encoding="utf-8"))
+TABLES = {name: tuple(_row(*row) for row in rows) for name, rows in _ROWS.items()}
+"""Tables of rules by name."""
 
 
 class _Element:
@@ -271,20 +282,10 @@ class _Frames:
         self.field_number = np.broadcast_to(self.number[:, None], self.value.shape)
 
 
-_TABLE = (
-    Row(Rule.FRAMING, "is_cut", "{captured} of {wire} bytes captured", "a frame of {whole} bytes, whole"),
-    Row(Rule.HEADER, "is_rewritten", "header that VeloView writes, of data packets", "the sensor's own", Level.NOTE),
-    Row(
-        Rule.HEADER, "is_fragmented", "{kind} packets in IP fragments, as a router makes them", "whole ones", once=True
-    ),
-    Row(Rule.HEADER, "is_other", "{kind} {field} {value}", "{wanted}", at="field_number"),
-)
-
-
 def check_frames(datagrams: Sequence[Datagram], kind: PacketKind, findings: Findings) -> None:
     """Check lengths and headers of frames whose payloads have the right length."""
     if datagrams:
-        findings.apply(_TABLE, _Frames(datagrams, kind))
+        findings.apply(TABLES["frames"], _Frames(datagrams, kind))
 
 
 class InOrder:

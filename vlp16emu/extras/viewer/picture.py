@@ -16,7 +16,7 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
-from vlp16emu.extras.images.images import species_of
+from vlp16emu.extras.images import species_of
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
@@ -32,48 +32,6 @@ _RELIEF = 0.35
 """How dark a pixel gets per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""
 _DARKEST = 0.3
 _NEIGHBOUR_PX = 2
-
-
-class Canvas:
-    """A picture of a size in pixels, width and height, that points of `dot_px` are added to."""
-
-    def __init__(self, size: tuple[int, int], dot_px: tuple[int, int] = (2, 2)) -> None:
-        self.size, self._dot_px = size, dot_px
-        self.clear()
-
-    def clear(self) -> None:
-        """Take away all points."""
-        width, height = self.size
-        self._near = np.full(height * width, -np.inf)
-        self._rgb = np.zeros((height * width, 3), np.uint8)
-
-    def add(self, pixels: Pixels, rgb: U1) -> None:
-        """Draw points at pixels (n,) in colours (n, 3); what lies outside is left out."""
-        width, height = self.size
-        order = np.argsort(pixels[2], kind="stable")
-        column, row, near, rgb = *(of[order] for of in pixels), rgb[order]
-        for x in range(self._dot_px[0]):
-            for y in range(self._dot_px[1]):
-                inside = (column + x >= 0) & (column + x < width) & (row + y >= 0) & (row + y < height)
-                pixel = (row[inside] + y) * width + column[inside] + x
-                in_front = near[inside] > self._near[pixel]
-                # Points come by nearness, and of several at one pixel numpy keeps the last.
-                self._near[pixel[in_front]] = near[inside][in_front]
-                self._rgb[pixel[in_front]] = rgb[inside][in_front]
-
-    def image(self) -> U1:
-        """Return the picture (height, width, 3), with relief."""
-        width, height = self.size
-        near = self._near.reshape(height, width)
-        drawn = np.isfinite(near)
-        behind, flat = np.zeros((height, width)), np.where(drawn, near, -1e6)
-        for axis in (0, 1):
-            for step in (-_NEIGHBOUR_PX, _NEIGHBOUR_PX):
-                behind += np.clip(np.roll(flat, step, axis) - flat, 0.0, 2.0)
-        light = np.maximum(np.exp(-_RELIEF * behind), _DARKEST)
-        rgb = np.where(drawn[..., None], self._rgb.reshape(height, width, 3) * light[..., None], _BACKGROUND)
-        return np.rint(rgb).astype(np.uint8)
-
 
 _NEEDED = {".png": "matplotlib", ".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # library by suffix; of the extra 'picture'
 _FRAMES_PER_S, _ELEVATION_DEG = 10, 32.0
@@ -103,6 +61,72 @@ class View:
     dot_px: tuple[int, int] = (2, 2)
     circles_m: F8 | None = None  # (k, 3) points of circles of range
     labels: tuple[tuple[float, float, str], ...] = ()  # words at columns and rows, from below, of a still
+
+
+class Drawing:
+    """A picture of the points of sweeps, coloured by a layer, as a view lays them out; `species` are names by number."""
+
+    def __init__(self, view: View, colour: str, species: Mapping[int, str]) -> None:
+        self.view, self.colour, self._species, self.revolutions, self.points = view, colour, species, 0, 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Take away all points."""
+        width, height = self.view.size
+        self._near = np.full(height * width, -np.inf)
+        self._rgb = np.zeros((height * width, 3), np.uint8)
+
+    def add(self, pixels: Pixels, rgb: U1) -> None:
+        """Draw points at pixels (n,) in colours (n, 3); what lies outside is left out."""
+        width, height = self.view.size
+        order = np.argsort(pixels[2], kind="stable")
+        column, row, near, rgb = *(of[order] for of in pixels), rgb[order]
+        for x in range(self.view.dot_px[0]):
+            for y in range(self.view.dot_px[1]):
+                inside = (column + x >= 0) & (column + x < width) & (row + y >= 0) & (row + y < height)
+                pixel = (row[inside] + y) * width + column[inside] + x
+                in_front = near[inside] > self._near[pixel]
+                # Points come by nearness, and of several at one pixel numpy keeps the last.
+                self._near[pixel[in_front]] = near[inside][in_front]
+                self._rgb[pixel[in_front]] = rgb[inside][in_front]
+
+    def image(self) -> U1:
+        """Return the picture (height, width, 3), with relief."""
+        width, height = self.view.size
+        near = self._near.reshape(height, width)
+        drawn = np.isfinite(near)
+        behind, flat = np.zeros((height, width)), np.where(drawn, near, -1e6)
+        for axis in (0, 1):
+            for step in (-_NEIGHBOUR_PX, _NEIGHBOUR_PX):
+                behind += np.clip(np.roll(flat, step, axis) - flat, 0.0, 2.0)
+        light = np.maximum(np.exp(-_RELIEF * behind), _DARKEST)
+        rgb = np.where(drawn[..., None], self._rgb.reshape(height, width, 3) * light[..., None], _BACKGROUND)
+        return np.rint(rgb).astype(np.uint8)
+
+    def images(self, sweeps: Iterator[Sweep], stop: Event) -> Iterator[Sweep]:
+        """Draw sweeps, and yield each when it is drawn."""
+        view = self.view
+        for sweep in sweeps:
+            if view.px_per_m is None:
+                self.clear()
+            if view.circles_m is not None:
+                self.add(view.pixels(view.circles_m), np.full(view.circles_m.shape, _CIRCLE_RGB, np.uint8))
+            place = view.places(sweep)
+            shown = ~np.isnan(place[:, 0])
+            self.add(view.pixels(place[shown]), coloured(sweep.scan, self.colour, self._species)[0][shown])
+            self.points += int(shown.sum())
+            self.revolutions += 1
+            yield sweep
+            if stop.is_set():
+                return
+
+    def marked(self, sweep: Sweep) -> U1:
+        """Return the picture with the place of the sensor in it."""
+        image = self.image()
+        if (sensor := self.view.sensor(sweep)) is not None:
+            (column,), (row,), _ = self.view.pixels(sensor[None])
+            image[max(row - 4, 0) : max(row + 5, 0), max(column - 4, 0) : max(column + 5, 0)] = _SENSOR_RGB
+        return image
 
 
 def check_suffix(path: Path) -> None:
@@ -186,7 +210,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
     colour = look.colour or ("natural" if "natural" in known else "reflectivity")
     if colour not in known:
         raise InputError("--colour", f"found {colour}", ", ".join(known))
-    drawing = _Drawing(_view(look, first, way_m, rings), colour, species)
+    drawing = Drawing(_view(look, first, way_m, rings), colour, species)
     one_by_one = suffix == ".png" and drawing.view.px_per_m is None
     images = drawing.images(chain([first], islice(sweeps, 0) if one_by_one else sweeps), stop)
     with OutputFile(path) as output, output.writing() as file:
@@ -276,37 +300,6 @@ def laser_rows(size: tuple[int, int], rings: int) -> View:
     return View(size, pixels, places, dot_px=dot_px, labels=(*azimuths, *ends))
 
 
-class _Drawing(Canvas):
-    def __init__(self, view: View, colour: str, species: Mapping[int, str]) -> None:
-        super().__init__(view.size, view.dot_px)
-        self.view, self.colour, self._species, self.revolutions, self.points = view, colour, species, 0, 0
-
-    def images(self, sweeps: Iterator[Sweep], stop: Event) -> Iterator[Sweep]:
-        """Draw sweeps, and yield each when it is drawn."""
-        view = self.view
-        for sweep in sweeps:
-            if view.px_per_m is None:
-                self.clear()
-            if view.circles_m is not None:
-                self.add(view.pixels(view.circles_m), np.full(view.circles_m.shape, _CIRCLE_RGB, np.uint8))
-            place = view.places(sweep)
-            shown = ~np.isnan(place[:, 0])
-            self.add(view.pixels(place[shown]), coloured(sweep.scan, self.colour, self._species)[0][shown])
-            self.points += int(shown.sum())
-            self.revolutions += 1
-            yield sweep
-            if stop.is_set():
-                return
-
-    def marked(self, sweep: Sweep) -> U1:
-        """Return the picture with the place of the sensor in it."""
-        image = self.image()
-        if (sensor := self.view.sensor(sweep)) is not None:
-            (column,), (row,), _ = self.view.pixels(sensor[None])
-            image[max(row - 4, 0) : max(row + 5, 0), max(column - 4, 0) : max(column + 5, 0)] = _SENSOR_RGB
-        return image
-
-
 def _film(file: Any, frames: Iterator[U1], look: PictureLook, suffix: str) -> None:
     if suffix == ".gif":
         from PIL import Image
@@ -324,9 +317,9 @@ def _film(file: Any, frames: Iterator[U1], look: PictureLook, suffix: str) -> No
     writer.close()
 
 
-def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
+def _still(file: Any, drawing: Drawing, entries: Entries) -> None:
     """Write a picture with its legend or scale of colours, and a bar of ten metres if points add up."""
-    view, (width, height) = drawing.view, drawing.size
+    view, (width, height) = drawing.view, drawing.view.size
     many, colour = drawing.points, drawing.colour
     points = f"{many / 1e6:.2f} million" if many >= _MILLIONS else f"{many:,}".replace(",", " ")
     which = " of a revolution" if view.px_per_m is None else ""

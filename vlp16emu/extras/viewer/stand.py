@@ -2,22 +2,20 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.extras.plots import colour_of_kind, surface_colours
+from vlp16emu.extras.plots import Rgb, colour_of_kind, surface_colours
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey
 from vlp16emu.forest.tiles import TILE_M, TileKey
-from vlp16emu.types import F4, F8, I8, U4, Mesh, PlantPart, ShapeKey
-
-Rgb = tuple[int, int, int]
+from vlp16emu.types import F8, I8, U4, Mesh, PlantPart, ShapeKey
 
 _FACES = 300_000
 """Triangles of all plants and things without stems, about: crowns look like crowns, and a browser without a graphics card draws a picture every second or two."""
@@ -35,21 +33,11 @@ _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_
 _ONE = np.eye(3, 4)[None]
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """A mesh of one colour with its instances."""
+def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the ground, the plants and the things within the radius of a survey, by name.
 
-    name: str
-    vertices_m: F4
-    faces: U4  # (f, 3) triangles
-    colour: Rgb
-    position_m: F8  # (n, 3) in the world
-    wxyz: F8  # (n, 4) unit quaternions
-    scale: F8  # (n, 3) along the axes of the mesh
-
-
-def pieces_of(seen: Survey) -> Iterator[Piece]:
-    """Yield the ground, the plants and the things within the radius of a survey."""
+    Each is a mesh of one colour with its instances, as the arguments of viser's `add_batched_meshes_simple`.
+    """
     if seen.hall is None:
         yield _piece("ground", _ground(seen), colour_of_kind("ground"), _ONE)
     window, colours = seen.window, surface_colours(seen.window.surfaces, seen.species)
@@ -73,12 +61,12 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
                 foot_m = mesh.vertices_m[mesh.vertices_m[:, 2].argmin(), :2]
                 if path.distance_m(window.world_T_shape[alike, :2, 3] + foot_m)[0] > seen.radius_m:
                     continue
-            few, colour = _simple(mesh, key, part, most), tuple(colours[row + number].tolist())
+            few, (red, green, blue) = _simple(mesh, key, part, most), colours[row + number].tolist()
             if len(alike) == 1:
                 turn, place_m = window.world_T_shape[alike[0], :, :3], window.world_T_shape[alike[0], :, 3]
-                single[colour].append(Mesh((few.vertices_m @ turn.T + place_m).astype(np.float32), few.faces))
+                single[red, green, blue].append(Mesh((few.vertices_m @ turn.T + place_m).astype(np.float32), few.faces))
             else:
-                yield _piece(f"things/{which}_{number}", few, colour, window.world_T_shape[alike])
+                yield _piece(f"things/{which}_{number}", few, (red, green, blue), window.world_T_shape[alike])
     for count, (colour, meshes) in enumerate(single.items()):
         first = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
         faces = [_triangles(mesh) + np.uint32(begin) for mesh, begin in zip(meshes, first, strict=False)]
@@ -196,10 +184,15 @@ def _triangles(mesh: Mesh) -> U4:
     return faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
 
 
-def _piece(name: str, mesh: Mesh, colour: tuple[int, ...], world_T_shape: F8) -> Piece:
+def _piece(name: str, mesh: Mesh, colour: Rgb, world_T_shape: F8) -> tuple[str, dict[str, Any]]:
     """Return a mesh with its placements (n, 3, 4), without shear, which instances in a browser cannot have."""
     scale = np.linalg.norm(world_T_shape[:, :, :3], axis=1)
     turn = Rotation.from_matrix(world_T_shape[:, :, :3] / scale[:, None, :])
-    red, green, blue = colour
-    wxyz = turn.as_quat(scalar_first=True)
-    return Piece(name, mesh.vertices_m, _triangles(mesh), (red, green, blue), world_T_shape[:, :, 3], wxyz, scale)
+    return name, {
+        "vertices": mesh.vertices_m,
+        "faces": _triangles(mesh),
+        "batched_wxyzs": turn.as_quat(scalar_first=True),
+        "batched_positions": world_T_shape[:, :, 3],
+        "batched_scales": scale,
+        "batched_colors": colour,
+    }

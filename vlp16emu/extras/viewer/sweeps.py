@@ -1,5 +1,6 @@
 """Sweeps by time: of a scene, computed on demand, and of a capture, with the faults of its packets."""
 
+from collections import defaultdict
 from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
@@ -121,10 +122,12 @@ class CaptureSweeps:
             self.health.append(str(error))
         if not self._starts_ns:
             raise InputError(str(path), "no whole revolution", "a capture of at least two")
-        self._faults = [one for one in found.findings if one.rule in _ABOUT_POINTS]
+        faults = [one for one in found.findings if one.rule in _ABOUT_POINTS]
         frame, t_ns = np.concatenate(packets, axis=1)
-        after = np.searchsorted(frame, [one.packet for one in self._faults])
-        self._faults_ns: list[int] = t_ns[np.minimum(after, len(t_ns) - 1)].tolist()
+        after = np.minimum(np.searchsorted(frame, [one.packet for one in faults]), len(t_ns) - 1)
+        self._faults = defaultdict[int, list[str]](list)  # by sweep
+        for sweep, fault in zip(np.searchsorted(self._starts_ns, t_ns[after], side="right"), faults, strict=True):
+            self._faults[int(sweep) - 1].append(str(fault))
         self.last_s = (self._starts_ns[-1] - self._starts_ns[0]) / 1e9
         self.step_s = self.last_s / max(len(self._starts_ns) - 1, 1) or 0.1
         self._reading: Generator[Scan] | None = None
@@ -150,10 +153,7 @@ class CaptureSweeps:
             self._next += 1
             if len(self._held) > _KEPT:
                 del self._held[min(self._held)]
-        scan, ends_ns = self._held[wanted], [*self._starts_ns[1:], np.iinfo(np.int64).max]
-        faults = zip(self._faults_ns, self._faults, strict=True)
-        shown = tuple(str(one) for t_ns, one in faults if scan.start_ns <= t_ns < ends_ns[wanted])
-        return by_trajectory(scan, self._way)._replace(faults=shown)
+        return by_trajectory(self._held[wanted], self._way)._replace(faults=tuple(self._faults[wanted]))
 
     def close(self) -> None:
         """Close the capture."""
@@ -167,6 +167,3 @@ class CaptureSweeps:
         for scan in scans_in(reader, labels_of):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
-
-
-Sweeps = SceneSweeps | CaptureSweeps

@@ -9,7 +9,7 @@ from vlp16emu.extras.walk.settings import Gait
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 AXES = 6  # fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)
 _HEEL_SHARPNESS = 20.0
@@ -44,7 +44,7 @@ class Trunk:
         self._amplitude = np.array([*lengths_m, *turns_rad, gait.second_harmonic_m, gait.heel_strike_m])
         self._lines = _lines(seed)
 
-    def at(self, elapsed_s: Array, effort: Array) -> Array:
+    def at(self, elapsed_s: F8, effort: F8) -> F8:
         """Displacements (n, 6), axes as in `AXES`, at times (n,) since the first step.
 
         Effort (n,) is the share of the amplitudes, 0 at rest and 1 at walking speed.
@@ -54,7 +54,7 @@ class Trunk:
         return out
 
 
-def _lines(seed: int) -> Array:
+def _lines(seed: int) -> F8:
     """Angular frequency and phase, (7, lines, 2), of the sinusoids of each slow process."""
     lines = np.empty((AXES + 1, _LINES, 2))
     for lane in range(AXES + 1):
@@ -66,7 +66,7 @@ def _lines(seed: int) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _band_noise(lines: Array, t_s: float) -> float:
+def _band_noise(lines: F8, t_s: float) -> float:
     total = 0.0
     for k in range(len(lines)):
         total += cos_sin(lines[k, 0] * t_s + lines[k, 1])[1]
@@ -74,7 +74,7 @@ def _band_noise(lines: Array, t_s: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _band_noise_integral(lines: Array, t_s: float) -> float:
+def _band_noise_integral(lines: F8, t_s: float) -> float:
     total = 0.0
     for k in range(len(lines)):
         total += (cos_sin(lines[k, 1])[0] - cos_sin(lines[k, 0] * t_s + lines[k, 1])[0]) / lines[k, 0]
@@ -82,9 +82,7 @@ def _band_noise_integral(lines: Array, t_s: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill(
-    elapsed_s: Array, effort: Array, step_hz: float, variation: float, amplitude: Array, lines: Array, out: Array
-) -> None:
+def _fill(elapsed_s: F8, effort: F8, step_hz: float, variation: float, amplitude: F8, lines: F8, out: F8) -> None:
     """Fill each row alone; positive pitch is nose down and positive roll right side down."""
     for i in range(elapsed_s.size):
         t_s = elapsed_s[i]

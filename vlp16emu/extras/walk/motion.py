@@ -8,15 +8,15 @@ import numpy as np
 
 from vlp16emu.extras.walk.gait import AXES, Trunk
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack
-from vlp16emu.extras.walk.path import Path
+from vlp16emu.extras.walk.path import path_over
 from vlp16emu.extras.walk.route import Route
 from vlp16emu.extras.walk.settings import Gait, Mast, Walk
 from vlp16emu.extras.walk.way_points import around, way_points
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.motion import Gps
 from vlp16emu.motion.pose import Kinematics, fill_rotation, rotate
+from vlp16emu.motion.settings import Gps
 from vlp16emu.trig import ZERO, cos_sin
-from vlp16emu.types import Array, IntArray, Poses
+from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 from vlp16emu.world.settings import Site
 
@@ -49,7 +49,7 @@ class WalkMotion:
         *,
         start_ns: int,
         seed: int,
-        under: tuple[Callable[[int, int], Array], Mast] | None = None,
+        under: tuple[Callable[[int, int], F8], Mast] | None = None,
     ) -> None:
         self._walk, self._seed = walk, seed
         self._route, self._start_ns, self._height_m = route, start_ns, walk.sensor_height_m
@@ -58,7 +58,7 @@ class WalkMotion:
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
         self.run_time_s = route.run_time_s
 
-    def poses_at(self, t_ns: IntArray) -> Poses:
+    def poses_at(self, t_ns: I8) -> Poses:
         """Poses at UTC instants (n,); before the start and after the end the person is at rest at the ends."""
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         room = np.empty((1 + 2 * AXES, _TOGETHER))
@@ -67,7 +67,7 @@ class WalkMotion:
             _poses(table, t_ns, begin_ns, which, room, poses.world_R_body, poses.world_p_body_m)
         return poses
 
-    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
+    def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses at UTC instants (n,) with the derivatives of the same function."""
         n = len(t_ns)
         out = Kinematics(t_ns, np.empty((n, 3, 3)), *(np.empty((n, 3)) for _ in range(5)))
@@ -84,7 +84,7 @@ class WalkMotion:
         under = self._pushes, mast
         return WalkMotion(self._walk, self._route, start_ns=self._start_ns, seed=self._seed, under=under)
 
-    def _pushes(self, first: int, count: int) -> Array:
+    def _pushes(self, first: int, count: int) -> F8:
         """Sample the pack's motion (count, 6) at knots from `first` on."""
         assert self._pack is not None
         seconds = range(first // KNOTS_PER_S, (first + count - 1) // KNOTS_PER_S + 1)
@@ -92,7 +92,7 @@ class WalkMotion:
         begin = first - seconds.start * KNOTS_PER_S
         return np.concatenate(samples)[begin : begin + count]
 
-    def _seconds(self, t_ns: IntArray) -> list[tuple[int, IntArray]]:
+    def _seconds(self, t_ns: I8) -> list[tuple[int, I8]]:
         """Seconds of the walk that instants (n,) fall into, and the numbers of those instants."""
         if len(t_ns) and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS:
             return [(low, np.arange(len(t_ns)))]  # as nine blocks in ten
@@ -101,13 +101,13 @@ class WalkMotion:
         parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
         return [(int(seconds[part[0]]), part) for part in parts if len(part)]
 
-    def _sway(self, first: int, count: int) -> Array:
+    def _sway(self, first: int, count: int) -> F8:
         """Sample the trunk's motion (count, 6) as `_pushes` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
         return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))  # smooth: starts and stops jerk no pack
 
-    def _tabulate(self, second: int) -> Array:
+    def _tabulate(self, second: int) -> F8:
         """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
         elapsed_s = np.arange(second * _NODES_PER_S, (second + 1) * _NODES_PER_S + 1) / _NODES_PER_S
         nodes, _ = self._route.at(elapsed_s)
@@ -117,7 +117,7 @@ class WalkMotion:
         return _hermite(nodes)
 
 
-def walk_over(walk: Walk, site: Site, gps: Gps, *, start_ns: int, seed: int) -> tuple[WalkMotion, Array]:
+def walk_over(walk: Walk, site: Site, gps: Gps, *, start_ns: int, seed: int) -> tuple[WalkMotion, F8]:
     """Return the motion of a walk and points (n, 2) of its path, around what is in the way; other parameters as of `Walk.carrier`.
 
     Raises TrajectoryError if a person cannot walk so.
@@ -126,7 +126,7 @@ def walk_over(walk: Walk, site: Site, gps: Gps, *, start_ns: int, seed: int) -> 
     points = way_points(walk, gps, site.origin_m[:2])
     if site.obstacles is not None:
         points = around(points, *site.obstacles)
-    path = Path(points.xy_m, site.height_m, site.name)
+    path = path_over(points.xy_m, site.height_m, site.name)
     return WalkMotion(walk, Route(path, walk, points.pause_s), start_ns=start_ns, seed=seed), path.xy_m
 
 
@@ -142,7 +142,7 @@ def _check_gait(gait: Gait, sensor_height_m: float) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def _sit(pack: Array, nodes: Array) -> None:
+def _sit(pack: F8, nodes: F8) -> None:
     """Add the pack's displacements (n, 6, 3), in the heading frame, to the route without gait (n, 6, 3)."""
     for n in range(len(nodes)):
         yaw, turn, turn2 = nodes[n, 5]
@@ -160,7 +160,7 @@ def _sit(pack: Array, nodes: Array) -> None:
                 nodes[n, axis, d] += pack[n, axis, d]
 
 
-def _hermite(nodes: Array) -> Array:
+def _hermite(nodes: F8) -> F8:
     """Coefficients (n - 1, 6, 6) of the quintics through value, rate and acceleration at nodes (n, 6, 3)."""
     h_s = 1.0 / _NODES_PER_S
     p, v, a = nodes[..., 0], nodes[..., 1] * h_s, nodes[..., 2] * (h_s * h_s)
@@ -172,15 +172,7 @@ def _hermite(nodes: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _poses(
-    table: Array,
-    t_ns: IntArray,
-    begin_ns: int,
-    which: IntArray,
-    room: Array,
-    world_R_body: Array,
-    world_p_body_m: Array,
-) -> None:
+def _poses(table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body: F8, world_p_body_m: F8) -> None:
     """Fill the poses at some of the instants, all within the second that begins at `begin_ns`.
 
     Those of a piece are done together, as many as there is `room` (13, n) for, so that loops over them do four at once.
@@ -215,16 +207,16 @@ def _poses(
 
 @numba.njit(cache=True, nogil=True)
 def _kinematics(
-    table: Array,
-    t_ns: IntArray,
+    table: F8,
+    t_ns: I8,
     begin_ns: int,
-    which: IntArray,
-    world_R_body: Array,
-    world_p_body_m: Array,
-    v_m_s: Array,
-    a_m_s2: Array,
-    w_rad_s: Array,
-    alpha_rad_s2: Array,
+    which: I8,
+    world_R_body: F8,
+    world_p_body_m: F8,
+    v_m_s: F8,
+    a_m_s2: F8,
+    w_rad_s: F8,
+    alpha_rad_s2: F8,
 ) -> None:
     per_s = 1.0e9 / _NODE_NS  # derivatives are by the share of a piece
     q = np.empty((3, AXES))
@@ -245,9 +237,7 @@ def _kinematics(
 
 
 @numba.njit(cache=True, nogil=True)
-def _body_rate(
-    angle_rad: Array, rate_rad_s: Array, acceleration_rad_s2: Array, w_rad_s: Array, alpha_rad_s2: Array
-) -> None:
+def _body_rate(angle_rad: F8, rate_rad_s: F8, acceleration_rad_s2: F8, w_rad_s: F8, alpha_rad_s2: F8) -> None:
     """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw (3,) and their derivatives.
 
     Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section 5.

@@ -18,7 +18,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.walk.gait import AXES
 from vlp16emu.extras.walk.settings import Harness, Mast
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
 NODES_PER_KNOT = 5  # instants per knot at which the pack's motion is handed out: one per millisecond
@@ -58,7 +58,7 @@ class Pack:
     harness : None where the pack is strapped tight
     """
 
-    def __init__(self, trunk: Callable[[int, int], Array], harness: Harness | Mast | None) -> None:
+    def __init__(self, trunk: Callable[[int, int], F8], harness: Harness | Mast | None) -> None:
         self._trunk, self._harness = trunk, harness
         if harness is None:
             return
@@ -77,7 +77,7 @@ class Pack:
         self._stiffness, self._drag = omega * omega, 2.0 * z * omega
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
-    def nodes(self, second: int) -> Array:
+    def nodes(self, second: int) -> F8:
         """Displacement, velocity and acceleration (1001, 6, 3) at the nodes of a second, both ends included.
 
         The second of the first step is 0. The same for whatever was asked before.
@@ -94,14 +94,14 @@ class Pack:
             _swing(pieces, self._steps, self._state(second), self._stiffness, self._drag, out)
         return out
 
-    def _pieces(self, second: int) -> Array:
+    def _pieces(self, second: int) -> F8:
         """Trunk as polynomials (200, 6, 6) of the seconds since each knot of a second, lowest power first."""
         samples, n = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1), KNOTS_PER_S
         spline = sum(share * samples[j : j + n + 5] for j, share in enumerate(_QUASI))
         powers = [sum(share * spline[j : j + n] for j, share in enumerate(row)) for row in _QUINTIC]
         return np.stack([KNOTS_PER_S**power * each for power, each in enumerate(powers)], axis=-1)
 
-    def _state(self, second: int) -> Array:
+    def _state(self, second: int) -> F8:
         """Stretch and its rate (6, 2) when a second begins, at rest until the first step.
 
         Summed from what each second within memory did by itself, so it does not matter where one starts.
@@ -111,7 +111,7 @@ class Pack:
             state = matvec(self._second, state) + self._pushed(past)
         return state
 
-    def _push(self, second: int) -> Array:
+    def _push(self, second: int) -> F8:
         state, out = np.zeros((AXES, 2)), np.zeros((KNOTS_PER_S + 1, AXES, 3))
         whole = np.ascontiguousarray(self._steps[:, -1:])  # from knot to knot
         _swing(self._pieces(second), whole, state, self._stiffness, self._drag, out)
@@ -119,14 +119,14 @@ class Pack:
 
 
 @numba.njit(cache=True, nogil=True)
-def _stretch(step: Array, state: Array, a: Array, row: int) -> float:
+def _stretch(step: F8, state: F8, a: F8, row: int) -> float:
     """Stretch (row 0) or its rate (row 1) after a step from a state, under -u'' of the piece a."""
     forced = step[row, 2] * a[2] * 2 + step[row, 3] * a[3] * 6 + step[row, 4] * a[4] * 12 + step[row, 5] * a[5] * 20
     return step[row, 0] * state[0] + step[row, 1] * state[1] - forced
 
 
 @numba.njit(cache=True, nogil=True)
-def _swing(pieces: Array, steps: Array, state: Array, stiffness: Array, drag: Array, out: Array) -> None:
+def _swing(pieces: F8, steps: F8, state: F8, stiffness: F8, drag: F8, out: F8) -> None:
     """Add the stretch to the trunk's motion (m, 6, 3) at nodes, and bring its state from the first of them to the last."""
     per_knot = steps.shape[1]
     for axis in range(AXES):
@@ -150,7 +150,7 @@ def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
     return z * omega if z < 1.0 else omega / (z + math.sqrt((z - 1.0) * (z + 1.0)))
 
 
-def response(frequency_hz: float, damping_ratio: float, s: float) -> Array:
+def response(frequency_hz: float, damping_ratio: float, s: float) -> F8:
     """Return the linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
 
     It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled until it is s

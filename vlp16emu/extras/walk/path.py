@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.splines import Spline, interpolant, polynomial
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.store import recalled
-from vlp16emu.types import Array, HeightField, IntArray
+from vlp16emu.types import F8, I8, HeightField
 
 _APART_M = 0.01  # waypoints nearer than this are one
 _LONGEST_M = 100_000.0  # what a person walks in a day; a longer path is a mistake of units
@@ -36,21 +35,13 @@ _GAUSS = (
 )  # places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)
 
 
-class _Laid(NamedTuple):
-    """What decides a path."""
-
-    curve: Spline  # by arc length
-    heading_rad: Array  # (m,) at its knots, continuous
-    closed: bool  # whether the path goes on at its start; then arc lengths may go on beyond the length
-    way_points_at_m: Array  # (n,) arc length of each waypoint
-    xy_m: Array  # (m, 2) points of the path 0.25 m apart at most
-
-
 class Path:
     """A curve through waypoints that follows the ground: four times continuously differentiable.
 
     It is a quintic spline whose parameter is its length, up and down included; a walker's
     hip smooths the ground, so the curve takes the mean of the heights from a pace behind to one ahead.
+    The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
+    quintic, since the second time derivative of the heading takes three derivatives of the position.
 
     Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, where the curve turns with a
     radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km.
@@ -60,17 +51,35 @@ class Path:
     way_points_m : (n, 2) float64, x and y in the world, n >= 2; where the last is the first (within
         1 cm), the path is a loop that closes smoothly
     height_m : ground height
-    ground : name of all that decides it; empty where nothing is kept on disk
     """
 
-    def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
-        name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
-        laid = recalled(name, lambda: _curve_through(way_points_m, height_m))
-        self._curve, self._heading_rad = laid.curve, laid.heading_rad
+    def __init__(self, way_points_m: F8, height_m: HeightField) -> None:
+        _check_way_points(way_points_m)
+        closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)
+        self.closed = closed  # whether the path goes on at its start; then arc lengths may go on beyond the length
+        origin_m = np.append(way_points_m[0], 0.0)
+        points_m = way_points_m - way_points_m[0]
+        if closed:
+            points_m[-1] = points_m[0]
+        # Centripetal parameters keep the curve from looping where waypoints are unevenly spaced
+        # (Lee, "Choosing nodes in parametric curve interpolation", CAD 21(6), 1989).
+        u = np.concatenate([[0.0], np.cumsum(np.sqrt(norm(np.diff(points_m, axis=0))))])
+        cubic = interpolant(u, points_m, ends="periodic" if closed else "natural")
+        knots, at_way_points = _knots(cubic, u, way_points_m, closed)
+        plan, along_m = _by_length(cubic, knots, closed)
+        z_m = _heights(plan, along_m, origin_m, height_m, closed)
+        solid = _spline(along_m, np.column_stack([plan(along_m), z_m(along_m)]), closed)
+        _check_slope(solid, along_m, origin_m)
+        self._curve, knots_m = _by_length(solid, along_m, closed)
+        self.xy_m = np.ascontiguousarray((self._curve(knots_m) + origin_m)[:, :2])
+        """(m, 2) points of the path 0.25 m apart at most."""
+        self._curve.powers[0] += origin_m
+        east, north, _ = self._curve(knots_m, 1).T
+        self._heading_rad = np.unwrap(atan2(north, east))  # (m,) at the knots, continuous
+        self.way_points_at_m = knots_m[at_way_points]  # (n,) arc length of each waypoint
         self.length_m = float(self._curve.breaks[-1])
-        self.closed, self.way_points_at_m, self.xy_m = laid.closed, laid.way_points_at_m, laid.xy_m
 
-    def derivatives_at(self, s_m: Array) -> tuple[Array, Array]:
+    def derivatives_at(self, s_m: F8) -> tuple[F8, F8]:
         """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
 
         The middle axis of the points is the order of the derivative. Headings are continuous, in radians from east. Beyond its
@@ -89,20 +98,26 @@ class Path:
         heading_rad[:, 2] = (x1 * y3 - y1 * x3 - 2.0 * (x1 * x2 + y1 * y2) * rate) / run2
         return np.ascontiguousarray(np.stack(point_m).transpose(2, 0, 1)), heading_rad
 
-    def turn_rad_m(self, s_m: Array) -> Array:
+    def turn_rad_m(self, s_m: F8) -> F8:
         """Return the turn of the heading per metre (n,), the first derivative of `derivatives_at` alone."""
         _, s_m = self._on_lap(s_m)
         powers, since_m = self._curve.within(s_m)
         (x1, y1), (x2, y2) = (polynomial(powers[:, :2], since_m, order) for order in (1, 2))
         return np.asarray((x1 * y2 - y1 * x2) / (x1 * x1 + y1 * y1))
 
-    def _on_lap(self, s_m: Array) -> tuple[Array, Array]:
+    def _on_lap(self, s_m: F8) -> tuple[F8, F8]:
         lap = np.floor(s_m / self.length_m) if self.closed else np.zeros(len(s_m))
         return lap, np.clip(s_m - lap * self.length_m, 0.0, self.length_m)
 
 
+def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
+    """Return the path over a ground of that name, laid once and then read from the user's store; empty if none is kept."""
+    name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
+    return recalled(name, lambda: Path(way_points_m, height_m))
+
+
 @numba.njit(cache=True, nogil=True)
-def limit_slope(values: Array, step: Array) -> None:
+def limit_slope(values: F8, step: F8) -> None:
     """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] >= 0 at most."""
     for i in range(values.size - 1):
         values[i + 1] = min(values[i + 1], values[i] + step[i])
@@ -110,37 +125,7 @@ def limit_slope(values: Array, step: Array) -> None:
         values[i] = min(values[i], values[i + 1] + step[i])
 
 
-def _curve_through(way_points_m: Array, height_m: HeightField) -> _Laid:
-    """Curve through waypoints (w, 2) over the ground; closed where the last waypoint is the first.
-
-    The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
-    quintic, since the second time derivative of the heading takes three derivatives of the position.
-
-    Raises TrajectoryError if a person cannot walk through the waypoints.
-    """
-    _check_way_points(way_points_m)
-    closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)
-    origin_m = np.append(way_points_m[0], 0.0)
-    points_m = way_points_m - way_points_m[0]
-    if closed:
-        points_m[-1] = points_m[0]
-    # Centripetal parameters keep the curve from looping where waypoints are unevenly spaced
-    # (Lee, "Choosing nodes in parametric curve interpolation", CAD 21(6), 1989).
-    u = np.concatenate([[0.0], np.cumsum(np.sqrt(norm(np.diff(points_m, axis=0))))])
-    cubic = interpolant(u, points_m, ends="periodic" if closed else "natural")
-    knots, at_way_points = _knots(cubic, u, way_points_m, closed)
-    plan, along_m = _by_length(cubic, knots, closed)
-    z_m = _heights(plan, along_m, origin_m, height_m, closed)
-    solid = _spline(along_m, np.column_stack([plan(along_m), z_m(along_m)]), closed)
-    _check_slope(solid, along_m, origin_m)
-    spline, knots_m = _by_length(solid, along_m, closed)
-    xy_m = np.ascontiguousarray((spline(knots_m) + origin_m)[:, :2])
-    spline.powers[0] += origin_m
-    east, north, _ = spline(knots_m, 1).T
-    return _Laid(spline, np.unwrap(atan2(north, east)), closed, knots_m[at_way_points], xy_m)
-
-
-def _check_way_points(way_points_m: Array) -> None:
+def _check_way_points(way_points_m: F8) -> None:
     if len(way_points_m) < 2:
         raise TrajectoryError("waypoints", f"found {len(way_points_m)}", "at least 2 of them")
     for i, point in enumerate(way_points_m):
@@ -150,16 +135,15 @@ def _check_way_points(way_points_m: Array) -> None:
         if np.abs(point).max() > _FARTHEST_M:
             raise TrajectoryError(where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin")
         if i and norm(point - way_points_m[i - 1]) < _APART_M:
-            place_m = float(point[0]), float(point[1])
             expected = "at least 1 cm between waypoints"
-            raise TrajectoryError(where, "coincides with the one before it", expected, at_m=place_m)
+            raise TrajectoryError(where, "coincides with the one before it", expected)
     length_m = float(norm(np.diff(way_points_m, axis=0)).sum())
     if length_m > _LONGEST_M:
         found = f"found {length_m / 1000:.4g} km from first to last"
         raise TrajectoryError("waypoints", found, f"at most {_LONGEST_M / 1000:g} km")
 
 
-def _knots(cubic: Spline, u: Array, way_points_m: Array, closed: bool) -> tuple[Array, IntArray]:
+def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8]:
     """Parameters of the knots, dense in turns, and which of them are the waypoints."""
     chords_m = norm(np.diff(way_points_m, axis=0))
     counts = np.maximum(_FEWEST_SAMPLES, np.ceil(chords_m / _SAMPLE_M)).astype(np.int64)
@@ -188,7 +172,7 @@ def _knots(cubic: Spline, u: Array, way_points_m: Array, closed: bool) -> tuple[
     return np.interp(wanted, measure, fine), at_way_points
 
 
-def _curvature(steps: Array, closed: bool) -> Array:
+def _curvature(steps: F8, closed: bool) -> F8:
     """Curvature (n,) at n samples, from the angles between the n - 1 steps; infinite where they halt."""
     before, after = (np.roll(steps, 1, axis=0), steps) if closed else (steps[:-1], steps[1:])
     ahead, aside = (before * after).sum(axis=1), before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -200,23 +184,23 @@ def _curvature(steps: Array, closed: bool) -> Array:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def _check_radius(curvature: Array, points_m: Array, number: IntArray) -> None:
+def _check_radius(curvature: F8, points_m: F8, number: I8) -> None:
     worst = int(curvature.argmax())
     if curvature[worst] * _SMALLEST_RADIUS_M > 1.0:
         x_m, y_m = points_m[worst]
         where = f"path at ({x_m:.2f}, {y_m:.2f}) m, near waypoint {number[worst] + 1}"
         found = f"turns with a radius of {1.0 / curvature[worst]:.2g} m"
         expected = f"at least {_SMALLEST_RADIUS_M:g} m: more waypoints round the turn"
-        raise TrajectoryError(where, found, expected, at_m=(float(x_m), float(y_m)))
+        raise TrajectoryError(where, found, expected)
 
 
-def _spline(at: Array, points_m: Array, closed: bool) -> Spline:
+def _spline(at: F8, points_m: F8, closed: bool) -> Spline:
     if not closed:
         return interpolant(at, points_m, 5)
     return interpolant(at, np.concatenate([points_m[:-1], points_m[:1]]), 5, "periodic")
 
 
-def _by_length(curve: Spline, knots: Array, closed: bool) -> tuple[Spline, Array]:
+def _by_length(curve: Spline, knots: F8, closed: bool) -> tuple[Spline, F8]:
     """Draw a curve again with its own length as the parameter: the spline and its knots."""
     half, mean_speed = np.diff(knots) / 2, np.zeros(len(knots) - 1)
     for place, weight in _GAUSS:
@@ -225,7 +209,7 @@ def _by_length(curve: Spline, knots: Array, closed: bool) -> tuple[Spline, Array
     return _spline(along_m, curve(knots), closed), along_m
 
 
-def _heights(plan: Spline, along_m: Array, origin_m: Array, height_m: HeightField, closed: bool) -> Spline:
+def _heights(plan: Spline, along_m: F8, origin_m: F8, height_m: HeightField, closed: bool) -> Spline:
     """Heights along the plan as the hip takes them: the mean of the ground from a pace behind to one ahead.
 
     The weight falls linearly to nothing over a pace, since two feet in turn carry the hip (assumption).
@@ -243,7 +227,7 @@ def _heights(plan: Spline, along_m: Array, origin_m: Array, height_m: HeightFiel
     return interpolant(at_m, _smoothed(padded, reach)[:, None])
 
 
-def _smoothed(padded: Array, reach: int) -> Array:
+def _smoothed(padded: F8, reach: int) -> F8:
     """Mean (n,) of values (n + 2 reach - 2,) with weights that fall linearly to nothing over `reach` steps."""
     out = np.zeros(len(padded) - 2 * reach + 2)
     for k in range(1 - reach, reach):
@@ -251,7 +235,7 @@ def _smoothed(padded: Array, reach: int) -> Array:
     return out
 
 
-def _check_slope(solid: Spline, along_m: Array, origin_m: Array) -> None:
+def _check_slope(solid: Spline, along_m: F8, origin_m: F8) -> None:
     dx, dy, dz = solid(along_m, 1).T
     slope = np.abs(dz) / hypot(dx, dy)
     worst = int(slope.argmax())
@@ -259,4 +243,4 @@ def _check_slope(solid: Spline, along_m: Array, origin_m: Array) -> None:
         x_m, y_m, _ = solid(along_m[worst : worst + 1])[0] + origin_m
         where, steep_deg = f"path at ({x_m:.2f}, {y_m:.2f}) m", math.degrees(atan2(float(slope[worst]), 1.0))
         found = f"the ground rises or falls by {steep_deg:.0f} degrees"
-        raise TrajectoryError(where, found, f"at most {_STEEPEST_DEG:g} degrees", at_m=(float(x_m), float(y_m)))
+        raise TrajectoryError(where, found, f"at most {_STEEPEST_DEG:g} degrees")

@@ -11,7 +11,7 @@ from vlp16emu.extras.splines import Spline, powers
 from vlp16emu.extras.walk.gait import AXES
 from vlp16emu.extras.walk.path import Path, limit_slope
 from vlp16emu.extras.walk.settings import Walk
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 Stops = Sequence[tuple[float, float]]
 _PLACED = [0, 1, 2, 5]  # of x, y, z, roll, pitch and yaw those that a path gives
@@ -29,17 +29,23 @@ _HALVINGS = 24  # of the range of cruise speeds, when the run time is given
 class Route:
     """A path with the times at which a person is on it, `laps` times round where it is closed.
 
-    Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, or the time is too
-    short.
+    Arc length over time is a quintic B-spline with equal steps, four times continuously differentiable. The person goes
+    as fast as cruise speed, turn rate and acceleration allow, each as the largest function of arc length that keeps all
+    three. Its arc length at equal times are the control points of the spline, so speed and acceleration are weighted
+    means of those before smoothing, keep the same limits, and never run backwards. At both ends and at stops the person
+    is at rest.
+
+    Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, the run time is too
+    short, or the walk would take more than two weeks.
 
     Parameters
     ----------
     path : over the ground
-    walk : laps, speed or run time, limits, and the stops along the path
+    walk : laps, limits, the cruise speed or the run time to which it is adapted, and the stops along the path
     pause_s : (n,) how long the person stops at each waypoint of the path
     """
 
-    def __init__(self, path: Path, walk: Walk, pause_s: Array) -> None:
+    def __init__(self, path: Path, walk: Walk, pause_s: F8) -> None:
         if walk.laps > 1 and not path.closed:
             found = f"found {walk.laps} on an open path"
             raise TrajectoryError("laps", found, "1, back_and_forth = true, or a last waypoint on the first")
@@ -52,12 +58,25 @@ class Route:
         laps = [
             ((lap + at_m / path.length_m) * path.length_m, stop_s) for lap in range(walk.laps) for at_m, stop_s in stops
         ]
-        self._profile = Profile(self.length_m, path.turn_rad_m, walk, laps)
+        bounds_m, pauses_s = _rests(laps, self.length_m)
+        legs = [_Leg(start_m, end_m, path.turn_rad_m, walk) for start_m, end_m in pairwise(bounds_m.tolist())]
+        self._step_s, run_time_s = _KNOT_S, walk.run_time_s
+        self.speed_m_s = walk.speed_m_s  # cruise speed
+        if run_time_s is not None:
+            self.speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), self.length_m)
+        at_s, control_m = _sampled(legs, pauses_s, self.speed_m_s)
+        self._moves_s = float(at_s + _PADDING_S)
+        if run_time_s is not None:
+            # The search ends a hair below the time given; stretched, no limit is passed.
+            self._step_s *= run_time_s / self._moves_s
+            self._moves_s = run_time_s
         self._stand_s = walk.stand_s
-        self.run_time_s = walk.stand_s + self._profile.run_time_s  # time from the start to the last motion
-        self.speed_m_s = self._profile.speed_m_s  # cruise speed
+        self.run_time_s = walk.stand_s + self._moves_s  # time from the start to the last motion
+        knots = np.arange(len(control_m) + _DEGREE + 1.0) - _DEGREE  # in steps
+        at = knots[_DEGREE:-_DEGREE]
+        self._along_m = Spline(at, powers(at, knots, control_m[:, None], _DEGREE))
 
-    def at(self, elapsed_s: Array) -> tuple[Array, Array]:
+    def at(self, elapsed_s: F8) -> tuple[F8, F8]:
         """Foot point at times (n,) since the start, before any gait; before the first step and after the run time at rest.
 
         Returns
@@ -65,7 +84,10 @@ class Route:
         (n, 6, 3) value, exact first and second time derivative of x, y, z, roll, pitch and yaw in the world, where roll and
         pitch are 0 and the yaw is continuous, so it may pass pi; and (n,) speed along the path, never negative
         """
-        along_m, speed_m_s, acceleration_m_s2 = self._profile.at(elapsed_s - self._stand_s)
+        steps = np.clip(elapsed_s - self._stand_s, 0.0, self._moves_s) / self._step_s
+        along_m, rate, second = (self._along_m(steps, order)[:, 0] for order in range(3))
+        speed_m_s = np.maximum(rate, 0.0) / self._step_s  # rounding at rest must not walk backwards
+        acceleration_m_s2 = second / (self._step_s * self._step_s)
         point_m, heading_rad = self._path.derivatives_at(along_m)
         curve, speed = np.concatenate([point_m, heading_rad[..., None]], axis=2), speed_m_s[:, None]
         nodes = np.zeros((len(elapsed_s), AXES, 3))
@@ -75,50 +97,6 @@ class Route:
         return nodes, speed_m_s
 
 
-class Profile:
-    """Arc length over time: a quintic B-spline with equal steps, four times continuously differentiable.
-
-    The person goes as fast as cruise speed, turn rate and acceleration allow, each as the largest
-    function of arc length that keeps all three. Its arc length at equal times are the control points of
-    the spline, so speed and acceleration are weighted means of those before smoothing, keep the same
-    limits, and never run backwards. At both ends and at stops the person is at rest.
-
-    Raises TrajectoryError if a stop is not on the path, the run time is too short, or the walk would take more than two
-    weeks.
-
-    Parameters
-    ----------
-    length_m : of the path, all laps together
-    turn_rad_m : turn of the heading per metre, either sign, at arc lengths (n,)
-    walk : limits, and the cruise speed or the run time to which it is adapted
-    stops : arc length and pause in s of each stop
-    """
-
-    def __init__(self, length_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk, stops: Stops) -> None:
-        bounds_m, pauses_s = _rests(stops, length_m)
-        legs = [_Leg(start_m, end_m, turn_rad_m, walk) for start_m, end_m in pairwise(bounds_m.tolist())]
-        self._step_s, run_time_s = _KNOT_S, walk.run_time_s
-        self.speed_m_s = walk.speed_m_s  # cruise speed
-        if run_time_s is not None:
-            self.speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), length_m)
-        at_s, control_m = _sampled(legs, pauses_s, self.speed_m_s)
-        self.run_time_s = float(at_s + _PADDING_S)
-        if run_time_s is not None:
-            # The search ends a hair below the time given; stretched, no limit is passed.
-            self._step_s *= run_time_s / self.run_time_s
-            self.run_time_s = run_time_s
-        knots = np.arange(len(control_m) + _DEGREE + 1.0) - _DEGREE  # in steps
-        at = knots[_DEGREE:-_DEGREE]
-        self._along_m = Spline(at, powers(at, knots, control_m[:, None], _DEGREE))
-
-    def at(self, elapsed_s: Array) -> tuple[Array, Array, Array]:
-        """Arc lengths in m, speeds in m/s and accelerations in m/s^2, each (n,), at times (n,) since the start."""
-        steps = np.clip(elapsed_s, 0.0, self.run_time_s) / self._step_s
-        along_m, rate, second = (self._along_m(steps, order)[:, 0] for order in range(3))
-        # Rounding at rest must not walk backwards.
-        return along_m, np.maximum(rate, 0.0) / self._step_s, second / (self._step_s * self._step_s)
-
-
 _PADDING_S = (2 * _REACH - 1) * _KNOT_S
 """Time by which smoothing makes the run longer: the first control point that moves comes two steps after the start."""
 
@@ -126,7 +104,7 @@ _PADDING_S = (2 * _REACH - 1) * _KNOT_S
 class _Leg:
     """The part of the path from one rest to the next, in equal cells."""
 
-    def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk) -> None:
+    def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[F8], F8], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
         blocks = np.array_split(looked_m, 1 + len(looked_m) // _BLOCK)  # a path of 100 km has 20 million places
@@ -137,7 +115,7 @@ class _Leg:
         self.at_m = looked_m[::_LOOKS]
         self._gain = np.full(cells, walk.acceleration_m_s2 * self._cell_m)
 
-    def speeds_m_s(self, cruise_m_s: float) -> Array:
+    def speeds_m_s(self, cruise_m_s: float) -> F8:
         """Return the speeds (n,) at the cells' edges before smoothing.
 
         Smoothing mixes speeds from `2 * _REACH` steps of time, so the limits reach as far as the person then gets.
@@ -151,13 +129,13 @@ class _Leg:
         limit_slope(energy, self._gain)
         return np.sqrt(2 * energy)
 
-    def times_s(self, speeds_m_s: Array) -> Array:
+    def times_s(self, speeds_m_s: F8) -> F8:
         """Return the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
         with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
 
 
-def _least_within(values: Array, reach: int) -> Array:
+def _least_within(values: F8, reach: int) -> F8:
     """Find the least value (n,) within `reach` neighbours to either side, in windows that double in width.
 
     As `minimum_filter1d` of scipy.ndimage does, whose import would take 40 ms of each start.
@@ -169,7 +147,7 @@ def _least_within(values: Array, reach: int) -> Array:
     return np.minimum(least[: len(values)], least[-len(values) :])
 
 
-def _rests(stops: Stops, length_m: float) -> tuple[Array, Array]:
+def _rests(stops: Stops, length_m: float) -> tuple[F8, F8]:
     """Arc lengths (r,) at which the person rests, both ends among them, and for how long before smoothing."""
     for stop_m, _ in stops:
         if not 0.0 <= stop_m <= length_m:
@@ -201,7 +179,7 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
     return high
 
 
-def _sampled(legs: Sequence[_Leg], pauses_s: Array, cruise_m_s: float) -> tuple[float, Array]:
+def _sampled(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[float, F8]:
     """Duration before smoothing, and the control points (c,): arc lengths at equal times."""
     begin_s, begins, runs = pauses_s[0], [], []
     for leg, pause_s in zip(legs, pauses_s[1:], strict=True):

@@ -14,7 +14,7 @@ from vlp16emu.settings import Angle, Fraction, NonNegative, Preset, SceneFile, S
 if TYPE_CHECKING:  # scenes are read without numpy
     from vlp16emu.extras.walk.motion import WalkMotion
     from vlp16emu.motion.pose import Motion
-    from vlp16emu.types import Array
+    from vlp16emu.types import F8
     from vlp16emu.world.settings import Site
 
 _Amplitude = Annotated[float, Field(ge=0, le=1)]
@@ -215,7 +215,7 @@ class Walk(MotionSection):
             raise ValueError("stops given by at_m where lawn_mower makes the waypoints")
         return self
 
-    def carrier(self, site: "Site", *, gps: Gps, start_ns: int, seed: int, **_: object) -> "tuple[WalkMotion, Array]":
+    def carrier(self, site: "Site", *, gps: Gps, start_ns: int, seed: int, **_: object) -> "tuple[WalkMotion, F8]":
         """Return the motion of the pack, and points (n, 2) of its path on the map; errors as of `WalkMotion` and `way_points`."""
         from vlp16emu.extras.walk.motion import walk_over
 

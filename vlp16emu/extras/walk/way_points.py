@@ -12,10 +12,10 @@ from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.extras.walk.path import Path as WalkedPath
 from vlp16emu.extras.walk.settings import LawnMower, Walk
-from vlp16emu.motion import Gps
 from vlp16emu.motion.gnss import to_local
+from vlp16emu.motion.settings import Gps
 from vlp16emu.tables import Column, Table, read_table
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 _POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
 _LOOP_RADIUS_M = 0.5  # of the turn behind each end of a way back and forth: a step to the side, and round (assumption)
@@ -36,8 +36,8 @@ _SPARE_M, _WIDER_M = 0.05, 0.05
 class WayPoints:
     """Places to pass, in order."""
 
-    xy_m: Array  # (n, 2) world
-    pause_s: Array  # (n,) how long the person stops there, 0 where the walk goes on
+    xy_m: F8  # (n, 2) world
+    pause_s: F8  # (n,) how long the person stops there, 0 where the walk goes on
 
 
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
@@ -144,7 +144,7 @@ def _there_and_back(points: WayPoints) -> WayPoints:
     )
 
 
-def _turning_loop(before_m: Array, end_m: Array) -> Array:
+def _turning_loop(before_m: F8, end_m: F8) -> F8:
     """Waypoints (n, 2) of a loop that leads back to the end of a way, straight against how one came there.
 
     A sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth to the right, all
@@ -157,7 +157,7 @@ def _turning_loop(before_m: Array, end_m: Array) -> Array:
     return np.asarray(end_m + np.cumsum(chords_m, axis=0)[:-1])
 
 
-def lawn_mower(plot: LawnMower) -> Array:
+def lawn_mower(plot: LawnMower) -> F8:
     """Waypoints (n, 2) along parallel lines to and fro over a rectangle, joined by rounded turns inside it.
 
     The lines are as many as fit, in the middle of the width.
@@ -185,7 +185,7 @@ def lawn_mower(plot: LawnMower) -> Array:
     return np.column_stack([cosine * along - sine * across, sine * along + cosine * across]) + plot.corner_m
 
 
-def _rounded(corners_m: Array, radius_m: float, spacing_m: float) -> Array:
+def _rounded(corners_m: F8, radius_m: float, spacing_m: float) -> F8:
     """Points (n, 2) at about equal distances along right-angled corners (c, 2) that are cut by quarter circles."""
     ahead = np.diff(corners_m, axis=0)
     ahead /= norm(ahead)[:, None]
@@ -199,18 +199,18 @@ def _rounded(corners_m: Array, radius_m: float, spacing_m: float) -> Array:
     return np.concatenate([*pieces, _straight(at, corners_m[-1], spacing_m), corners_m[-1:]])
 
 
-def _straight(start_m: Array, end_m: Array, spacing_m: float) -> Array:
+def _straight(start_m: F8, end_m: F8, spacing_m: float) -> F8:
     """Points (n, 2) from a start until before an end; none where both are one."""
     count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)
 
 
-def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
+def around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
     """Put waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), the nearest first; the user's stay.
 
     Raises TrajectoryError if no way around is found.
     """
-    beside = dict[int, tuple[int, Array]]()  # tries and waypoint by place
+    beside = dict[int, tuple[int, F8]]()  # tries and waypoint by place
     for _ in range(_TRIES):
         path = WalkedPath(points.xy_m, lambda x, _y: np.zeros_like(x))
         apart_m = np.array([norm(path.xy_m - place_m) for place_m in places_m])

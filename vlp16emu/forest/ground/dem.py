@@ -19,7 +19,7 @@ from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, rea
 from vlp16emu.foliage.polyline import distance_m
 from vlp16emu.forest.settings import Dem
 from vlp16emu.kernels.compiler import numba
-from vlp16emu.types import Array, HeightField
+from vlp16emu.types import F8, HeightField
 
 _MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read, whatever a compressed file promises
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0
@@ -37,7 +37,7 @@ class Grid:
     """Heights over equal squares, as the file has them."""
 
     path: Path
-    heights_m: Array  # (rows, columns), northernmost row first, NaN where the file has no height.
+    heights_m: F8  # (rows, columns), northernmost row first, NaN where the file has no height.
     west_m: float  # easting of the centres of the first column
     north_m: float  # northing of the centres of the first row
     cell_m: float
@@ -62,7 +62,7 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
     return _read_ascii(path) if kind == ".asc" else _read_geotiff(path)
 
 
-def write_ascii(file: BinaryIO, height_m: HeightField, low_m: Array, high_m: Array, cell_m: float) -> None:
+def write_ascii(file: BinaryIO, height_m: HeightField, low_m: F8, high_m: F8, cell_m: float) -> None:
     """Write ground as an ESRI ASCII grid, in millimetres; each height is that at the centre of its cell.
 
     The grid holds the rectangle from `low_m` to `high_m` (2,), its edges at whole multiples of a cell.
@@ -78,12 +78,12 @@ def write_ascii(file: BinaryIO, height_m: HeightField, low_m: Array, high_m: Arr
         np.savetxt(file, heights_m[None], fmt="%.3f")
 
 
-def _from_corner(path: Path, heights_m: Array, corner_m: tuple[float, float], cell_m: float) -> Grid:
+def _from_corner(path: Path, heights_m: F8, corner_m: tuple[float, float], cell_m: float) -> Grid:
     west_m, south_m = corner_m
     return _grid(path, heights_m, west_m + cell_m / 2, south_m + (len(heights_m) - 0.5) * cell_m, cell_m)
 
 
-def _grid(path: Path, heights_m: Array, west_m: float, north_m: float, cell_m: float) -> Grid:
+def _grid(path: Path, heights_m: F8, west_m: float, north_m: float, cell_m: float) -> Grid:
     rows, columns = heights_m.shape
     if min(rows, columns) < 2:
         raise GeometryError(str(path), f"found {rows} rows of {columns}", "at least 2 rows of 2")
@@ -99,7 +99,7 @@ def _grid(path: Path, heights_m: Array, west_m: float, north_m: float, cell_m: f
     return Grid(path, heights_m, west_m, north_m, cell_m)
 
 
-def _read_npy(path: Path) -> Array:
+def _read_npy(path: Path) -> F8:
     with readable(path, "a numpy array", GeometryError, most_bytes=LARGEST_BYTES), path.open("rb") as file:
         try:
             heights = np.lib.format.read_array(file, allow_pickle=False)
@@ -228,7 +228,7 @@ class DemHeights:
         level_m = heights_m[::-1] - up
         self._nodes_m = np.pad(level_m, 1, mode="reflect", reflect_type="odd")
 
-    def height_m(self, x_m: Array, y_m: Array) -> Array:
+    def height_m(self, x_m: F8, y_m: F8) -> F8:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
@@ -236,7 +236,7 @@ class DemHeights:
         _heights(*flat, self._nodes_m, self._west_m, self._south_m, self._grid.cell_m)
         return height
 
-    def check(self, path_xy_m: Array, reach_m: float) -> None:
+    def check(self, path_xy_m: F8, reach_m: float) -> None:
         """Raise GeometryError where a path (n, 2) leaves the grid, or a cell within reach has no height; warn of edges in sight."""
         rows, columns = self._grid.heights_m.shape
         x, y = path_xy_m.T
@@ -251,7 +251,7 @@ class DemHeights:
             if gap_m.min() < 0:
                 px, py = path_xy_m[gap_m.argmin()].tolist()
                 found = f"ends in {edge}, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
-                raise GeometryError(str(self._grid.path), found, "ground under the whole path", at_m=(px, py))
+                raise GeometryError(str(self._grid.path), found, "ground under the whole path")
         if in_sight:
             nearest_m = min(gap_m.min() for gap_m in in_sight.values())
             _log.warning(
@@ -269,7 +269,7 @@ class DemHeights:
             where = f"{self._grid.path}: row {row[i] + 1}, column {column[i] + 1}"
             found = f"no height at ({px:.1f}, {py:.1f}) m{on_map}, {gap_m[i]:.1f} m from the path"
             expected = f"heights {reach_m:g} m around the path and two cells more"
-            raise GeometryError(where, found, expected, at_m=(px, py))
+            raise GeometryError(where, found, expected)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
@@ -289,7 +289,7 @@ def _between(a: float, b: float, c: float, d: float, t: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _heights(out: Array, x: Array, y: Array, nodes: Array, west_m: float, south_m: float, cell_m: float) -> None:
+def _heights(out: F8, x: F8, y: F8, nodes: F8, west_m: float, south_m: float, cell_m: float) -> None:
     """Fill (n,) heights; `nodes` has a border of one cell."""
     rows, columns = nodes.shape
     z = np.empty(4)

@@ -19,12 +19,12 @@ from vlp16emu.forest.settings import Terrain
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import generator, philox4x32
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 _WAVES = 48  # enough that their sum is near normal; its cost is proportional to it
 
 
-def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: float) -> Array:
+def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: float) -> F8:
     """Waves of a band: (n, 4) with wave vector x and y in rad/m, amplitude, phase; none if flat.
 
     Spread evenly over log wavelength, with a variance in proportion to the wavelength: the power spectrum falls with the
@@ -42,7 +42,7 @@ def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: flo
 
 
 @numba.njit(cache=True, nogil=True)
-def sum_of_waves(out: Array, x: Array, y: Array, band: Array, gradient_x: float, gradient_y: float) -> None:
+def sum_of_waves(out: F8, x: F8, y: F8, band: F8, gradient_x: float, gradient_y: float) -> None:
     """Fill (n,) sums of a slope and the waves of bands; each point is summed alone, wave by wave, so that its neighbours cannot matter."""
     for i in range(out.shape[0]):
         out[i] = gradient_x * x[i] + gradient_y * y[i]
@@ -75,7 +75,7 @@ class Trails:
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
         self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # on which trees may stand
 
-    def are_free(self, xy_m: Array) -> NDArray[np.bool_]:
+    def are_free(self, xy_m: F8) -> NDArray[np.bool_]:
         """Return a mask (n,) of the points (n, 2) off all trails."""
         if not self._spacing_m:
             return np.ones(len(xy_m), np.bool_)
@@ -84,7 +84,7 @@ class Trails:
         aside_m = np.abs(across_m - self._spacing_m * np.floor(across_m / self._spacing_m + 0.5))
         return np.asarray(aside_m > _FREE_M)
 
-    def add(self, height_m: Array, x_m: Array, y_m: Array) -> None:
+    def add(self, height_m: F8, x_m: F8, y_m: F8) -> None:
         """Add ruts to heights (n,) of points."""
         if self._spacing_m:
             _add_ruts(height_m, x_m, y_m, self._spacing_m, *self._along, *self._seed)
@@ -98,14 +98,7 @@ def _first_m(seed_low: np.uint32, seed_high: np.uint32, spacing_m: float) -> flo
 
 @numba.njit(cache=True, nogil=True)
 def _add_ruts(
-    out: Array,
-    x: Array,
-    y: Array,
-    spacing_m: float,
-    along_x: float,
-    along_y: float,
-    seed_low: np.uint32,
-    seed_high: np.uint32,
+    out: F8, x: F8, y: F8, spacing_m: float, along_x: float, along_y: float, seed_low: np.uint32, seed_high: np.uint32
 ) -> None:
     """Add to (n,) heights the ruts of the nearest trail of each point."""
     first = _first_m(seed_low, seed_high, spacing_m)
@@ -169,7 +162,7 @@ class TerrainHeights:
         self._pit_share = section.pits_per_ha * _PIT_CELL_M * _PIT_CELL_M / 10_000
         self.trails = Trails(section, seed=seed)
 
-    def height_m(self, x_m: Array, y_m: Array) -> Array:
+    def height_m(self, x_m: F8, y_m: F8) -> F8:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
@@ -185,7 +178,7 @@ class TerrainHeights:
 
 @numba.njit(cache=True, nogil=True)
 def _add(
-    out: Array, x: Array, y: Array, share: float, cell_m: float, purpose: int, seed_low: np.uint32, seed_high: np.uint32
+    out: F8, x: F8, y: F8, share: float, cell_m: float, purpose: int, seed_low: np.uint32, seed_high: np.uint32
 ) -> None:
     """Add to (n,) heights the mounds or pits of the squares around each point; `share` of all squares have one."""
     for i in range(out.shape[0]):

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.settings import Section
-from vlp16emu.types import Array
+from vlp16emu.types import F8
 
 Coefficients = tuple[float, ...]
 
@@ -25,7 +25,7 @@ _STUMP_SHARE = 0.01  # height of the stump over that of the tree, as Vonderach a
 _COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
-def truncated_weibull_cm(coefficients: Coefficients, probability: Array, mean_dbh_cm: float) -> Array:
+def truncated_weibull_cm(coefficients: Coefficients, probability: F8, mean_dbh_cm: float) -> F8:
     """Quantiles of a stand's diameters before scaling to their quadratic mean: left-truncated Weibull, Nagel and Biging (1995)."""
     a0, a1, c0, c1, c2 = coefficients
     scale = a0 + a1 * mean_dbh_cm
@@ -34,16 +34,14 @@ def truncated_weibull_cm(coefficients: Coefficients, probability: Array, mean_db
     return scale * power(floor - log1p(-probability), 1 / shape)
 
 
-def _uniform_height_m(coefficients: Coefficients, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:
+def _uniform_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float, mean_height_m: float) -> F8:
     """Uniform height curve through (mean_dbh_cm, mean_height_m), Nagel (1999); a, b."""
     a, b = coefficients
     exponent = a * (1 - mean_dbh_cm / dbh_cm) + b * (1 / mean_dbh_cm - 1 / dbh_cm)
     return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * exp(exponent)
 
 
-def _curtis_arney_height_m(
-    coefficients: Coefficients, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float
-) -> Array:
+def _curtis_arney_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float, mean_height_m: float) -> F8:
     """Curtis-Arney curve (Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet), stretched to the mean tree.
 
     Below 3 inches, where the equation does not hold, a straight line leads to breast height.
@@ -54,7 +52,7 @@ def _curtis_arney_height_m(
     return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * (above_breast_ft[:-1] / above_breast_ft[-1])
 
 
-def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
+def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: F8) -> F8:
     """Forest-grown crowns, Bechtold (2003), for inches and feet; a1, a2, a3, a4 and the crown ratio in percent.
 
     Below 5 inches in proportion to diameter, above 50 inches constant, as the Forest Vegetation Simulator does.
@@ -66,17 +64,15 @@ def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: Array) -> Array:
 
 
 def _logistic_crown_base(
-    coefficients: Coefficients, dbh_cm: Array, height_m: Array, larger_m2_per_ha: Array, ccf_percent: Array
-) -> Array:
+    coefficients: Coefficients, dbh_cm: F8, height_m: F8, larger_m2_per_ha: F8, ccf_percent: F8
+) -> F8:
     """Logit of the crown base's relative height, Hasenauer and Monserud (1996); a, b1, b2, b3, c1, c2."""
     a, b1, b2, b3, c1, c2 = coefficients
     size = a + b1 * 100 * height_m / dbh_cm + b2 * height_m + b3 * np.square(dbh_cm)
     return size + c1 * larger_m2_per_ha + c2 * log(np.maximum(ccf_percent, 1.0))
 
 
-def _component_biomass_kg(
-    coefficients: Coefficients, dbh_cm: Array, height_m: Array, upper_cm: Array, base_m: Array
-) -> Array:
+def _component_biomass_kg(coefficients: Coefficients, dbh_cm: F8, height_m: F8, upper_cm: F8, base_m: F8) -> F8:
     """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h; u is the diameter at 0.3 h, s the stump, k the crown base.
 
     A component that comes out negative, as coarse wood of saplings does, weighs nothing. Source: Vonderach et al. (2018), 10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
@@ -106,7 +102,7 @@ class Equation(Section):
             raise ValueError(f"{cls.known[model][0]} numbers for {model!r}")
         return coefficients
 
-    def __call__(self, *values: Any) -> Array:
+    def __call__(self, *values: Any) -> F8:
         """Value of the equation."""
         return self.known[self.model][1](self.coefficients, *values)
 
@@ -168,7 +164,7 @@ class Taper(Equation):
     """Height of the stem over that of the whole stem it was: 1, or less where the top has broken off."""
 
     @property
-    def row(self) -> Array:
+    def row(self) -> F8:
         """(13,) as `taper_radius_m` wants it; the last is 0, no tree's own."""
         row = np.zeros(13)
         row[:4] = self.model == "brink", self.top_share, *self.flare
@@ -177,7 +173,7 @@ class Taper(Equation):
 
 
 @numba.njit(cache=True, nogil=True)
-def _form(row: Array, height_m: float, above_ground_m: float) -> float:
+def _form(row: F8, height_m: float, above_ground_m: float) -> float:
     """Stem radius in units that breast height sets; 0 at the tip of the unbroken stem."""
     whole_m = height_m / row[1]
     z = min(max(above_ground_m, 0.0), whole_m)
@@ -203,7 +199,7 @@ def _form(row: Array, height_m: float, above_ground_m: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
+def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):
         breast, more = _form(taper[i], height_m[i], 1.3), taper[i, 12]
@@ -215,7 +211,7 @@ def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -
     return out
 
 
-def taper_radius_m(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
+def taper_radius_m(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
     """Radius (n, r) over bark of stems (n,) at heights (n, r), such that it is half the DBH at breast height.
 
     `taper` (n, 13) is the `Taper.row` of each, its last number a tree's own: the radius over that at breast height is that of

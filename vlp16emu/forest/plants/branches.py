@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import asin, atan2, cos, exp, hypot, norm, power, sin
 from vlp16emu.forest.plants.species import Habit, Shrub, Twigs
-from vlp16emu.types import Array, IntArray, Mesh
+from vlp16emu.types import F8, I8, Mesh
 from vlp16emu.world.vectors import unit
 
 
-def quads(corners: Array) -> Mesh:
+def quads(corners: F8) -> Mesh:
     """Quads of corners (..., 4, 3), each with vertices of its own."""
     vertices = corners.reshape(-1, 3).astype(np.float32)
     return Mesh(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4))
@@ -67,23 +67,23 @@ _BISECTIONS = 16  # enough to find the length of a branch to a millimetre
 class Branches:
     """Branches of one order."""
 
-    nodes_m: Array  # (n, m, 3) from the base, which lies on the bearer's axis, to the tip
-    azimuth: Array  # (n,) rad, of the branch at its base
-    length_m: Array  # (n,).
-    radius_m: Array  # (n,) at the base
+    nodes_m: F8  # (n, m, 3) from the base, which lies on the bearer's axis, to the tip
+    azimuth: F8  # (n,) rad, of the branch at its base
+    length_m: F8  # (n,).
+    radius_m: F8  # (n,) at the base
 
     @property
-    def node_radius_m(self) -> Array:
+    def node_radius_m(self) -> F8:
         """Radius (n, m) at the nodes; 0 at the tip."""
         rings = self.nodes_m.shape[1] - 1
         return self.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
 
-    def of(self, which: IntArray) -> "Branches":
+    def of(self, which: I8) -> "Branches":
         """Return some of the branches."""
         return Branches(*(getattr(self, name)[which] for name in self.__slots__))
 
 
-def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: Array) -> Branches:
+def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: F8) -> Branches:
     """Branches that leave the stem, of a crown of a length and width; its radii (s,) are evenly spaced from base to top."""
     length_m, _ = size_m
     whorls = max(1, round(length_m / habit.whorl_spacing_m))
@@ -94,7 +94,7 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     azimuth = whorl * GOLDEN_ANGLE + turn * (np.arange(n) % habit.branches_per_whorl)
     azimuth += rng.normal(0.0, 0.2, n)
 
-    def between(pair_deg: Sequence[float]) -> Array:
+    def between(pair_deg: Sequence[float]) -> F8:
         """Angles between those of the lowest and of the highest branches, in radians."""
         return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
 
@@ -177,7 +177,7 @@ def joined(*parts: Branches) -> Branches:
     return Branches(*(np.concatenate([getattr(part, name) for part in parts]) for name in Branches.__slots__))
 
 
-def points_along(nodes_m: Array, branch: IntArray, way: Array) -> tuple[Array, Array]:
+def points_along(nodes_m: F8, branch: I8, way: F8) -> tuple[F8, F8]:
     """Points (p, 3) and unit tangents (p, 3) on curves (n, m, 3) at shares `way` (p,) of their length."""
     last = nodes_m.shape[1] - 2
     segment = np.minimum((way * (last + 1)).astype(np.int64), last)
@@ -209,7 +209,7 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32))
 
 
-def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: Array) -> Array:
+def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: F8, unit: F8) -> F8:
     """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3)."""
     length_m, width_m = size_m
     away = hypot(unit[..., 0], unit[..., 1])
@@ -228,9 +228,7 @@ def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: A
     return low
 
 
-def curves(
-    rng: np.random.Generator, base: Array, azimuth: Array, elevation: Array, length_m: Array, crook_deg: float
-) -> Array:
+def curves(rng: np.random.Generator, base: F8, azimuth: F8, elevation: F8, length_m: F8, crook_deg: float) -> F8:
     """Curves (n, m, 3) from bases (n, 3) whose segments have the given elevations (n, m - 1), rad."""
     n, steps = elevation.shape
     drift = rng.normal(0.0, 0.15, (n, 1)) * (np.arange(steps) + 0.5) / steps
@@ -245,7 +243,7 @@ def curves(
     return np.concatenate([base[:, None], base[:, None] + np.cumsum(step, axis=1)], axis=1)
 
 
-def _taper(way: Array) -> Array:
+def _taper(way: F8) -> F8:
     return 1 - (1 - _TIP_SHARE) * way
 
 
@@ -283,7 +281,7 @@ _BOLE_NODES, _DEAD_TWIG_ORDER = 9, 3
 
 
 def bole_branches(
-    rng: np.random.Generator, habit: Habit, crown_base_m: float, longest_m: float, stem_m: Array
+    rng: np.random.Generator, habit: Habit, crown_base_m: float, longest_m: float, stem_m: F8
 ) -> tuple[Branches, Branches, Branches]:
     """Branches below the crown, in the crown's own frame.
 
@@ -324,7 +322,7 @@ def bole_branches(
     return living, dead, twigs.of(np.flatnonzero(kept))
 
 
-def _depths_m(rng: np.random.Generator, habit: Habit, span_m: float, reach_m: float) -> Array:
+def _depths_m(rng: np.random.Generator, habit: Habit, span_m: float, reach_m: float) -> F8:
     """Depths below the crown base of the branches that have not fallen, those of whorls close together."""
     n = round(span_m * habit.dead_per_m)
     depth_m = span_m * (np.arange(n) + rng.random(n)) / max(n, 1)

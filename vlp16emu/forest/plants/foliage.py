@@ -7,11 +7,11 @@ import numpy as np
 from vlp16emu.elementary import cos, exp, power, sin
 from vlp16emu.forest.plants.branches import Branches, points_along, quads
 from vlp16emu.forest.plants.species import Foliage, Table, Trees
-from vlp16emu.forest.plants.stem import axis_m, stem_rings
+from vlp16emu.forest.plants.stem import Stems
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import generator, uniform
-from vlp16emu.types import Array, Mesh
+from vlp16emu.types import F8, Mesh
 from vlp16emu.world.vectors import places_m, unit
 
 _WIDEST_AT = 0.4  # where a blade is widest, from its base; assumption
@@ -47,7 +47,7 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     return quads(corners)
 
 
-def _blades(rng: np.random.Generator, base: Array, mu_nu: tuple[float, float], length: Array, width: Array) -> Array:
+def _blades(rng: np.random.Generator, base: F8, mu_nu: tuple[float, float], length: F8, width: F8) -> F8:
     """Kites (n, 4, 3) whose normals are inclined as measured and whose tips hang."""
     n, (mu, nu) = len(base), mu_nu
     tilt = rng.beta(nu, mu, n) * (np.pi / 2)
@@ -62,7 +62,7 @@ def _blades(rng: np.random.Generator, base: Array, mu_nu: tuple[float, float], l
     return np.stack([base, middle + half, base + length * along, middle - half], axis=1)
 
 
-def _shoots(rng: np.random.Generator, base: Array, tangent: Array, length: Array, width: Array) -> Array:
+def _shoots(rng: np.random.Generator, base: F8, tangent: F8, length: F8, width: F8) -> F8:
     """Pairs of crossed rectangles (2n, 4, 3) that leave their twig forwards."""
     n = len(base)
     first = unit(np.cross(tangent, [0.0, 0.0, 1.0]))
@@ -96,7 +96,7 @@ class IvyKey:
     number: int  # among the trees of the tile
 
 
-def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> Array:
+def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> F8:
     """Height over the foot (n,) up to which ivy covers a share of the stems, no higher than the crown base; 0 where none grows.
 
     A tree's depends on its place alone, and is within a range.
@@ -111,10 +111,10 @@ def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, see
 
 
 def ivy_meshes(
-    trees: Trees, tops_m: Array, origin_m: Array, *, seed: int, tile: TileKey, table: Table | None = None
+    trees: Trees, tops_m: F8, origin_m: F8, *, seed: int, tile: TileKey, table: Table | None = None
 ) -> list[Mesh]:
     """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none where that is 0."""
-    rings = stem_rings(trees, table=table)
+    stems = Stems(trees, table=table)
     small_m, large_m = _LEAF_M
     mean_m2 = _LEAF_WIDTH / 2 * (small_m * small_m + small_m * large_m + large_m * large_m) / 3
     meshes = []
@@ -125,17 +125,16 @@ def ivy_meshes(
         turn, way = rng.uniform(0, 2 * np.pi, count), power(rng.random(count), _UPWARDS)
         edge = 1 - _SHORTER * (0.5 + 0.5 * sin(_TONGUES * turn + rng.uniform(0, 2 * np.pi)))
         up_m = top_m * edge * way
-        one = trees[i : i + 1]
-        middle_m = axis_m(one, rings.forms.of(np.array([i])), up_m[None])[0]
-        away_m = np.interp(up_m, rings.above_ground_m[i], rings.radius_m[i]) + rng.uniform(*_AWAY_M, count)
-        foot_m = places_m(one)[0] - origin_m
+        middle_m = stems.axis_m(up_m[None], np.array([i]))[0]
+        away_m = np.interp(up_m, stems.above_ground_m[i], stems.radius_m[i]) + rng.uniform(*_AWAY_M, count)
+        foot_m = places_m(trees[i : i + 1])[0] - origin_m
         outward = np.column_stack([cos(turn), sin(turn), np.zeros(count)])
         corners = _leaves(rng, foot_m + middle_m + away_m[:, None] * outward, outward)
         meshes.append(quads(corners))
     return meshes
 
 
-def _leaves(rng: np.random.Generator, base: Array, outward: Array) -> Array:
+def _leaves(rng: np.random.Generator, base: F8, outward: F8) -> F8:
     n = len(base)
     tilt, aside = np.radians(rng.uniform(*_TILT_DEG, n))[:, None], rng.normal(0.0, 0.4, n)[:, None]
     across = np.cross([0.0, 0.0, 1.0], outward)

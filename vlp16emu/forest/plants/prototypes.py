@@ -21,12 +21,12 @@ from vlp16emu.forest.plants.branches import (
     volume_m3,
 )
 from vlp16emu.forest.plants.foliage import foliage_mesh
-from vlp16emu.forest.plants.species import Shrub, Species, Table, Trees, flora, species_table
+from vlp16emu.forest.plants.species import Shrub, Species, Table, Trees, flora
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Season
 from vlp16emu.random import generator
-from vlp16emu.types import Array, Mesh, PlantPart
+from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import closed, places_m
 
 VARIANTS = 3  # different crowns of the same species and diameter class, of short to long ones
@@ -62,7 +62,7 @@ def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tup
     In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. Season
     and dead branches change nothing else about a crown.
     """
-    species = (table or species_table())[key.species]
+    species = (table or flora().trees)[key.species]
     rng, orders, dead = _orders(seed, key, species)
     leaves = _NOTHING
     if species.foliage and species.foliage.is_borne(key.season):
@@ -77,7 +77,7 @@ def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tup
 
 def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Branches, Branches]:
     """Return the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
-    species = (table or species_table())[key.species]
+    species = (table or flora().trees)[key.species]
     (first, *_), dead = _orders(seed, key, species)[1:]
     bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))
     return (first, bare) if species.foliage else (first.of(np.zeros(0, np.int64)), joined(first, bare))
@@ -85,18 +85,18 @@ def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> t
 
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Table | None = None) -> float:
     """Volume of all branches of a prototype, dead ones too."""
-    orders, dead = _orders(seed, key, (table or species_table())[key.species])[1:]
+    orders, dead = _orders(seed, key, (table or flora().trees)[key.species])[1:]
     return sum(volume_m3(branches) for branches in (*orders, *(dead if key.dead_branches else ())))
 
 
-def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]:
+def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[F8, F8]:
     """Stretch of each tree's crown over its prototype: across (n,), and along the axis (n,), which leans while heights are vertical."""
     width_m, length_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2).T
     upright = cos(np.radians(trees["lean_deg"]))
     return trees["crown_width_m"] / width_m, (trees["height_m"] - trees["crown_base_m"]) / upright / length_m
 
 
-def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
+def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
     """`world_T_shape` of the crowns, (n, 3, 4): scaled to the tree's size, turned, and leaning with the stem."""
     wide, long = crown_scale(trees, crowns)
     lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
@@ -158,7 +158,7 @@ class SaplingKey:
 
 def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem."""
-    species = (table or species_table())[key.species]
+    species = (table or flora().trees)[key.species]
     rng = generator(seed, Growth.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
     base_m, width_m = CROWN_BASE_SHARE * key.height_m, CROWN_WIDTH_SHARE * key.height_m
     crown_m = key.height_m - base_m
@@ -182,7 +182,7 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
     )
 
 
-def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
+def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
     """Return a sapling that leans, bows and reaches further to the light; its stem has the same sections and height."""
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m

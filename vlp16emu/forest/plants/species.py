@@ -19,7 +19,7 @@ from vlp16emu.explain import explain
 from vlp16emu.forest.plants.allometry import Biomass, CrownBase, CrownWidth, HeightCurve, Taper, taper_radius_m
 from vlp16emu.forest.settings import Season
 from vlp16emu.settings import Fraction, Section, toml
-from vlp16emu.types import Array, IntArray
+from vlp16emu.types import F8, I8
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
@@ -135,7 +135,7 @@ class StemForm(Section):
     """From ridge to ridge around the stem; coarser where the mesh has fewer than three vertices to a ridge."""
 
     @property
-    def row(self) -> Array:
+    def row(self) -> F8:
         """(10,) of all numbers in order."""
         return np.hstack([getattr(self, name) for name in type(self).model_fields])
 
@@ -159,13 +159,10 @@ class Plant(Section):
     number: Annotated[int, Field(ge=1, le=65535)]
     """In labels; never changes, and no other plant has it."""
     scientific_name: Text
-    fia: Annotated[int, Field(ge=1, le=9999)] | None = None
-    """Code of the Forest Inventory and Analysis programme of the USDA Forest Service."""
     leaf_area_index: Annotated[float, Field(ge=0, le=20)]
     """Of a closed stand, or of the ground that a shrub covers."""
     bark_reflectance: Fraction
     leaf_reflectance: Fraction
-    leaf_transmittance: Fraction
     _name: str = PrivateAttr()
 
     def model_post_init(self, context: Any, /) -> None:
@@ -185,14 +182,6 @@ class Plant(Section):
             raise ValueError(f"{first} or more")
         return number
 
-    @field_validator("leaf_transmittance")
-    @classmethod
-    def _makes_no_light(cls, transmittance: float, info: ValidationInfo) -> float:
-        reflectance = info.data.get("leaf_reflectance", 0.0)  # absent where it is itself in error
-        if reflectance + transmittance > 1:
-            raise ValueError(f"at most 1 with leaf_reflectance = {reflectance:g}")
-        return transmittance
-
 
 class Species(Plant):
     """A kind of tree."""
@@ -211,31 +200,29 @@ class Species(Plant):
     foliage: Foliage | None = None  # none on a dead tree
     biomass: Biomass | None = None
 
-    def crown_width_m(self, dbh_cm: Array, residual: Array | None = None) -> Array:
+    def crown_width_m(self, dbh_cm: F8, residual: F8 | None = None) -> F8:
         """Crown width of forest-grown trees; residuals (n,) are in sigmas, and without them it is the mean."""
         if residual is None:
             return self.crown_width(dbh_cm)
         sigma = self.spread.crown_width
         return self.crown_width(dbh_cm) * exp(sigma * residual - sigma * sigma / 2)
 
-    def crown_base_m(
-        self, dbh_cm: Array, height_m: Array, rivals: tuple[Array, Array], residual: Array | float = 0.0
-    ) -> Array:
+    def crown_base_m(self, dbh_cm: F8, height_m: F8, rivals: tuple[F8, F8], residual: F8 | float = 0.0) -> F8:
         """Height of the lowest living branch, under `competition`; residuals (n,) of the crown ratio are in sigmas."""
         logit = self.crown_base(dbh_cm, height_m, *rivals) - self.spread.crown_ratio * residual
         return height_m / (1 + exp(-logit))
 
-    def rival_m2(self, dbh_cm: Array) -> Array:
+    def rival_m2(self, dbh_cm: F8) -> F8:
         """Return what trees compete with, (n, 2) in m2: section at breast height, crown projection if open-grown; 0 of dead ones."""
         log_a, b = self.open_crown
         sizes_m = np.column_stack([dbh_cm / 100, exp(log_a + b * log(dbh_cm))])
         return np.pi / 4 * np.square(sizes_m) * (self.foliage is not None)
 
-    def taper_of(self, residual: Array) -> Array:
+    def taper_of(self, residual: F8) -> F8:
         """`taper` (n,) of stems whose volume has residuals (n,), in sigmas: more taper is less volume."""
         return -self.spread.form / _VOLUME_PER_TAPER * residual
 
-    def biomass_kg(self, dbh_m: Array, height_m: Array, crown_base_m: Array, taper: Array | float = 0.0) -> Array:
+    def biomass_kg(self, dbh_m: F8, height_m: F8, crown_base_m: F8, taper: F8 | float = 0.0) -> F8:
         """Dry mass above ground (n,), NaN where no equation is known; `taper` (n,) is each tree's own."""
         if self.biomass is None:
             return np.full(len(dbh_m), np.nan)
@@ -277,8 +264,13 @@ class Flora:
         """Names of all plants by number."""
         return {plant.number: name for table in (self.trees, self.shrubs) for name, plant in table.items()}
 
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
+        return (*GROUND_MATERIALS, *(f"{name} {part}" for name in self.names.values() for part in ("bark", "leaf")))
+
     @cached_property
-    def bark(self) -> IntArray:
+    def bark(self) -> I8:
         """Material number of the bark by species number; that of the leaf is the next."""
         numbers = list(self.names)
         material = np.zeros(max(numbers) + 1, np.int64)
@@ -351,36 +343,19 @@ def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[
     return [rows[_plain(name)] for name in names]
 
 
-def species_table(path: Path | None = None) -> Mapping[str, Species]:
-    """Return all trees of `flora`."""
-    return flora(path).trees
-
-
 def _plain(name: str) -> str:
     return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
-def tapers(trees: Trees, *, table: Table | None = None) -> Array:
+def tapers(trees: Trees, *, table: Table | None = None) -> F8:
     """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` is that of the program if none is given."""
-    rows = {one.number: one.taper.row for one in (table or species_table()).values()}
+    rows = {one.number: one.taper.row for one in (table or flora().trees).values()}
     own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
     own[:, -1] = trees["taper"]
     return own
-
-
-def stem_keys(numbers: NDArray[np.uint16], *, table: Table | None = None) -> Array:
-    """Return the row of `StemForm` (n, 10) by species number (n,)."""
-    rows = {one.number: one.stem.row for one in (table or species_table()).values()}
-    return np.array([rows[number] for number in numbers.tolist()]).reshape(-1, 10)
 
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
 """Names of the first numbers."""
 BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
 """Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
-
-
-def material_names(plants: Flora) -> tuple[str, ...]:
-    """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
-    parts = (f"{name} {what}" for name in (*plants.trees, *plants.shrubs) for what in ("bark", "leaf"))
-    return (*GROUND_MATERIALS, *parts)

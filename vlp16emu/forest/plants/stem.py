@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, expm1, hypot, matvec, norm, sin, tan
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
 from vlp16emu.forest.plants.branches import merged, pipe_faces
-from vlp16emu.forest.plants.species import Table, Trees, stem_keys, tapers
+from vlp16emu.forest.plants.species import Table, Trees, flora, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import normal, uniform
-from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart
+from vlp16emu.types import F8, I8, HeightField, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m, unit
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
@@ -47,27 +47,27 @@ class StemForms:
     outline of a section and never its area.
     """
 
-    bole_m: Array  # (n,) height of the crown base
-    bends: Array  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
-    oval: Array  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
-    lobes: Array  # (n, 3) number, amplitude at the ground over the radius, phase
-    surface_roots: Array  # (n,) share of the lobes that have one
-    bark: Array  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
-    forks: Array
+    bole_m: F8  # (n,) height of the crown base
+    bends: F8  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
+    oval: F8  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
+    lobes: F8  # (n, 3) number, amplitude at the ground over the radius, phase
+    surface_roots: F8  # (n,) share of the lobes that have one
+    bark: F8  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
+    forks: F8
     """(n, 6) whether there is one, its height over that of the tree, share of the section that the second leader takes,
     slope and distance in m of that leader from the first, its direction in rad."""
 
-    def aside_m(self, above_m: Array) -> Array:
+    def aside_m(self, above_m: F8) -> F8:
         """Distance (n, r, 2), east and north, of axes from straight ones at heights (n, r) over their feet."""
         u = np.minimum(above_m / np.maximum(self.bole_m, 1e-6)[:, None], 1.0)
         bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, level with the line at its end
         to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
         butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)
         bends = self.bends[:, None]
-        aside: Array = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
+        aside: F8 = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
         return aside + butt[..., None] * bends[:, :, 2]
 
-    def outline(self, angle: Array, above_m: Array, radius_m: Array, breast_m: Array) -> Array:
+    def outline(self, angle: F8, above_m: F8, radius_m: F8, breast_m: F8) -> F8:
         """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
 
         Vertices are at angles (n, sides) evenly all around, circles of radii (n, r) at heights (n, r) over the foot; `breast_m`
@@ -92,14 +92,15 @@ class StemForms:
         size_m = radius_m * np.sqrt(np.pi / polygon_m2(shape, step))
         return shape * size_m[..., None]
 
-    def of(self, which: IntArray) -> "StemForms":
+    def of(self, which: I8 | slice) -> "StemForms":
         """Return the forms of some of the stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
 
 
 def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
-    keys = stem_keys(trees["species"], table=table)
+    rows = {one.number: one.stem.row for one in (table or flora().trees).values()}
+    keys = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 10)
     keys[:, :9] *= (trees["form"] > 0)[:, None]
     bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T
     seeds = [int(seed) for seed in trees["form"]]
@@ -135,12 +136,12 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
     )
 
 
-def polygon_m2(away_m: Array, step: float) -> Array:
+def polygon_m2(away_m: F8, step: float) -> F8:
     """Area (...) of polygons whose corners (..., sides) are so far from a point, by even steps in rad around it."""
     return sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
 
 
-def tape_m(away_m: Array) -> Array:
+def tape_m(away_m: F8) -> F8:
     """Diameter (n,) that a taut tape shows around polygons (n, sides) as of `polygon_m2`: the mean width of the hull (Cauchy)."""
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
@@ -170,102 +171,107 @@ STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
 )
 
 
-@dataclass(frozen=True, slots=True)
-class StemRings:
-    """Rings of n stems."""
-
-    above_ground_m: Array  # (n, r) height over the foot at which each meets the axis; the first is buried
-    radius_m: Array  # (n, r) of the circle that has the ring's area
-    sides: IntArray  # (n,) of the cross-section
-    flare_rings: int  # how many of the rings belong to the root flare
-    forms: StemForms
-    forked: IntArray  # (m,) which stems have a second leader
-    fork_m: Array  # (m,) where that begins, a ring's height over the foot
+def circles_of(
+    trees: Trees, leader: int, part: PlantPart, at_m: F8, radius_m: F8, branch: I8 | int = 0
+) -> NDArray[np.void]:
+    """Return circles (n, r) `STEM_CIRCLE` of trees (n,): middles (n, r, 3) in the world, radii and numbers of branches (n, r)."""
+    circles = np.zeros(radius_m.shape, STEM_CIRCLE)
+    circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], leader, part
+    circles["x_m"], circles["y_m"], circles["z_m"] = np.moveaxis(at_m, -1, 0)
+    circles["radius_m"], circles["branch"] = radius_m, branch
+    return circles
 
 
-@dataclass(frozen=True, slots=True)
-class Leaders:
-    """Second leaders of m stems, circle by circle."""
+class Stems:
+    """Stems of trees (n,) `TREE`, the rings of vertices of their meshes, and second leaders (m,) of those that fork.
 
-    trees: Trees  # (m,).
-    forms: StemForms
-    fork_m: Array  # (m,) height over the foot at which they begin
-    above_ground_m: Array  # (m, k) heights of the circles
-    radius_m: Array  # (m, k).
+    Attributes
+    ----------
+    above_ground_m : (n, r) height over the foot at which rings meet the axis; the first is buried
+    radius_m : (n, r) of the circle that has the ring's area; the first is as wide as the second, however deep it lies
+    sides : (n,) of the cross-section
+    forked, fork_m : (m,) which stems have a second leader, and where that begins, a ring's height over the foot
+    """
 
-    def axis_m(self, above_m: Array) -> Array:
-        """Points (m, r, 3) of their axes relative to the feet, at heights (m, r)."""
-        middle_m = axis_m(self.trees, self.forms, above_m)
-        slope, gap_m, towards = (column[:, None] for column in self.forms.forks.T[3:])
+    flare_rings = 2 + _BUTT_M.index(FLARE_TOP_M)  # how many of the rings belong to the root flare
+
+    def __init__(self, trees: Trees, *, table: Table | None = None) -> None:
+        self.trees, self.forms, self._taper = trees, stem_forms(trees, table=table), tapers(trees, table=table)
+        butt = np.broadcast_to((-_BURIED_M, *_BUTT_M), (len(trees), 1 + len(_BUTT_M)))
+        upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
+        self.above_ground_m = np.concatenate([butt, upper], axis=1)
+        self.forked = np.flatnonzero(self.forms.forks[:, 0])
+        share, second_share = self.forms.forks[self.forked, 1:3].T
+        # The ring that is nearest to a fork moves there: the first leader thins from it to the next.
+        self.fork_m = np.maximum(share * trees["height_m"][self.forked], upper[self.forked, 0])
+        at = butt.shape[1] + np.abs(upper[self.forked, :-1] - self.fork_m[:, None]).argmin(axis=1)
+        self.above_ground_m[self.forked, at] = self.fork_m
+        self.radius_m = self._radius_m(slice(None), self.above_ground_m)
+        over = np.arange(self.above_ground_m.shape[1]) > at[:, None]
+        self.radius_m[self.forked] *= np.sqrt(np.where(over, 1 - second_share[:, None], 1.0))
+        self.sides = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])]
+
+    def _radius_m(self, which: I8 | slice, above_m: F8) -> F8:
+        own = self.trees[which]
+        return taper_radius_m(self._taper[which], own["dbh_m"], own["height_m"], above_m)
+
+    @property
+    def tip_radius_m(self) -> F8:
+        """Radius (n,) at the tip: 0 of a whole tree, more of one that has broken off."""
+        return self._radius_m(slice(None), self.trees["height_m"][:, None])[:, 0]
+
+    def axis_m(self, above_m: F8, which: I8 | slice = slice(None)) -> F8:
+        """Points (k, r, 3) of the axes of some stems (k,), all if not given, relative to their feet, at heights (k, r)."""
+        own = self.trees[which]
+        slope, towards = tan(np.radians(own["lean_deg"])), np.radians(own["lean_towards_deg"])
+        lean = (slope * np.array([cos(towards), sin(towards)])).T
+        aside_m = self.forms.of(which).aside_m(above_m)
+        return np.concatenate([above_m[..., None] * lean[:, None] + aside_m, above_m[..., None]], axis=2)
+
+    def leader_axis_m(self, above_m: F8) -> F8:
+        """Points (m, r, 3) of the axes of second leaders relative to their feet, at heights (m, r)."""
+        middle_m = self.axis_m(above_m, self.forked)
+        slope, gap_m, towards = (column[:, None] for column in self.forms.forks[self.forked].T[3:])
         away_m = gap_m * -expm1(-slope / gap_m * (above_m - self.fork_m[:, None]))
         middle_m[..., :2] += away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
         return middle_m
 
+    def leaders(self, shares: F8) -> tuple[F8, F8]:
+        """Heights over the foot and radii (m, k) of second leaders at shares (k,) of the way from fork to tip.
 
-def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
-    """Rings of stems; the first is as wide as the second, however deep it lies."""
-    butt = np.broadcast_to((-_BURIED_M, *_BUTT_M), (len(trees), 1 + len(_BUTT_M)))
-    upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
-    above_m = np.concatenate([butt, upper], axis=1)
-    forms = stem_forms(trees, table=table)
-    forked = np.flatnonzero(forms.forks[:, 0])
-    # The ring that is nearest to a fork moves there: the first leader thins from it to the next.
-    fork_m = np.maximum(forms.forks[forked, 1] * trees["height_m"][forked], upper[forked, 0])
-    at = butt.shape[1] + np.abs(upper[forked, :-1] - fork_m[:, None]).argmin(axis=1)
-    above_m[forked, at] = fork_m
-    radius_m = _radius_m(trees, above_m, table)
-    over = np.arange(above_m.shape[1]) > at[:, None]
-    radius_m[forked] *= np.sqrt(np.where(over, 1 - forms.forks[forked, 2:3], 1.0))
-    sides, flare_rings = _SIDES[np.searchsorted(_THICKER_M, trees["dbh_m"])], 2 + _BUTT_M.index(FLARE_TOP_M)
-    return StemRings(above_m, radius_m, sides, flare_rings, forms, forked, fork_m)
+        With the first leaders they are as thick as one stem.
+        """
+        height_m = self.trees["height_m"][self.forked]
+        length_m = (self.fork_m + _LEADER_TOP * (height_m - self.fork_m)) - self.fork_m
+        above_m = self.fork_m[:, None] + length_m[:, None] * shares
+        radius_m = self._radius_m(self.forked, above_m) * np.sqrt(self.forms.forks[self.forked, 2:3]) * (shares < 1)
+        return above_m, radius_m
 
+    def circles(self) -> NDArray[np.void]:
+        """Circles (k,) `STEM_CIRCLE` along stems and their second leaders, tree by tree, from the ground to the tip."""
+        above_m = np.column_stack([self.above_ground_m[:, 1:], self.trees["height_m"]])
+        radius_m = np.column_stack([self.radius_m[:, 1:], self.tip_radius_m])
+        second_m, thin_m = self.leaders(np.linspace(0.0, 1.0, _LEADER_CIRCLES))
+        parts = []
+        for own, leader, up_m, half_m, axis_m in (
+            (self.trees, 1, above_m, radius_m, self.axis_m(above_m)),
+            (self.trees[self.forked], 2, second_m, thin_m, self.leader_axis_m(second_m)),
+        ):
+            circles = circles_of(own, leader, PlantPart.STEM, places_m(own)[:, None] + axis_m, half_m)
+            circles["above_foot_m"] = up_m
+            parts.append(circles.ravel())
+        circles = np.concatenate(parts)
+        return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
 
-def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:
-    """Second leaders of stems, with circles at shares (k,) of the way from fork to tip; with the first they are as thick as one stem."""
-    own, forms = trees[rings.forked], rings.forms.of(rings.forked)
-    length_m = (rings.fork_m + _LEADER_TOP * (own["height_m"] - rings.fork_m)) - rings.fork_m
-    above_m = rings.fork_m[:, None] + length_m[:, None] * shares
-    radius_m = _radius_m(own, above_m, table) * np.sqrt(forms.forks[:, 2:3]) * (shares < 1)
-    return Leaders(own, forms, rings.fork_m, above_m, radius_m)
+    def angles(self, which: I8 | slice, sides: int) -> F8:
+        """Angles (k, sides) of a ring's vertices around the axes of some stems (k,), from east, counter-clockwise."""
+        return np.radians(self.trees["crown_azimuth_deg"][which])[:, None] + np.arange(sides) * 2 * np.pi / sides
 
-
-def stem_circles(trees: Trees, *, table: Table | None = None) -> NDArray[np.void]:
-    """Circles (n,) `STEM_CIRCLE` along stems and their second leaders, tree by tree, from the ground to the tip."""
-    rings = stem_rings(trees, table=table)
-    above_m = np.column_stack([rings.above_ground_m[:, 1:], trees["height_m"]])
-    radius_m = np.column_stack([rings.radius_m[:, 1:], tip_radius_m(trees, table=table)])
-    second = second_leaders(trees, rings, np.linspace(0.0, 1.0, _LEADER_CIRCLES), table=table)
-    both = [
-        (trees, 1, above_m, radius_m, axis_m(trees, rings.forms, above_m)),
-        (second.trees, 2, second.above_ground_m, second.radius_m, second.axis_m(second.above_ground_m)),
-    ]
-    parts = []
-    for own, leader, up_m, half_m, middle_m in both:
-        circles = np.zeros(up_m.shape, STEM_CIRCLE)
-        circles["tree"], circles["leader"], circles["part"] = own["id"][:, None], leader, PlantPart.STEM
-        for axis, name in enumerate("xyz"):
-            circles[f"{name}_m"] = own[f"{name}_m"][:, None] + middle_m[..., axis]
-        circles["above_foot_m"], circles["radius_m"] = up_m, half_m
-        parts.append(circles.ravel())
-    circles = np.concatenate(parts)
-    return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
-
-
-def axis_m(trees: Trees, forms: StemForms, above_m: Array) -> Array:
-    """Points (n, r, 3) of stems' axes relative to their feet, at heights (n, r)."""
-    slope = tan(np.radians(trees["lean_deg"]))
-    towards = np.radians(trees["lean_towards_deg"])
-    lean = (slope * np.array([cos(towards), sin(towards)])).T
-    return np.concatenate([above_m[..., None] * lean[:, None] + forms.aside_m(above_m), above_m[..., None]], axis=2)
-
-
-def tip_radius_m(trees: Trees, *, table: Table | None = None) -> Array:
-    """Radius (n,) at the tip: 0 of a whole tree, more of one that has broken off."""
-    return _radius_m(trees, trees["height_m"][:, None], table)[:, 0]
-
-
-def _radius_m(trees: Trees, above_m: Array, table: Table | None) -> Array:
-    return taper_radius_m(tapers(trees, table=table), trees["dbh_m"], trees["height_m"], above_m)
+    def outlines(self, which: I8 | slice, sides: int) -> F8:
+        """Distances (k, r, sides) of the vertices of rings of some stems (k,) from their axes."""
+        above_m, radius_m = self.above_ground_m[which], self.radius_m[which]
+        breast_m = self.trees["dbh_m"][which] / 2
+        return self.forms.of(which).outline(self.angles(which, sides), above_m, radius_m, breast_m)
 
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
@@ -284,16 +290,16 @@ _TOP_M = 0.3
 """Over the foot above which no root reaches, lest it be part of a section at breast height: uphill it dives."""
 
 
-def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[IntArray, Array]:
+def root_points(stems: Stems, height_m: HeightField) -> tuple[I8, F8]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
     Of each (k,) the stem, and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
     rings from there, and the tip.
     """
-    number, _, lobe_phase = rings.forms.lobes.T
+    trees, (number, _, lobe_phase) = stems.trees, stems.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]
     draws = np.array([uniform(seed, Growth.ROOT, 0, 5 * _MOST) for seed in seeds]).reshape(-1, _MOST, 5)
-    is_there = (draws[..., 0] < rings.forms.surface_roots[:, None]) & (np.arange(_MOST) < number[:, None])
+    is_there = (draws[..., 0] < stems.forms.surface_roots[:, None]) & (np.arange(_MOST) < number[:, None])
     stem, lobe = np.nonzero(is_there & (trees["dbh_m"] > _OLD_M)[:, None])
     turn, long, thick, bend = draws[stem, lobe, 1:].T
     dbh_m = trees["dbh_m"][stem]
@@ -303,7 +309,7 @@ def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[
     aside_m = _BEND * length_m[:, None] * _STATIONS * (sin(5 * _STATIONS + phase) - sin(phase))
     along_m, ahead = length_m[:, None] * _STATIONS, _unit(azimuth)
     line_m = along_m[..., None] * ahead + aside_m[..., None] * _unit(azimuth + np.pi / 2)
-    line_m += 0.8 * rings.radius_m[stem, 1, None, None] * ahead
+    line_m += 0.8 * stems.radius_m[stem, 1, None, None] * ahead
     wide_m = (dbh_m * np.interp(thick, (0, 1), _RADIUS))[:, None] * (1 - _THINNER * _STATIONS)
     high_m = wide_m * (1 + _RISE * exp(-_STATIONS * length_m[:, None] / _RISE_M))
     place = trees[stem]
@@ -313,12 +319,12 @@ def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[
     return stem, _root_pipes(np.concatenate([line_m, z_m[..., None]], axis=2), wide_m, high_m)
 
 
-def _unit(azimuth: Array) -> Array:
+def _unit(azimuth: F8) -> F8:
     """Level vectors (k, 1, 2) in directions (k,)."""
     return np.stack([cos(azimuth), sin(azimuth)], axis=-1)[:, None]
 
 
-def _root_pipes(middle_m: Array, wide_m: Array, high_m: Array) -> Array:
+def _root_pipes(middle_m: F8, wide_m: F8, high_m: F8) -> F8:
     """Vertices of roots about middles (k, rings, 3), upright ellipses of half axes (k, rings) across them."""
     ahead = unit(np.gradient(middle_m[..., :2], axis=1))
     angle = (np.arange(ROOT_SIDES) + 0.5) * 2 * np.pi / ROOT_SIDES
@@ -350,7 +356,7 @@ class StemKey:
     number: int  # among the trees of the tile
 
 
-def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
+def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
     """Rotations (n, 3, 3) that tip the vertical by `lean_deg` towards an angle from east, without twist."""
     tilt, towards = np.radians(lean_deg), np.radians(towards_deg)
     c, s = cos(towards), sin(towards)
@@ -359,18 +365,18 @@ def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def stem_meshes(trees: Trees, origin_m: Array, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
+def stem_meshes(trees: Trees, origin_m: F8, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
-    rings = stem_rings(trees, table=table)
+    stems = Stems(trees, table=table)
     # Each foot lies in the ground all around the flare, lobes and all.
-    flare_m, around = _WIDEST * rings.radius_m[:, :1], np.arange(8) * (np.pi / 4)
+    flare_m, around = _WIDEST * stems.radius_m[:, :1], np.arange(8) * (np.pi / 4)
     ground_m = height_m(trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around))
-    slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
+    slope = stem_slopes(stems.axis_m, np.zeros((len(trees), 1)))
     buried_m = _BURIED_M + (flare_m * norm(slope))[:, 0]
-    rings.above_ground_m[:, 0] = -(buried_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0))
+    stems.above_ground_m[:, 0] = -(buried_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0))
     foot_m = places_m(trees) - origin_m
-    meshes = _meshes(trees, rings, foot_m, table)
-    for stem, root_m in zip(*root_points(trees, rings, height_m), strict=True):
+    meshes = _meshes(stems, foot_m)
+    for stem, root_m in zip(*root_points(stems, height_m), strict=True):
         root = Mesh((root_m + foot_m[stem]).astype(np.float32), pipe_faces(ROOT_SIDES, ROOT_RINGS))
         meshes[len(STEM_PARTS) * stem] = merged(meshes[len(STEM_PARTS) * stem], root)
     return meshes
@@ -378,40 +384,34 @@ def stem_meshes(trees: Trees, origin_m: Array, height_m: HeightField, *, table: 
 
 def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh]:
     """Meshes as `stem_meshes` makes them, but with all feet at the origin, no roots, and nothing buried."""
-    rings = stem_rings(trees, table=table)
-    rings.above_ground_m[:, 0] = 0.0
-    return _meshes(trees, rings, np.zeros((len(trees), 3)), table)
+    stems = Stems(trees, table=table)
+    stems.above_ground_m[:, 0] = 0.0
+    return _meshes(stems, np.zeros((len(trees), 3)))
 
 
-def stem_slopes(axis: Callable[[Array], Array], above_m: Array) -> Array:
+def stem_slopes(axis: Callable[[F8], F8], above_m: F8) -> F8:
     """Return the slopes of axes, east and north (n, r, 2), in metres aside per metre up at heights (n, r)."""
     return (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
 
 
-def vertex_angles(trees: Trees, sides: int) -> Array:
-    """Angles (n, sides) of a ring's vertices around the axis, from east, counter-clockwise."""
-    return np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
-
-
-def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) -> list[Mesh]:
+def _meshes(stems: Stems, foot_m: F8) -> list[Mesh]:
     """Meshes of `STEM_PARTS`, tree by tree, of stems whose feet are at (n, 3)."""
-    tip_m = axis_m(trees, rings.forms, trees["height_m"][:, None])[:, 0]
+    trees = stems.trees
+    tip_m = stems.axis_m(trees["height_m"][:, None])[:, 0]
     # The tip of a broken stem is off the axis.
-    aside_m = np.where(tip_radius_m(trees, table=table) > 0, _SPLINTER_SHARE * rings.radius_m[:, -1], 0.0)
+    aside_m = np.where(stems.tip_radius_m > 0, _SPLINTER_SHARE * stems.radius_m[:, -1], 0.0)
     splinter_m = aside_m[:, None] * _unit(np.radians(trees["crown_azimuth_deg"]))[:, 0]
     tip_m += matvec(lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, :2], splinter_m)
-    second = dict(zip(rings.forked.tolist(), _leaders(trees, rings, table), strict=True))
+    second = dict(zip(stems.forked.tolist(), _leaders(stems), strict=True))
     leader = pipe_faces(_LEADER_SIDES, len(_LEADER_RINGS))
     meshes: dict[int, tuple[Mesh, Mesh]] = {}
-    for count in np.unique(rings.sides):
-        own, sides = np.flatnonzero(rings.sides == count), int(count)
-        angle, forms = vertex_angles(trees[own], sides), rings.forms.of(own)
-        above_m, breast_m = rings.above_ground_m[own], trees["dbh_m"][own] / 2
-        away_m = forms.outline(angle, above_m, rings.radius_m[own], breast_m)
-        pipes_m = _pipes(partial(axis_m, trees[own], forms), above_m, away_m, angle)
-        flare = pipe_faces(sides, rings.flare_rings, top=False)
-        upper = pipe_faces(sides, above_m.shape[1] - rings.flare_rings + 1, bottom=False)
-        shared = 1 + sides * (rings.flare_rings - 1)
+    for count in np.unique(stems.sides):
+        own, sides = np.flatnonzero(stems.sides == count), int(count)
+        above_m, away_m = stems.above_ground_m[own], stems.outlines(own, sides)
+        pipes_m = _pipes(partial(stems.axis_m, which=own), above_m, away_m, stems.angles(own, sides))
+        flare = pipe_faces(sides, stems.flare_rings, top=False)
+        upper = pipe_faces(sides, above_m.shape[1] - stems.flare_rings + 1, bottom=False)
+        shared = 1 + sides * (stems.flare_rings - 1)
         for tree, points_m in zip(own.tolist(), pipes_m, strict=True):
             top_m = np.concatenate([points_m[shared:], tip_m[tree : tree + 1]])
             stem = [*([(second[tree], leader)] if tree in second else []), (top_m, upper)]
@@ -421,17 +421,16 @@ def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) 
     return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
 
 
-def _leaders(trees: Trees, rings: StemRings, table: Table | None) -> Array:
+def _leaders(stems: Stems) -> F8:
     """Vertices (m, v, 3) of the second leaders, relative to the foot, of stems that fork."""
-    leaders = second_leaders(trees, rings, np.array([*_LEADER_RINGS, 1.0]), table=table)
-    above_m, radius_m = leaders.above_ground_m[:, :-1], leaders.radius_m[:, :-1]
-    angle = vertex_angles(leaders.trees, _LEADER_SIDES)
-    away_m = leaders.forms.outline(angle, above_m, radius_m, leaders.trees["dbh_m"] / 2)
-    pipes_m = _pipes(leaders.axis_m, above_m, away_m, angle)
-    return np.concatenate([pipes_m, leaders.axis_m(leaders.above_ground_m[:, -1:])], axis=1)
+    above_m, radius_m = stems.leaders(np.array([*_LEADER_RINGS, 1.0]))
+    angle, breast_m = stems.angles(stems.forked, _LEADER_SIDES), stems.trees["dbh_m"][stems.forked] / 2
+    away_m = stems.forms.of(stems.forked).outline(angle, above_m[:, :-1], radius_m[:, :-1], breast_m)
+    pipes_m = _pipes(stems.leader_axis_m, above_m[:, :-1], away_m, angle)
+    return np.concatenate([pipes_m, stems.leader_axis_m(above_m[:, -1:])], axis=1)
 
 
-def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:
+def _pipes(axis: Callable[[F8], F8], above_m: F8, away_m: F8, angle: F8) -> F8:
     """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis, vertices `away_m` (n, rings, sides) from it."""
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)

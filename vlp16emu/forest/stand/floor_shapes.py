@@ -18,9 +18,9 @@ from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.branches import merged
 from vlp16emu.forest.plants.species import GROUND_MATERIALS
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
+from vlp16emu.forest.stand.placed import PlacedThings
 from vlp16emu.random import generator
-from vlp16emu.types import SURFACE, Array, IntArray, Mesh, PlantPart, Semantic
+from vlp16emu.types import F8, I8, SURFACE, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import closed, unit
 
 Generator = np.random.Generator
@@ -88,12 +88,12 @@ def litter_heap(rng: Generator) -> Mesh:
     return _kites(at - length * leaf / 2 * [1.0, 1.0, 0.0], length * leaf, wide)
 
 
-def _in_disc(rng: Generator, count: int, radius: float) -> Array:
+def _in_disc(rng: Generator, count: int, radius: float) -> F8:
     towards, away = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.random(count))
     return np.column_stack([away * cos(towards), away * sin(towards)])
 
 
-def _kites(base: Array, along: Array, wide: Array | float) -> Mesh:
+def _kites(base: F8, along: F8, wide: F8 | float) -> Mesh:
     """Leaves from bases (..., 3) along vectors (..., 3), level across, their width over their length given."""
     base, along = np.broadcast_arrays(base, along)
     base, along = base.reshape(-1, 3), along.reshape(-1, 3)
@@ -105,7 +105,7 @@ def _kites(base: Array, along: Array, wide: Array | float) -> Mesh:
     return _unit(vertices, faces.reshape(-1, 3))
 
 
-def _unit(vertices: Array, faces: IntArray) -> Mesh:
+def _unit(vertices: F8, faces: I8) -> Mesh:
     """Mesh stretched to a height and a greatest diameter of 1."""
     vertices = vertices / [*(2 * [2 * norm(vertices[:, :2]).max()]), vertices[:, 2].max()]
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
@@ -190,18 +190,12 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
 
 
 def labelled(
-    kind: FloorKind,
-    keep: Mask,
-    world_T: Array,
-    draws: Array,
-    *,
-    species: IntArray | None = None,
-    large: Mask | None = None,
+    kind: FloorKind, keep: Mask, world_T: F8, draws: F8, *, species: I8 | None = None, large: Mask | None = None
 ) -> PlacedThings:
     """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
     larges = [False] * len(variants) if large is None else large[keep].tolist()
-    keys, shape = distinct([FloorKey(kind, *how) for how in zip(variants, larges, strict=True)])
+    keys = [FloorKey(kind, *how) for how in zip(variants, larges, strict=True)]
     own = _SHAPES[kind]
     rows = np.zeros((len(variants), 1), SURFACE)
     rows["semantic"], rows["part"] = own.semantic, own.part
@@ -209,7 +203,7 @@ def labelled(
     rows["reflectance"] = _REFLECTANCE[own.material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
     if species is not None:
         rows["species"] = species[keep, None]
-    return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES, is_ground=kind in GROUND_KINDS)
+    return PlacedThings(keys, world_T[keep], rows, is_ground=kind in GROUND_KINDS)
 
 
 def _stone(rng: Generator, splits: int = _STONE_SPLITS) -> Mesh:
@@ -224,7 +218,7 @@ def _stone(rng: Generator, splits: int = _STONE_SPLITS) -> Mesh:
     return Mesh(vertices.astype(np.float32), faces)
 
 
-def _outline_m2(points: Array) -> float:
+def _outline_m2(points: F8) -> float:
     """Return the area of the convex hull of points (n, 2), by Andrew's monotone chain."""
     ordered = points[np.lexsort(points.T)].tolist()
     area = 0.0
@@ -241,7 +235,7 @@ def _outline_m2(points: Array) -> float:
     return area
 
 
-def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
+def _icosphere(splits: int) -> tuple[F8, NDArray[np.uint32]]:
     """Quarter the faces of an icosahedron again and again: unit vectors (v, 3) and triangles (f, 3)."""
     golden = (1 + np.sqrt(5)) / 2
     corners = [np.roll((0.0, a, b * golden), axis) for axis in range(3) for a in (-1, 1) for b in (-1, 1)]
@@ -301,7 +295,7 @@ def _root_plate(rng: Generator) -> Mesh:
     return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
 
 
-def _drum(rng: Generator, at: Array, radius: Array, *, slant: float) -> tuple[Array, Array]:
+def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
     """Rings (r, sides, 3) about the z axis and middles (2, 3) of the ends, with weathered ribs and ends not quite square."""
     sides, angle = _ROUND_SIDES, 2 * np.pi * np.arange(_ROUND_SIDES) / _ROUND_SIDES
     ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))

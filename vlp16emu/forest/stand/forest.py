@@ -1,40 +1,30 @@
 """A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and what is kept of it."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import TypeVar
 
 import numpy as np
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
-from vlp16emu.forest.ground.terrain import Trails
+from vlp16emu.forest.plants import prototypes
 from vlp16emu.forest.plants.foliage import IvyKey, ivy_meshes, ivy_tops_m
-from vlp16emu.forest.plants.prototypes import (
-    CROWN_PARTS,
-    CrownKey,
-    SaplingKey,
-    ShrubKey,
-    crown_meshes,
-    crown_placements,
-    sapling_meshes,
-    shrub_meshes,
-)
-from vlp16emu.forest.plants.species import Flora, Trees, flora, material_names
+from vlp16emu.forest.plants.species import Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.forest.settings import Woods
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.forest.stand.given_stand import GivenStand
 from vlp16emu.forest.stand.inventory import far_stems
-from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, Site, Tile, distinct, packed, plant_surfaces
+from vlp16emu.forest.stand.placed import PlacedThings, Tile, distinct, packed, plant_surfaces
+from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.stand import TREE, Stand, foot_discs
 from vlp16emu.forest.stand.tree_models import ModelKey, TreeModels
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.store import recalled
-from vlp16emu.types import FIRST_FREE_INSTANCE, Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKey
 
 _NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 _DENSEST_PER_HA = 125_000
@@ -63,8 +53,7 @@ class ForestWorld:
 
     Parameters
     ----------
-    path, reach_m : of the sensor as a whole, fine enough that its chords are as good as the path; how far the sensor sees
-    plants, trails : trees and shrubs, those of the program by default; where no saplings and shrubs grow
+    reach_m : how far the sensor sees
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
     name, plants_name : digests of all that decides the forest, seed and path too, and the plants; empty if nothing is kept on disk
     """
@@ -73,29 +62,23 @@ class ForestWorld:
         self,
         section: Woods,
         stems: Stand | GivenStand,
+        land: Land,
         *,
-        seed: int,
-        height_m: HeightField,
-        path: Corridor,
         reach_m: float,
-        plants: Flora | None = None,
-        trails: Trails | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
         name: str = "",
         plants_name: str = "",
     ) -> None:
-        self.section, self.height_m, self.plants = section, height_m, plants or flora()
-        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
+        self.section, self.height_m, self.plants = section, land.height_m, land.plants
+        self.seed, self.near_m, self.name, self._plants_name = land.seed, near_m, name, plants_name
         self.models, self._loose_stems = TreeModels(section.tree_models, self.plants, section.season), loose_stems
-        self._path, self._reach_m = path, reach_m
-        layers = layers_of(section, seed, stems.species, self.plants, trails)
-        self._layers = [layer for layer in layers if layer.pattern.per_ha]
+        self._reach_m, self._layers = reach_m, layers_of(section, land, stems.species)
         per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.kind.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
-        self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
+        self._first_tile, self._tiles_across = _numbered_tiles(land.path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
         kept = 2 * across * across
@@ -110,20 +93,13 @@ class ForestWorld:
     @property
     def materials(self) -> tuple[str, ...]:
         """Names by `SURFACE` material number."""
-        return material_names(self.plants)
+        return self.plants.materials
 
-    def trees(self, track_m: Array) -> Trees:
+    def trees(self, track_m: F8) -> Trees:
         """Return the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
         return np.concatenate([np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))])
 
-    def growing(self, track_m: Array) -> Iterator[float]:
-        """Grow the tiles in the window of positions (m, 2 or 3) one by one, and give the share that is there after each."""
-        names = self._in_view(track_m)
-        for done, name in enumerate(names, 1):
-            self._tile(*name)
-            yield done / len(names)
-
-    def window(self, track_m: Array) -> TiledWindow:
+    def window(self, track_m: F8) -> TiledWindow:
         """Return everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
         names = self._in_view(track_m)
         tiles = [self._tile(*name) for name in names]
@@ -197,17 +173,17 @@ class ForestWorld:
                 return (self._ivy_meshes(key.tile)[key.number],)
             case ModelKey():
                 return self.models.shape(key)
-            case CrownKey():
-                return crown_meshes(self.seed, key, table=self.plants.trees)
-            case SaplingKey():
-                return sapling_meshes(self.seed, key, table=self.plants.trees)
-            case ShrubKey():
-                return shrub_meshes(self.seed, key, table=self.plants.shrubs)
+            case prototypes.CrownKey():
+                return prototypes.crown_meshes(self.seed, key, table=self.plants.trees)
+            case prototypes.SaplingKey():
+                return prototypes.sapling_meshes(self.seed, key, table=self.plants.trees)
+            case prototypes.ShrubKey():
+                return prototypes.shrub_meshes(self.seed, key, table=self.plants.shrubs)
             case FloorKey():
                 return floor_meshes(self.seed, key)
         raise KeyError(key)
 
-    def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
+    def _in_view(self, track_m: F8) -> list[tuple[int, int]]:
         return list(map(tuple, tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()))
 
     def _grow_tile(self, ix: int, iy: int) -> Tile:
@@ -223,8 +199,9 @@ class ForestWorld:
         grown = trees[~is_modelled]
         modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
         crowns = [self._crown(*name) for name in grown[["cohort", "crown_class", "crown_variant"]].tolist()]
-        world_T, rows = crown_placements(grown, crowns), plant_surfaces(grown, CROWN_PARTS, self.plants)
-        placed = PlacedThings(*distinct(crowns), world_T, rows, grown, is_exact=self._loose_stems)
+        world_T = prototypes.crown_placements(grown, crowns)
+        rows = plant_surfaces(grown, prototypes.CROWN_PARTS, self.plants)
+        placed = PlacedThings(crowns, world_T, rows, grown, is_exact=self._loose_stems)
         groups, rooted = [placed, *modelled], grown
         if self._loose_stems:
             stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
@@ -232,16 +209,15 @@ class ForestWorld:
         if self.section.ivy.share:
             groups.append(self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,)))
         trunks = around(ix, iy, self._discs) if self._layers else np.zeros((0, 3))
-        site = Site(self.seed, ix, iy, self.height_m, self._path, trunks)
         for layer in self._layers:
-            groups.append(placed := layer.place(site))
+            groups.append(placed := layer.place(ix, iy, trunks))
             if placed.is_ground:
                 continue
-            numbers = number + np.arange(len(placed.shape))
+            numbers = number + np.arange(len(placed.keys))
             placed.surfaces["instance"] = numbers[:, None]
             if len(placed.trees):
                 placed.trees["id"] = numbers
-            number += len(placed.shape)
+            number += len(placed.keys)
         tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
         tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture)
         return tile
@@ -258,24 +234,22 @@ class ForestWorld:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
         return ivy_meshes(trees, self._ivy_m(trees), origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
-    def _ivy_m(self, trees: Trees) -> Array:
+    def _ivy_m(self, trees: Trees) -> F8:
         return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
     def _in_tile(
-        self, kind: type[StemKey | IvyKey], key: TileKey, numbers: IntArray, trees: Trees, parts: tuple[PlantPart, ...]
+        self, kind: type[StemKey | IvyKey], key: TileKey, numbers: I8, trees: Trees, parts: tuple[PlantPart, ...]
     ) -> PlacedThings:
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
-            tuple(kind(key, number) for number in numbers.tolist()),
-            np.arange(len(numbers)),
+            [kind(key, number) for number in numbers.tolist()],
             np.repeat(world_T_tile[None], len(numbers), axis=0),
             plant_surfaces(trees[numbers], parts, self.plants),
-            NO_TREES,
             is_exact=self._loose_stems,
         )
 
 
-def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
+def _numbered_tiles(path_xy_m: F8, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
     """First tile and number of tiles, in x and y, of the box around all that the walk can see."""
     if not np.isfinite(path_xy_m).all():
         row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])

@@ -12,14 +12,15 @@ from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor, Polyline
 from vlp16emu.forest.plants.prototypes import CrownKey
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Species, Trees, flora, known
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Species, Trees, flora, known
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import LEAST_SLENDERNESS, Plot
+from vlp16emu.forest.stand.points import Land
 from vlp16emu.forest.stand.stand import RIVALS_M, TREE, competition, foot_discs, in_the_way_m, path_gap_m, residuals
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
 from vlp16emu.tables import Column, Table, optional, read_table
-from vlp16emu.types import Array, HeightField
+from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
 _APART_M = 0.05  # two stems nearer to each other are one that was listed twice
@@ -78,7 +79,7 @@ def read_stem_list(
     return trees
 
 
-def _with_heights(table: Table, species: list[Species]) -> Array:
+def _with_heights(table: Table, species: list[Species]) -> F8:
     dbh_cm, height_m = 100 * table.numbers("dbh_m"), table.numbers("height_m")
     of, unknown = np.array([one.number for one in species]), np.isnan(height_m)
     for one in {one.number: one for one in species}.values():
@@ -157,17 +158,17 @@ class GivenStand:
     Raises GeometryError for a list that is wrong, and where trees are on the path that are not to be dropped.
     """
 
-    def __init__(self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora) -> None:
-        self._source = Path(section.stem_list)
-        trees = read_stem_list(self._source, plants.trees, section.origin_m, seed)
+    def __init__(self, section: Plot, land: Land) -> None:
+        self._source, plants = Path(section.stem_list), land.plants
+        trees = read_stem_list(self._source, plants.trees, section.origin_m, land.seed)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
         self.species = [one.name for one in self._species]
         self._season, self._dead_branches = section.season, section.dead_branches
-        trees = _completed(seed, trees, self._species)
+        trees = _completed(land.seed, trees, self._species)
         if section.crooked_stems:
-            trees["form"] = generator(seed, Growth.STEM_FORM).integers(1, 2**63, len(trees))
-        trees = _clear_of_path(section, trees, plants.trees, path)
-        trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
+            trees["form"] = generator(land.seed, Growth.STEM_FORM).integers(1, 2**63, len(trees))
+        trees = _clear_of_path(section, trees, plants.trees, land.path)
+        trees["z_m"] = land.height_m(trees["x_m"], trees["y_m"])
         tile = np.floor(places_m(trees, "xy") / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         self._tiles = {(ix, iy): trees[of.ravel() == i] for i, (ix, iy) in enumerate(tiles.tolist())}
@@ -214,7 +215,7 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     return trees
 
 
-def stems_in_the_way(section: Plot, seed: int) -> tuple[Array, Array]:
+def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:
     """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
 
     Raises GeometryError for a list that is wrong.

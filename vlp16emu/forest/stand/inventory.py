@@ -20,22 +20,19 @@ from vlp16emu.forest.plants.prototypes import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.forest.plants.species import Table, Trees, species_table
+from vlp16emu.forest.plants.species import Table, Trees, flora
 from vlp16emu.forest.plants.stem import (
     FLARE_TOP_M,
     STEM_CIRCLE,
     STEM_PARTS,
-    axis_m,
+    Stems,
+    circles_of,
     polygon_m2,
-    second_leaders,
-    stem_rings,
     stems_above_ground,
     tape_m,
-    tip_radius_m,
-    vertex_angles,
 )
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.types import Array, Mesh, PlantPart
+from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import determinant, places_m, unit
 
 INVENTORY = np.dtype(  # one tree of the inventory. Tops, volumes and areas are those of its meshes.
@@ -75,7 +72,7 @@ _DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a
 
 def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
     """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
-    table = table or species_table()
+    table = table or flora().trees
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
         rows[name] = trees[name]
@@ -108,7 +105,7 @@ def write_csv(
     def text(value: float) -> str:
         return str(value) if isinstance(value, int) else "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
 
-    names = {species.number: name for name, species in (table or species_table()).items()}
+    names = {species.number: name for name, species in (table or flora().trees).items()}
     opened = TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(opened, lineterminator="\n")
     more = np.zeros(len(rows), []) if more is None else more
@@ -120,16 +117,12 @@ def write_csv(
 
 
 def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Table) -> None:
-    rings = stem_rings(trees, table=table)
-    at = BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
-    middle_m = axis_m(trees, rings.forms, np.full((len(trees), 1), BREAST_HEIGHT_M))[:, 0]
+    stems, at = Stems(trees, table=table), (BREAST_HEIGHT_M, US_BREAST_HEIGHT_M)
+    middle_m = stems.axis_m(np.full((len(trees), 1), BREAST_HEIGHT_M))[:, 0]
     rows["x_breast_m"], rows["y_breast_m"] = trees["x_m"] + middle_m[:, 0], trees["y_m"] + middle_m[:, 1]
-    for i, sides in enumerate(rings.sides.tolist()):
-        one = slice(i, i + 1)
-        above_m, radius_m = rings.above_ground_m[one], rings.radius_m[one]
-        angle, breast_m = vertex_angles(trees[one], sides), trees["dbh_m"][one] / 2
-        away_m = rings.forms.of(np.array([i])).outline(angle, above_m, radius_m, breast_m)[0]
-        breast, us = np.array([[np.interp(z, above_m[0], side) for side in away_m.T] for z in at])
+    for i, sides in enumerate(stems.sides.tolist()):
+        (away_m,), above_m = stems.outlines(np.array([i]), sides), stems.above_ground_m[i]
+        breast, us = np.array([[np.interp(z, above_m, side) for side in away_m.T] for z in at])
         rows["girth_over_pi_m"][i] = tape_m(breast[None])[0]
         rows["dbh_us_m"][i] = 2 * np.sqrt(polygon_m2(us, 2 * np.pi / sides) / np.pi)
 
@@ -141,7 +134,7 @@ def volume_m3(mesh: Mesh) -> float:
 
 
 def _measure_crowns(
-    rows: NDArray[np.void], span_m: Array, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
+    rows: NDArray[np.void], span_m: F8, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
 ) -> None:
     """Fill in wood and leaves, prototype by prototype, each stretched as its trees stretch it; widen spans (n, 2, 3) to them."""
     wide, long = crown_scale(trees, crowns)
@@ -170,12 +163,12 @@ def _measure_crowns(
             rows["leaf_m2"][which] = foliage.clumping * np.array(areas_m2)
 
 
-def hull_m(points_m: Array) -> Array:
+def hull_m(points_m: F8) -> F8:
     """Return the points (n, 2 or 3) that span their convex hull; all if they span no area or volume."""
     from scipy.spatial import ConvexHull, QhullError  # here: it takes a while to load
 
     try:
-        hull: Array = points_m[ConvexHull(points_m).vertices]
+        hull: F8 = points_m[ConvexHull(points_m).vertices]
     except (QhullError, ValueError):  # few or flat
         return points_m
     return hull
@@ -191,21 +184,18 @@ def branch_circles(
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]
-    for tree, key, world_T_crown in zip(trees, crowns, crown_placements(trees, crowns), strict=True):
+    for one, key, world_T_crown in zip(trees[:, None], crowns, crown_placements(trees, crowns), strict=True):
         number = 1
         both = PlantPart.BRANCH_FIRST_ORDER, PlantPart.DEAD_BRANCH
         for part, branches in zip(both, prototypes[key], strict=True):
             world_A, nodes_m = world_T_crown[:, :3], branches.nodes_m
             along = np.gradient(nodes_m, axis=1)
             longer = norm(matvec(world_A, along)) / norm(along)
-            circles = np.zeros(nodes_m.shape[:2], STEM_CIRCLE)
-            for axis, at_m in enumerate(np.moveaxis(matvec(world_A, nodes_m) + world_T_crown[:, 3], -1, 0)):
-                circles[f"{'xyz'[axis]}_m"] = at_m
             # Area times length is volume, which the determinant stretches.
-            circles["radius_m"] = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
-            circles["tree"], circles["leader"], circles["part"] = tree["id"], 1, part
-            circles["branch"] = (number + np.arange(len(circles)))[:, None]
-            circles["above_foot_m"] = circles["z_m"] - tree["z_m"]
+            radius_m = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
+            at_m, numbers = matvec(world_A, nodes_m) + world_T_crown[:, 3], number + np.arange(len(nodes_m))
+            circles = circles_of(one, 1, part, at_m, radius_m, numbers[:, None])
+            circles["above_foot_m"] = circles["z_m"] - one["z_m"]
             number += len(circles)
             found.append(circles.ravel())
     return np.concatenate(found)
@@ -213,22 +203,18 @@ def branch_circles(
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
     """Stems of n trees as `STEM`, circles in place of their polygons, then their second leaders; rows count on from the first."""
-    rings = stem_rings(trees, table=table)
-    above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
-    radius_m = np.column_stack([rings.radius_m, tip_radius_m(trees, table=table)])
-    foot_m = places_m(trees)
-    first = profiles(foot_m, axis_m(trees, rings.forms, above_m), radius_m, 1)
+    own, foot_m = Stems(trees, table=table), places_m(trees)
+    above_m = np.column_stack([own.above_ground_m, trees["height_m"]])
+    first = profiles(foot_m, own.axis_m(above_m), np.column_stack([own.radius_m, own.tip_radius_m]), 1)
     first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
     first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]
-    leaders = second_leaders(trees, rings, np.linspace(0.0, 1.0, above_m.shape[1]), table=table)
-    middle_m = leaders.axis_m(leaders.above_ground_m)
-    foot_m = foot_m[rings.forked]
-    second = profiles(foot_m, middle_m, leaders.radius_m, 0)
-    second["flare_m"], second["row"] = -1.0, first["row"][rings.forked]
+    above_m, radius_m = own.leaders(np.linspace(0.0, 1.0, above_m.shape[1]))
+    second = profiles(foot_m[own.forked], own.leader_axis_m(above_m), radius_m, 0)
+    second["flare_m"], second["row"] = -1.0, first["row"][own.forked]
     return np.concatenate([first, second])
 
 
-def profiles(foot_m: Array, middle_m: Array, radius_m: Array, begin: int) -> NDArray[np.void]:
+def profiles(foot_m: F8, middle_m: F8, radius_m: F8, begin: int) -> NDArray[np.void]:
     """Make `STEM`s of circles (n, 16) with middles (n, 16, 3) relative to feet (n, 3); `begin` is that of their lines."""
     stems = np.zeros(len(foot_m), STEM)
     from_m = middle_m[:, begin]

@@ -1,95 +1,65 @@
 """Content of a tile: its ground and stems, and things of the same few shapes, placed again and again."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
-from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.plants.species import Flora, Trees
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.forest.tiles import TileKey, tile_distance_m
-from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Semantic, ShapeKey
+from vlp16emu.forest.tiles import TileKey
+from vlp16emu.types import F8, I8, SURFACE, PlantPart, Semantic, ShapeKey
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
-NO_TREES = np.zeros(0, TREE)  # trees of a layer that has none
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedThings:
     """Things of one kind on one tile."""
 
-    keys: tuple[ShapeKey, ...]  # different shapes, each once
-    shape: IntArray  # (n,) index into `keys`
-    world_T_shape: Array  # (n, 3, 4).
+    keys: Sequence[ShapeKey]  # (n,) shape of each
+    world_T_shape: F8  # (n, 3, 4).
     surfaces: NDArray[np.void]  # (n, parts) `SURFACE`, of each thing's meshes in order; instance still 0
-    trees: NDArray[np.void]  # (n,) `TREE` with id still 0 where the things are trees, else (0,)
+    trees: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, TREE))
+    """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
     is_ground: bool = False  # as of their layer
     is_exact: bool = False  # whether they are cast as they are from any distance, and are no part of the `FarTile`
 
 
-@dataclass(frozen=True, slots=True)
-class Site:
-    """A tile, and what keeps plants and things off it."""
-
-    seed: int
-    ix: int
-    iy: int
-    height_m: HeightField  # ground
-    path: Corridor
-    trunks: Array  # (m, 3) x, y and radius at the ground of all stems on the tile and its neighbours
-
-    @property
-    def distance_m(self) -> float:
-        """Distance of the tile from the path, or less."""
-        return tile_distance_m((self.ix, self.iy), self.path)
-
-    def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
-        """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
-        free = np.asarray(self.path.distance_m(xy_m) - reach_m >= self.path.clearance_m)
-        dx, dy = (xy_m[:, None, axis] - self.trunks[:, axis] for axis in (0, 1))
-        gap_m = foot_m[:, None] + self.trunks[:, 2]
-        blocked = np.asarray((dx * dx + dy * dy < gap_m * gap_m).any(axis=1))
-        return np.logical_and(free, ~blocked)
-
-
-def between(limits: tuple[float, float], draw: Array) -> Array:
+def between(limits: tuple[float, float], draw: F8) -> F8:
     """Return values evenly from limits[0] to limits[1], by draws in [0, 1)."""
     return limits[0] + (limits[1] - limits[0]) * draw
 
 
-def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], IntArray]:
+def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], I8]:
     """Split keys into the different ones, each once, and the index of each into them."""
     index_of = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     return tuple(index_of), np.array([index_of[key] for key in keys], np.int64)
 
 
-def placements(place_m: Array, world_R_thing: Array, size: Array) -> Array:
+def placements(place_m: F8, world_R_thing: F8, size: F8) -> F8:
     """`world_T_shape` (n, 3, 4) from places (n, 3), rotations (n, 3, 3) and scales along the axes (n, 3)."""
     return np.concatenate([world_R_thing * size[:, None, :], place_m[:, :, None]], axis=2)
 
 
 def together(groups: Sequence[PlacedThings]) -> PlacedThings:
     """Join groups of things of one layer, in order; none of them are trees."""
-    first = np.cumsum([0, *(len(one.keys) for one in groups)])
-    return PlacedThings(
-        tuple(key for one in groups for key in one.keys),
-        np.concatenate([one.shape + begin for one, begin in zip(groups, first[:-1], strict=True)]),
-        np.concatenate([one.world_T_shape for one in groups]),
-        np.concatenate([one.surfaces for one in groups]),
-        NO_TREES,
+    keys = [key for one in groups for key in one.keys]
+    world_T_shape, surfaces = (
+        np.concatenate([getattr(one, name) for one in groups]) for name in ("world_T_shape", "surfaces")
     )
+    return PlacedThings(keys, world_T_shape, surfaces)
 
 
-def turned(azimuth_deg: Array) -> Array:
+def turned(azimuth_deg: F8) -> F8:
     """Rotations (n, 3, 3) about the vertical, counter-clockwise."""
     return laid(np.radians(azimuth_deg), np.zeros(len(azimuth_deg)))
 
 
-def laid(towards: Array, slope: Array) -> Array:
+def laid(towards: F8, slope: F8) -> F8:
     """Rotations (n, 3, 3) that lay the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
     flat, c, s, zero = 1 / hypot(1, slope), cos(towards), sin(towards), np.zeros(len(towards))
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
@@ -103,42 +73,34 @@ class Tile:
 
     trees: Trees  # all trees by number, saplings last
     keys: tuple[ShapeKey, ...]  # different shapes, the tile's own first
-    shape: IntArray  # (n,) of each placement, index into `keys`
-    world_T_shape: Array  # (n, 3, 4).
-    first_surface: IntArray  # (n,) row of `surfaces`
+    shape: I8  # (n,) of each placement, index into `keys`
+    world_T_shape: F8  # (n, 3, 4).
+    first_surface: I8  # (n,) row of `surfaces`
     surfaces: NDArray[np.void]  # (m,) `SURFACE`
     far: NDArray[np.bool_]  # (n,) which of the placements are part of the `FarTile`
     low: NDArray[np.bool_]  # (n,) which are ground, and too low for the far medium
 
 
-def packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
+def packed(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
     """Join a tile: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
-    own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
-    keys: list[ShapeKey] = [key]
-    shape, first_surface = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
-    tables = [ground, plant_surfaces(trees, STEM_PARTS, plants).ravel()]
-    rows = 1 + len(STEM_PARTS) * len(trees)
-    for placed in groups:
-        n, parts = placed.surfaces.shape
-        shape.append(len(keys) + placed.shape)
-        keys += placed.keys
-        first_surface.append(rows + parts * np.arange(n))
-        tables.append(placed.surfaces.ravel())
-        rows += n * parts
-    kinds = [(False, False), *((one.is_ground, one.is_exact) for one in groups)]
-    is_low, is_exact = np.repeat(kinds, [1, *(len(one.shape) for one in groups)], axis=0).T
+    own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)
+    rows = np.concatenate([ground, plant_surfaces(trees, STEM_PARTS, plants).ravel()])
+    groups = [PlacedThings([key], own_T[None], rows[None]), *groups]
+    keys, shape = distinct([key for placed in groups for key in placed.keys])
+    kinds = [(placed.is_ground, placed.is_exact, placed.surfaces.shape[1]) for placed in groups]
+    is_low, is_exact, parts = np.repeat(kinds, [len(placed.keys) for placed in groups], axis=0).T
     placed_trees = np.concatenate([placed.trees for placed in groups])
     return Tile(
         trees=placed_trees[np.argsort(placed_trees["id"], kind="stable")],
-        keys=tuple(keys),
-        shape=np.concatenate(shape),
-        world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
-        first_surface=np.concatenate(first_surface),
-        surfaces=np.concatenate(tables),
-        far=~(is_low | is_exact),
-        low=is_low,
+        keys=keys,
+        shape=shape,
+        world_T_shape=np.concatenate([placed.world_T_shape for placed in groups]),
+        first_surface=np.cumsum(parts) - parts,
+        surfaces=np.concatenate([placed.surfaces.ravel() for placed in groups]),
+        far=(is_low + is_exact) == 0,
+        low=is_low > 0,
     )
 
 

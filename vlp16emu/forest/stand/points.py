@@ -7,7 +7,7 @@ Stochastic Geometry and its Applications, 3rd ed., sections 5.3 and 5.4.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -15,14 +15,29 @@ import numpy as np
 
 from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.polyline import Corridor
 from vlp16emu.forest.ground.terrain import Trails, sum_of_waves, waves
+from vlp16emu.forest.plants.species import Flora, flora
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import Clusters, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
-from vlp16emu.types import Array, IntArray
+from vlp16emu.types import F8, I8, HeightField
 
-TilePoints = Callable[[int, int], Array]
+TilePoints = Callable[[int, int], F8]
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """What a forest grows on."""
+
+    seed: int
+    height_m: HeightField  # ground
+    path: Corridor  # of the sensor as a whole, fine enough that its chords are as good as the path
+    plants: Flora = field(default_factory=flora)  # trees and shrubs, those of the program by default
+    trails: Trails | None = None  # where no trees and shrubs grow
+
+
 _SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
 _JITTER_M = 0.15  # half-range of the error of planting along and across a row; assumption
 _LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
@@ -57,7 +72,7 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
     band = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
     most_per_ha = even_per_ha + _DENSEST_PATCH * patchy_per_ha
 
-    def points(ix: int, iy: int) -> Array:
+    def points(ix: int, iy: int) -> F8:
         # A Poisson process as dense as the densest patch, thinned to the density at each point.
         mean = most_per_ha * TILE_M * TILE_M / 10_000
         draws = _sown(generator(seed, purpose, ix, iy), ix, iy, mean, columns=3)
@@ -82,12 +97,12 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
     intensity = -log1p(-density * area) / area if density else 0.0
 
     @lru_cache(maxsize=_TILES_KEPT)
-    def candidates(ix: int, iy: int) -> Array:
+    def candidates(ix: int, iy: int) -> F8:
         found = _sown(generator(seed, purpose, ix, iy), ix, iy, intensity * TILE_M * TILE_M, columns=3)
         found.flags.writeable = False
         return found
 
-    def points(ix: int, iy: int) -> Array:
+    def points(ix: int, iy: int) -> F8:
         own, rivals = candidates(ix, iy), around(ix, iy, candidates)
         dx, dy = (own[:, None, axis] - rivals[:, axis] for axis in (0, 1))
         beaten = (dx * dx + dy * dy < distance_m * distance_m) & (rivals[:, 2] < own[:, None, 2])
@@ -103,7 +118,7 @@ def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -
     """
 
     @lru_cache(maxsize=_TILES_KEPT)
-    def members(ix: int, iy: int) -> Array:
+    def members(ix: int, iy: int) -> F8:
         rng = generator(seed, purpose, ix, iy)
         middles = _sown(rng, ix, iy, per_ha / section.per_cluster * TILE_M * TILE_M / 10_000)
         each = rng.poisson(section.per_cluster, len(middles))
@@ -128,14 +143,14 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
     # Rows of the matrix: along and across the planted rows.
     row_R_world = np.array([[cos(towards), sin(towards)], [-sin(towards), cos(towards)]])
 
-    def row(number: int, plants: IntArray) -> Array:
+    def row(number: int, plants: I8) -> F8:
         """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""
         lane = number & 0xFFFFFFFF
         draws = uniform(seed, purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
         places = np.column_stack([plants, np.full(len(plants), number)]) * spacing_m
         return (places + _JITTER_M * (2 * draws[:, :2] - 1))[draws[:, 2] < per_ha / whole_per_ha]
 
-    def points(ix: int, iy: int) -> Array:
+    def points(ix: int, iy: int) -> F8:
         corners = matvec(row_R_world, TILE_M * np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)]))
         low = np.floor((corners.min(axis=0) - _JITTER_M) / spacing_m).astype(int)
         high = np.ceil((corners.max(axis=0) + _JITTER_M) / spacing_m).astype(int)
@@ -146,12 +161,10 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
     return PointPattern(per_ha, points)
 
 
-def pattern_of(
-    section: Pattern, *, seed: int, purpose: Growth, per_ha: float, trails: Trails | None = None
-) -> PointPattern:
+def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) -> PointPattern:
     """Make a point pattern of some density, counted over all the ground but with points off the trails alone."""
-    share = trails.free_share if trails else 1.0
-    how: dict[str, Any] = {"seed": seed, "purpose": purpose, "per_ha": per_ha / share}
+    share = land.trails.free_share if land.trails else 1.0
+    how: dict[str, Any] = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
     match section:
         case Clusters():
             pattern = clustered(section, **how)
@@ -159,19 +172,19 @@ def pattern_of(
             pattern = planted(section, free_share=share, **how)
         case Scattered(kind=kind):
             pattern = hard_core(**how) if kind == "hard_core" else scattered(**how)
-    if trails is None or share == 1:
+    if (trails := land.trails) is None or share == 1:
         return pattern
     off_trails = pattern.per_ha * share
     return PointPattern(off_trails, lambda ix, iy: (xy_m := pattern.points(ix, iy))[trails.are_free(xy_m)])
 
 
-def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> Array:
+def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> F8:
     """Random numbers in [0, 1), (n, columns), the first two scaled to places on a tile; n is `mean` on average."""
     draws = rng.random((rng.poisson(mean), columns))
     draws[:, :2] = (draws[:, :2] + np.array([ix, iy])) * TILE_M
     return draws
 
 
-def _inside(points: Array, ix: int, iy: int) -> Array:
+def _inside(points: F8, ix: int, iy: int) -> F8:
     low = np.array([ix, iy]) * TILE_M
     return points[((points >= low) & (points < low + TILE_M)).all(axis=1)]

@@ -7,7 +7,7 @@ trunk is left out.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, log1p, matmul, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest import settings
-from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.forest.plants.prototypes import (
     CROWN_BASE_SHARE,
@@ -28,32 +27,25 @@ from vlp16emu.forest.plants.prototypes import (
     SaplingKey,
     ShrubKey,
 )
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Shrub, Species, flora, known
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, known
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, LOG_TAPER, FloorKind, labelled
-from vlp16emu.forest.stand.placed import (
-    NO_TREES,
-    PlacedThings,
-    Site,
-    between,
-    distinct,
-    laid,
-    placements,
-    plant_surfaces,
-    together,
-    turned,
-)
-from vlp16emu.forest.stand.points import PointPattern, patchy, pattern_of, scattered
+from vlp16emu.forest.stand.placed import PlacedThings, between, laid, placements, plant_surfaces, together, turned
+from vlp16emu.forest.stand.points import Land, PointPattern, patchy, pattern_of, scattered
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
+from vlp16emu.forest.tiles import tile_distance_m
 from vlp16emu.random import generator
 from vlp16emu.settings import Section
-from vlp16emu.types import Array, IntArray, Semantic
+from vlp16emu.types import F8, I8, HeightField, Semantic
 from vlp16emu.world.vectors import places_m
 
 _CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
 _ROOM_SHARE, _MOST_ROOM_M = 0.15, 0.5
 """Of a sapling's height, and at most, from its bark to that of a tree: assumption; none grows up through the foot of another."""
 _FOOT_SHARE = 0.1  # of a shrub's width, the radius within which its stems leave the ground
+
+
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +55,7 @@ class LayerKind:
     name: str  # key of the section
     purpose: Growth  # what draws them
     draws: tuple[int, ...]  # how many numbers each thing draws, together
-    lay: Callable[..., PlacedThings]  # from the layer, the site, places (n, 2) and those numbers (n, draws) to things
+    lay: Callable[..., PlacedThings]  # from the layer, trunks, places (n, 2) and those numbers (n, draws) to things
     shape: FloorKind | None = None  # of what covers the ground
     spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
     reach_m: float = math.inf
@@ -75,64 +67,74 @@ class LayerKind:
         return self.shape in GROUND_KINDS
 
 
-@dataclass(frozen=True, slots=True)
 class Layer:
-    """Things of one kind that grow or lie on the ground."""
+    """Things of one section of a scene, which grow or lie on the ground off the trails.
 
-    section: Any  # what the user wrote
-    kind: LayerKind
-    species: Sequence[Any]  # of the plants that they are or were
-    season: settings.Season
-    plants: Flora
-    pattern: PointPattern  # their places, before those on the path and in trunks are left out
+    A section that names no species has those of the canopy, saplings those of them that live. Raises GeometryError for a species that
+    is not in the table, and for saplings of none.
+    """
 
-    def place(self, site: Site) -> PlacedThings:
-        """Things of a tile, a function of the site alone."""
-        near = site.distance_m < self.kind.reach_m
-        xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
-        rng = generator(site.seed, self.kind.purpose, site.ix, site.iy, 1)
-        return self.kind.lay(self, site, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
+    def __init__(
+        self, section: Section, land: Land, *, season: settings.Season = "leaf_on", canopy: Sequence[str] = ()
+    ) -> None:
+        self.section: Any = section
+        self.kind, self.season, self.land = _KINDS[type(section)], season, land
+        self.species: Sequence[Any] = []  # of the plants that they are or were
+        plants = land.plants
+        match section:
+            case settings.Regeneration():
+                names = section.species or [one for one in canopy if plants.trees[one].foliage]
+                if section.stems_per_ha and not names:
+                    found = "found none, and only dead trees above"
+                    raise GeometryError("regeneration.species", found, "names of species")
+                self.species = known(names, plants.trees, "regeneration.species")
+            case settings.Shrubs():
+                self.species = known(section.species, plants.shrubs, "shrubs.species")
+            case settings.Logs() | settings.Stumps():
+                self.species = known(section.species or canopy, plants.trees, f"{self.kind.name}.species")
+        self.pattern = _pattern(section, self.kind, land)  # before those on the path and in trunks are left out
 
+    def place(self, ix: int, iy: int, trunks: F8) -> PlacedThings:
+        """Lay out the things of a tile, clear of trunks (m, 3): x, y and radius at the ground of stems on it and its neighbours."""
+        near = tile_distance_m((ix, iy), self.land.path) < self.kind.reach_m
+        xy_m = self.pattern.points(ix, iy) if near else np.zeros((0, 2))
+        rng = generator(self.land.seed, self.kind.purpose, ix, iy, 1)
+        return self.kind.lay(self, trunks, xy_m, *(rng.random((len(xy_m), count)) for count in self.kind.draws))
 
-def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
-    """Lay out young trees."""
-    height_m = between(layer.section.height_m, draws[:, 0])
-    room_m = np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
-    keep = site.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, height_m / SLENDERNESS / 2 + room_m)
-    trees, kinds, world_T = _grown(layer, site, xy_m[keep], height_m[keep], draws[keep])
-    trees["storey"] = trees["cohort"] = REGENERATION
-    trees["dbh_m"] = np.maximum(trees["height_m"] - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
-    trees["crown_base_m"] = CROWN_BASE_SHARE * trees["height_m"]
-    trees["crown_width_m"] = CROWN_WIDTH_SHARE * trees["height_m"]
-    keys = [SaplingKey(one.name, variant, height_m, layer.season) for one, variant, height_m in kinds]
-    return PlacedThings(*distinct(keys), world_T, plant_surfaces(trees, SAPLING_PARTS, layer.plants), trees)
-
-
-def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
-    """Lay out bushes of several stems."""
-    shrubs = [layer.species[i] for i in (len(layer.species) * draws[:, 1]).astype(int)]
-    low_m, high_m = np.array([one.height_m for one in shrubs]).reshape(-1, 2).T
-    height_m = low_m + (high_m - low_m) * draws[:, 0]
-    width_m = height_m * [one.width_share for one in shrubs]
-    keep = site.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
-    plants, kinds, world_T = _grown(layer, site, xy_m[keep], height_m[keep], draws[keep])
-    keys = [
-        ShrubKey(one.name, variant, height_m, one.width_share * height_m, layer.season)
-        for one, variant, height_m in kinds
-    ]
-    return PlacedThings(
-        *distinct(keys), world_T, plant_surfaces(plants, SHRUB_PARTS, layer.plants, Semantic.SHRUB), NO_TREES
-    )
+    def are_clear(self, trunks: F8, xy_m: F8, reach_m: F8, foot_m: F8) -> Mask:
+        """Return a mask (n,) of points (n, 2) that keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
+        free = np.asarray(self.land.path.distance_m(xy_m) - reach_m >= self.land.path.clearance_m)
+        dx, dy = (xy_m[:, None, axis] - trunks[:, axis] for axis in (0, 1))
+        gap_m = foot_m[:, None] + trunks[:, 2]
+        blocked = np.asarray((dx * dx + dy * dy < gap_m * gap_m).any(axis=1))
+        return np.logical_and(free, ~blocked)
 
 
-def _grown(
-    layer: Layer, site: Site, xy_m: Array, height_m: Array, draws: Array
-) -> tuple[NDArray[np.void], list[tuple[Any, int, float]], Array]:
-    """Return saplings or shrubs as `TREE`; of each the species, variant and height of its prototype; and their `world_T_shape`."""
-    kind = (len(layer.species) * draws[:, 1]).astype(int)
+def layers_of(section: settings.Woods, land: Land, canopy: Sequence[str]) -> list[Layer]:
+    """Return all that grows and lies under the trees, in the order of its numbers."""
+    sections = (getattr(section, kind.name) for kind in _KINDS.values())
+    layers = [Layer(own, land, season=section.season, canopy=canopy) for own in sections]
+    return [layer for layer in layers if layer.pattern.per_ha]
+
+
+def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
+    """Lay out young trees, or bushes of several stems."""
+    own, kind = layer.section, (len(layer.species) * draws[:, 1]).astype(int)
+    is_shrub = isinstance(own, settings.Shrubs)
+    if is_shrub:
+        low_m, high_m, wide = np.array([(*one.height_m, one.width_share) for one in layer.species])[kind].T
+        height_m = low_m + (high_m - low_m) * draws[:, 0]
+        width_m = height_m * wide
+        foot_m = _FOOT_SHARE * width_m
+    else:
+        height_m = between(own.height_m, draws[:, 0])
+        width_m = CROWN_WIDTH_SHARE * height_m
+        foot_m = height_m / SLENDERNESS / 2 + np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
+    keep = layer.are_clear(trunks, xy_m, width_m / 2, foot_m)
+    xy_m, height_m, kind, draws = xy_m[keep], height_m[keep], kind[keep], draws[keep]
     plants = np.zeros(len(xy_m), TREE)
     plants["x_m"], plants["y_m"] = xy_m.T
-    plants["z_m"] = site.height_m(*xy_m.T)
+    plants["z_m"] = layer.land.height_m(*xy_m.T)
     plants["height_m"], plants["crown_azimuth_deg"] = height_m, 360 * draws[:, 2]
     plants["crown_class"] = np.round(log(height_m) / log(_CLASS_RATIO))
     plants["crown_variant"] = VARIANTS * draws[:, 3]
@@ -142,12 +144,18 @@ def _grown(
     plants["leaf_reflectance"] = leaf + (2 * draws[:, 5] - 1) * LEAF_SPREAD
     prototype_m = [class_scale(_CLASS_RATIO, number) for number in plants["crown_class"].tolist()]
     size = np.repeat((height_m / np.array(prototype_m))[:, None], 3, axis=1)
-    species, variants = (layer.species[i] for i in kind), plants["crown_variant"].tolist()
     world_T = placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
-    return plants, list(zip(species, variants, prototype_m, strict=True)), world_T
+    prototypes = zip((layer.species[i] for i in kind), plants["crown_variant"].tolist(), prototype_m, strict=True)
+    if is_shrub:
+        shrubs = [ShrubKey(one.name, variant, m, one.width_share * m, layer.season) for one, variant, m in prototypes]
+        return PlacedThings(shrubs, world_T, plant_surfaces(plants, SHRUB_PARTS, layer.land.plants, Semantic.SHRUB))
+    plants["storey"] = plants["cohort"] = REGENERATION
+    plants["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
+    plants["crown_base_m"], plants["crown_width_m"] = CROWN_BASE_SHARE * height_m, CROWN_WIDTH_SHARE * height_m
+    saplings = [SaplingKey(one.name, variant, m, layer.season) for one, variant, m in prototypes]
+    return PlacedThings(saplings, world_T, plant_surfaces(plants, SAPLING_PARTS, layer.land.plants), plants)
 
 
-Mask = NDArray[np.bool_]
 _STATIONS = np.linspace(-0.5, 0.5, 9)
 """Along a log, where the ground under it and the distance from the path are looked at."""
 _SUNK = 0.25  # share of its half height that a sound log has sunk into the ground; assumption
@@ -172,21 +180,21 @@ _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
 class _Pieces:
     """Whole logs and pieces of broken ones, (n,) each."""
 
-    log: IntArray  # which log it is of
+    log: I8  # which log it is of
     is_top: Mask  # whether it is the upper piece of a broken one
-    xy_m: Array  # (n, 2) middle
-    towards: Array  # from butt to top, rad from east
-    length_m: Array
-    wide_m: Array
-    high_m: Array
-    sunk: Array  # share of the half height
+    xy_m: F8  # (n, 2) middle
+    towards: F8  # from butt to top, rad from east
+    length_m: F8
+    wide_m: F8
+    high_m: F8
+    sunk: F8  # share of the half height
 
-    def along_m(self) -> Array:
+    def along_m(self) -> F8:
         """Places (n, 9, 2) along them."""
         return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
 
 
-def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -> PlacedThings:
+def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> PlacedThings:
     """Lay trunks along the ground under them, some with their root plate, some broken in two, some rotten."""
     own = layer.section
     diameter_m = between(own.diameter_m, draws[:, 0])
@@ -205,8 +213,9 @@ def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -
         sunk=_SUNK + _DECAYED_SUNK * decay,
     )
     pieces = _broken(whole, is_broken, fate[:, 4:])
-    world_T = _laid_down(pieces, site, plate_m)
-    keep = _are_clear(pieces.along_m(), pieces.wide_m / 2, site) & _are_plates_clear(pieces, plate_m, site)
+    world_T = _laid_down(pieces, layer.land.height_m, plate_m)
+    keep = _are_clear(layer, trunks, pieces.along_m(), pieces.wide_m / 2)
+    keep &= _are_plates_clear(layer, trunks, pieces, plate_m)
     keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
     species, looks = _sampled_species(layer, draws)[pieces.log], draws[pieces.log]
     log_looks = np.where(pieces.is_top[:, None], looks[:, [6, 5]], looks[:, 4:6])
@@ -225,12 +234,12 @@ def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -
     )
 
 
-def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out what is left of trees that were felled or broke."""
     own, species = layer.section, _sampled_species(layer, draws)
     diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
-    keep = site.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
-    place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
+    keep = layer.are_clear(trunks, xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
+    place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = np.column_stack([diameter_m, diameter_m, height_m])
     world_T = placements(place_m, turned(360 * draws[:, 2]), size)
     is_broken = draws[:, 6] < own.broken
@@ -238,12 +247,12 @@ def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     return together([labelled(*kind, world_T, draws[:, 4:], species=species) for kind in kinds])
 
 
-def _sampled_species(layer: Layer, draws: Array) -> IntArray:
+def _sampled_species(layer: Layer, draws: F8) -> I8:
     numbers = np.array([tree.number for tree in layer.species], np.int64)
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
 
-def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
+def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
     """Break some of the logs (n,) in two; draws (n, 3) say where, how far apart, and at what angle."""
     log = np.append(whole.log, np.flatnonzero(is_broken))
     is_top, towards, whole_m = np.arange(len(log)) >= len(whole.log), whole.towards[log], whole.length_m[log]
@@ -260,10 +269,10 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
     return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log])
 
 
-def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
+def _laid_down(pieces: _Pieces, height_m: HeightField, plate_m: F8) -> F8:
     """`world_T_shape` (n, 3, 4) of pieces on the ground; the butts of those with plates of diameters (logs,) are raised."""
     station_m = pieces.length_m[:, None] * _STATIONS
-    ground_m = site.height_m(*np.moveaxis(pieces.along_m(), -1, 0))
+    ground_m = height_m(*np.moveaxis(pieces.along_m(), -1, 0))
     # Straight line of least squares through the ground at evenly spaced stations.
     slope = (ground_m * station_m).sum(axis=1) / (np.square(station_m)).sum(axis=1)
     rest_m = (1 - pieces.sunk) * pieces.high_m / 2
@@ -275,25 +284,25 @@ def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
     return placements(np.column_stack([pieces.xy_m, z_m]), world_R_log, size)
 
 
-def _are_clear(line_m: Array, radius_m: Array, site: Site) -> Mask:
+def _are_clear(layer: Layer, trunks: F8, line_m: F8, radius_m: F8) -> Mask:
     """Return which of lines of places (n, k, 2) keep a radius (n,) clear of the path and of trunks all along."""
     reach_m = np.repeat(radius_m, line_m.shape[1])
-    clear = site.clear(line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
+    clear = layer.are_clear(trunks, line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
 
 
-def _are_plates_clear(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
+def _are_plates_clear(layer: Layer, trunks: F8, pieces: _Pieces, plate_m: F8) -> Mask:
     """Return a mask (n,) of pieces whose root plate keeps clear of the path and of trunks, or that have none."""
     clear = np.ones(len(pieces.log), np.bool_)
     own = np.flatnonzero(~pieces.is_top & (plate_m[pieces.log] > 0))
     wide_m = plate_m[pieces.log[own]]
     butt_m = _line_m(pieces.xy_m[own], pieces.towards[own], -pieces.length_m[own, None] / 2)[:, 0]
     across_m = _line_m(butt_m, pieces.towards[own] + np.pi / 2, wide_m[:, None] * _PLATE_STATIONS)
-    clear[own] = _are_clear(across_m, _PLATE_THICKNESS * wide_m, site)
+    clear[own] = _are_clear(layer, trunks, across_m, _PLATE_THICKNESS * wide_m)
     return clear
 
 
-def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
+def _line_m(xy_m: F8, towards: F8, along_m: F8) -> F8:
     """Places (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
     away = np.stack([cos(towards), sin(towards)], axis=-1)
     return xy_m[:, None] + along_m[..., None] * away[:, None]
@@ -312,7 +321,7 @@ _TAILS = (
 """Numerators and denominators, highest power first (Moshier, Cephes Mathematical Library, ndtri.c)."""
 
 
-def normal_quantile(probability: Array) -> Array:
+def normal_quantile(probability: F8) -> F8:
     """Return the standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, within 1e-15 of their size."""
     off = probability - 0.5
     square = off * off
@@ -337,44 +346,6 @@ _MOST_IN_PATCHES_PER_M2 = 4.0  # on average; of smaller plants in patches a tile
 _SLOPE_M = 0.2  # over which the slope under a cushion or heap is taken, either way
 
 
-def layer_of(
-    section: Section,
-    *,
-    seed: int,
-    season: settings.Season = "leaf_on",
-    canopy: Sequence[str] = (),
-    plants: Flora | None = None,
-    trails: Trails | None = None,
-) -> Layer:
-    """Scatter the things of one section, off the trails.
-
-    A section that names no species has those of the canopy, saplings those of them that live. Plants are those of the program if
-    none are given. Raises GeometryError for a species that is not in the table, and for saplings of none.
-    """
-    kind, plants = _KINDS[type(section)], plants or flora()
-    species: Sequence[Species] | Sequence[Shrub] = []
-    match section:
-        case settings.Regeneration():
-            names = section.species or [one for one in canopy if plants.trees[one].foliage]
-            if section.stems_per_ha and not names:
-                found = "found none, and only dead trees above"
-                raise GeometryError("regeneration.species", found, "names of species")
-            species = known(names, plants.trees, "regeneration.species")
-        case settings.Shrubs():
-            species = known(section.species, plants.shrubs, "shrubs.species")
-        case settings.Logs() | settings.Stumps():
-            species = known(section.species or canopy, plants.trees, f"{kind.name}.species")
-    return Layer(section, kind, species, season, plants, _pattern(section, kind, seed, trails))
-
-
-def layers_of(
-    section: settings.Woods, seed: int, canopy: Sequence[str], plants: Flora, trails: Trails | None = None
-) -> list[Layer]:
-    """Scatter all that grows and lies under the trees, in the order of its numbers."""
-    made = partial(layer_of, seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails)
-    return [made(getattr(section, kind.name)) for kind in _KINDS.values()]
-
-
 def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
     """Plants per hectare whose outlines cover a share c of the ground, overlaps counted once as of stones: even ones, those in patches.
 
@@ -390,16 +361,16 @@ def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> t
     return 10_000 * even / area_m2, 10_000 * patchy / area_m2
 
 
-def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None) -> PointPattern:
+def _pattern(section: Section, kind: LayerKind, land: Land) -> PointPattern:
     """Make the places of things: herbs, ferns and dwarf shrubs come in patches, stones, wood, tufts, moss and litter anywhere."""
     match section:
         case settings.Regeneration() | settings.Shrubs():
             per_ha = section.per_ha if isinstance(section, settings.Shrubs) else section.stems_per_ha
-            return pattern_of(section.pattern, seed=seed, purpose=kind.purpose, per_ha=per_ha, trails=trails)
+            return pattern_of(section.pattern, land, purpose=kind.purpose, per_ha=per_ha)
         case settings.Cover():
             even, in_patches = plants_per_ha(section, kind.spread, patches=not kind.is_ground)
             if in_patches:
-                return patchy(seed=seed, purpose=kind.purpose, even_per_ha=even, patchy_per_ha=in_patches)
+                return patchy(seed=land.seed, purpose=kind.purpose, even_per_ha=even, patchy_per_ha=in_patches)
         case settings.Grass():
             even = 10_000 * section.tufts_per_m2
         case settings.Stones():
@@ -408,7 +379,7 @@ def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None
             even = -log1p(-section.cover) / _stone_area_m2() * 10_000
         case settings.Logs() | settings.Stumps():
             even = section.per_ha
-    return scattered(seed=seed, purpose=kind.purpose, per_ha=even)
+    return scattered(seed=land.seed, purpose=kind.purpose, per_ha=even)
 
 
 @cache
@@ -421,47 +392,47 @@ def _stone_area_m2() -> float:
     return math.pi / 4 * _STONE_WIDTH * float(np.mean(np.square(length_m)) * np.mean(seen))
 
 
-def _stone_length_m(probability: Array) -> Array:
+def _stone_length_m(probability: F8) -> F8:
     """Quantiles of the log-normal distribution cut at `_STONE_M`."""
     low, high = _STONE_SHARES
     return _STONE_MEDIAN_M * exp(_STONE_SIGMA * normal_quantile(low + (high - low) * probability))
 
 
-def _lay_stones(_layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     length_m = _stone_length_m(draws[:, 0])
     size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
-    keep = site.clear(xy_m, length_m / 2, length_m / 2)
-    z_m = site.height_m(*xy_m.T) + (0.5 - between(_STONE_BURIED, draws[:, 1])) * size[:, 2]
+    keep = layer.are_clear(trunks, xy_m, length_m / 2, length_m / 2)
+    z_m = layer.land.height_m(*xy_m.T) + (0.5 - between(_STONE_BURIED, draws[:, 1])) * size[:, 2]
     world_T = placements(np.column_stack([xy_m, z_m]), turned(360 * draws[:, 2]), size)
     return labelled(FloorKind.STONE, keep, world_T, draws[:, 3:], large=length_m >= _LARGE_STONE_M)
 
 
-def _lay_low(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+def _lay_low(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
     """Lay out what is lower than a person and covers the ground beside the path; what is ground lies on it too, along its slope."""
     height_m, kind = between(layer.section.height_m, draws[:, 0]), layer.kind
-    keep = site.path.distance_m(xy_m) < kind.reach_m
+    keep = layer.land.path.distance_m(xy_m) < kind.reach_m
     world_R_thing = turned(360 * draws[:, 1])
     if kind.is_ground:
         x, y = xy_m.T
-        east = (site.height_m(x + _SLOPE_M, y) - site.height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
-        north = (site.height_m(x, y + _SLOPE_M) - site.height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
+        east = (layer.land.height_m(x + _SLOPE_M, y) - layer.land.height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
+        north = (layer.land.height_m(x, y + _SLOPE_M) - layer.land.height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
         towards = atan2(north, east)
         world_R_ground = matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
         world_R_thing = matmul(world_R_ground, world_R_thing)
     else:
-        keep[keep] = site.clear(xy_m[keep], kind.spread * height_m[keep] / 2, np.zeros(keep.sum()))
-    place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
+        keep[keep] = layer.are_clear(trunks, xy_m[keep], kind.spread * height_m[keep] / 2, np.zeros(keep.sum()))
+    place_m = np.column_stack([xy_m, layer.land.height_m(*xy_m.T)])
     size = height_m[:, None] * [kind.spread, kind.spread, 1.0]
     assert kind.shape is not None
     return labelled(kind.shape, keep, placements(place_m, world_R_thing, size), draws[:, 2:])
 
 
 _KINDS: dict[type[Section], LayerKind] = {  # kinds of layers by section, in the order of their numbers
-    settings.Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), lay_saplings),
-    settings.Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), lay_shrubs),
+    settings.Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), _lay_plants),
+    settings.Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), _lay_plants),
     settings.Stones: LayerKind("stones", Growth.STONES, (7,), _lay_stones),
-    settings.Logs: LayerKind("logs", Growth.LOGS, (8, 7), lay_logs),
-    settings.Stumps: LayerKind("stumps", Growth.STUMPS, (8,), lay_stumps),
+    settings.Logs: LayerKind("logs", Growth.LOGS, (8, 7), _lay_logs),
+    settings.Stumps: LayerKind("stumps", Growth.STUMPS, (8,), _lay_stumps),
     settings.Grass: LayerKind("grass", Growth.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
     settings.Herbs: LayerKind("herbs", Growth.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
     settings.Ferns: LayerKind("ferns", Growth.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.polyline import Corridor
-from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m, truncated_weibull_cm
 from vlp16emu.forest.plants.prototypes import VARIANTS, CrownKey
-from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
+from vlp16emu.forest.plants.species import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, known, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
-from vlp16emu.forest.stand.points import PointPattern, pattern_of
+from vlp16emu.forest.stand.points import Land, PointPattern, pattern_of
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
-from vlp16emu.types import Array, HeightField
+from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
 TREE = np.dtype(  # one tree
@@ -77,11 +76,11 @@ class _Cohort:
         self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
         self.sample_cm = raw_cm * self._scale
 
-    def height_m(self, dbh_cm: Array) -> Array:
+    def height_m(self, dbh_cm: F8) -> F8:
         """Mean height of trees of these diameters."""
         return self.species.height_curve(dbh_cm, self.share.dbh_cm, self.share.height_m)
 
-    def sized(self, trees: Trees, uniform: Array, residual: Array) -> Trees:
+    def sized(self, trees: Trees, uniform: F8, residual: F8) -> Trees:
         """Set species, size and brightness of trees (n,), all but the crown base, from (n, 3) uniform numbers and `residuals`."""
         species = self.species
         # Quantiles of diameter, scaled to the stand's quadratic mean.
@@ -98,9 +97,7 @@ class _Cohort:
         return trees
 
 
-def competition(
-    rivals: Array, area_m2: float, larger: NDArray[np.bool_], near: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def competition(rivals: F8, area_m2: float, larger: NDArray[np.bool_], near: NDArray[np.bool_]) -> tuple[F8, F8]:
     """Basal area of larger trees in m2 per ha, and crown competition factor in percent, each (n,).
 
     Of rivals (m, 2), the section at breast height and the crown projection if open-grown, in m2, on an area around each of n
@@ -110,7 +107,7 @@ def competition(
     return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(axis=1)
 
 
-def residuals(normal: Array) -> Array:
+def residuals(normal: F8) -> F8:
     """Residuals (n, 4) of height, crown ratio, crown width and stem volume, in sigmas, from as many normal numbers, correlated as measured."""
     z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
     own = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
@@ -123,14 +120,14 @@ def class_scale(ratio: float, number: int) -> float:
     return float(pow(fractions.Fraction(ratio), number))
 
 
-def foot_discs(trees: Trees, *, table: Table | None = None) -> Array:
+def foot_discs(trees: Trees, *, table: Table | None = None) -> F8:
     """Sections of stems with the ground: (n, 3) x, y, radius."""
     foot = np.zeros((len(trees), 1))
     radius_m = taper_radius_m(tapers(trees, table=table), trees["dbh_m"], trees["height_m"], foot)
     return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
 
 
-def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
+def in_the_way_m(trees: Trees) -> tuple[F8, F8]:
     """Return the places of stems in a walker's way, (n, 2) each: at the foot, and above the head."""
     foot = places_m(trees, "xy")
     towards = np.radians(trees["lean_towards_deg"])
@@ -138,7 +135,7 @@ def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
     return foot, foot + shift[:, None] * np.column_stack([cos(towards), sin(towards)])
 
 
-def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
+def path_gap_m(trees: Trees, radius_m: F8, path: Corridor) -> F8:
     """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
     foot, above = in_the_way_m(trees)
     return np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
@@ -167,27 +164,18 @@ def _stem_m2(storey: Storey) -> float:
 class Stand:
     """A mixed stand on a terrain, without edge, that keeps path and trails free of stems.
 
-    Where two stems would grow into each other, the thicker one is left. Plants are those of the program if none are given. Raises
-    GeometryError for a species that is not in the table, and for more stems than there may be.
+    Where two stems would grow into each other, the thicker one is left. Raises GeometryError for a species that is not in the table,
+    and for more stems than there may be.
     """
 
-    def __init__(
-        self,
-        section: Forest,
-        *,
-        seed: int,
-        height_m: HeightField,
-        path: Corridor,
-        plants: Flora | None = None,
-        trails: Trails | None = None,
-    ) -> None:
-        self._seed, self._height_m, self._path, self._plants = seed, height_m, path, plants or flora()
+    def __init__(self, section: Forest, land: Land) -> None:
+        self._section, self._land = section, land
         storeys: list[Storey] = [section, *section.storeys]
         self._patterns = [
-            pattern_of(storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey), trails=trails)
+            pattern_of(storey.pattern, land, purpose=purpose, per_ha=density_per_ha(storey))
             for storey, purpose in zip(storeys, _STOREYS, strict=False)
         ]
-        self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
+        self._cohorts = [[_Cohort(share, land.plants) for share in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         self.species = [share.species for share in section.species]  # of the canopy
@@ -199,7 +187,6 @@ class Stand:
         self._rivals_cm, per_ha_m2 = (np.concatenate(column) for column in zip(*samples, strict=True))
         self._rivals_m2, cover = per_ha_m2[:, :2], float(per_ha_m2[:, 2].sum()) / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
-        self._section = section
         self._crown = cache(self.crown)
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
@@ -224,10 +211,10 @@ class Stand:
         ratios = np.array([1 - key.crown_base_m / key.height_m for key in crowns]).reshape(-1, VARIANTS)[of]
         own_ratio = 1 - trees["crown_base_m"] / trees["height_m"]
         trees["crown_variant"] = np.abs(ratios - own_ratio[:, None]).argmin(axis=1)
-        clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
+        clear = path_gap_m(trees, own[:, 2], self._land.path) >= self._land.path.clearance_m
         return trees[~beaten & clear]
 
-    def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
+    def _sow(self, ix: int, iy: int) -> tuple[Trees, F8]:
         """All that are sown on a tile, all but their crown bases, and of each (n, 7).
 
         x, y, radius at the ground, DBH, what it competes with, and the residual of its crown ratio.
@@ -238,15 +225,17 @@ class Stand:
         for i, cohort in enumerate(self._all_cohorts):
             own = trees["cohort"] == i
             rival_m2[own] = cohort.species.rival_m2(100 * trees["dbh_m"][own])
-        return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"], rival_m2, ratio])
+        return trees, np.column_stack(
+            [foot_discs(trees, table=self._land.plants.trees), trees["dbh_m"], rival_m2, ratio]
+        )
 
-    def _sow_storey(self, number: int, ix: int, iy: int) -> tuple[Trees, Array]:
+    def _sow_storey(self, number: int, ix: int, iy: int) -> tuple[Trees, F8]:
         position = self._patterns[number].points(ix, iy)
-        rng = generator(self._seed, Growth.TREE, ix, iy, number)
+        rng = generator(self._land.seed, Growth.TREE, ix, iy, number)
         uniform, normal = rng.random((len(position), 5)), rng.standard_normal((len(position), 6))
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
-        trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
+        trees["z_m"] = self._land.height_m(trees["x_m"], trees["y_m"])
         lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, :2].T
         trees["lean_deg"] = hypot(lean_x, lean_y)
         trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
@@ -283,7 +272,7 @@ class Stand:
         return CrownKey(own.species.name, variant, dbh, height, base, width, leaves, *how)
 
 
-def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array]:
+def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
     """Diameters of trees (n,) that stand for all of a storey, and of each (n, 3) in m2 per ha `rival_m2` and crown projection."""
     whole = sum(cohort.share.share for cohort in cohorts)
     areas_m2 = []
@@ -296,5 +285,5 @@ def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[Array, Array
     return np.concatenate([cohort.sample_cm for cohort in cohorts]), np.concatenate(areas_m2)
 
 
-def _projection_m2(crown_width_m: Array) -> Array:
+def _projection_m2(crown_width_m: F8) -> F8:
     return np.pi / 4 * np.square(crown_width_m)

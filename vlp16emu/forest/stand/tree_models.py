@@ -15,11 +15,11 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import EXACT, STEM
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.species import Flora, Species, Trees, flora, known
-from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, lean_rotation
+from vlp16emu.forest.plants.stem import STEM_CIRCLE, STEM_PARTS, circles_of, lean_rotation
 from vlp16emu.forest.settings import Season, TreeModelFile
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, profiles, volume_m3
 from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
-from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import F8, I8, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.vectors import places_m
 
 Faces = NDArray[np.uint32]
@@ -29,7 +29,7 @@ Faces = NDArray[np.uint32]
 class Outline:
     """A closed section."""
 
-    middle_m: Array  # (2,).
+    middle_m: F8  # (2,).
     diameter_m: float  # of the circle of its area
     tape_m: float  # what a taut tape around it shows
 
@@ -37,7 +37,7 @@ class Outline:
 class Cutter:
     """Sections of a mesh made of several, by the vertices and the faces of each."""
 
-    def __init__(self, vertices_m: Sequence[Array], faces: Sequence[Faces]) -> None:
+    def __init__(self, vertices_m: Sequence[F8], faces: Sequence[Faces]) -> None:
         first = np.cumsum([0, *map(len, vertices_m)])
         self.vertices_m = np.concatenate(vertices_m)
         corners = np.concatenate([own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)])
@@ -80,7 +80,7 @@ class Cutter:
         return max(map(_measured, rings), key=lambda outline: outline.diameter_m, default=None)
 
 
-def _measured(ring_m: Array) -> Outline:
+def _measured(ring_m: F8) -> Outline:
     from scipy.spatial import ConvexHull, QhullError
 
     at_m = ring_m - ring_m.mean(axis=0)
@@ -116,15 +116,15 @@ class TreeModel:
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
         self.path, self.species = Path(section.file), species
         mesh = door("load_mesh")(self.path, unit=section.unit, up=section.up)
-        own, names = {part.name: part.part for part in section.parts}, [part.name for part in mesh.parts]
+        own, names = {part.name: part.part for part in section.parts}, [name for name, _ in mesh.parts]
         for name in own.keys() - set(names):
             raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
         parts = [PlantPart[own.get(name, "stem").upper()] for name in names]
         stems = [i for i, part in enumerate(parts) if part in STEM_PARTS]
         if not stems:
             raise GeometryError(f"{self.path}: parts", "no stem", "a part of the file that is the stem")
-        placed = [part.mesh.vertices_m.astype(np.float64) + mesh.centre_m for part in mesh.parts]
-        faces = [part.mesh.faces for part in mesh.parts]
+        placed = [part.vertices_m.astype(np.float64) + mesh.centre_m for _, part in mesh.parts]
+        faces = [part.faces for _, part in mesh.parts]
         low_m, high_m = (end([end(placed[i][:, 2]) for i in stems]) for end in (min, max))
         ground_m = 0.0 if low_m <= 0.0 < high_m else low_m
         self.height_m = float(max(vertices[:, 2].max() for vertices in placed)) - ground_m
@@ -149,7 +149,7 @@ class TreeModel:
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
         self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
 
-    def far_stems(self, world_T_model: Array, rows: IntArray) -> NDArray[np.void]:
+    def far_stems(self, world_T_model: F8, rows: I8) -> NDArray[np.void]:
         """Stems of placements (n, 3, 4), whose first surfaces are in these rows (n,), as `STEM`."""
         across = norm(world_T_model[:, :, 0])
         middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
@@ -166,20 +166,18 @@ class TreeModel:
         profile_m = self._profile_m[self._profile_m[:, 2] >= 0.0]
         world_T, across = self.world_T_model(trees), self.scale(trees)[:, 0]
         up_m = matvec(world_T[:, None, :, :3], profile_m[:, :3])
-        circles = np.zeros(up_m.shape[:2], STEM_CIRCLE)
-        circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], 1, PlantPart.STEM
-        for axis, name in enumerate("xyz"):
-            circles[f"{name}_m"] = trees[f"{name}_m"][:, None] + up_m[..., axis]
-        circles["above_foot_m"], circles["radius_m"] = up_m[..., 2], across[:, None] * profile_m[:, 3]
+        at_m, radius_m = places_m(trees)[:, None] + up_m, across[:, None] * profile_m[:, 3]
+        circles = circles_of(trees, 1, PlantPart.STEM, at_m, radius_m)
+        circles["above_foot_m"] = up_m[..., 2]
         return circles.ravel()
 
-    def scale(self, trees: Trees) -> Array:
+    def scale(self, trees: Trees) -> F8:
         """Stretch (n, 2) for trees: across, so that the DBH is theirs, and along the axis."""
         upright = cos(np.radians(trees["lean_deg"]))
         own_m = [self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()]
         return np.column_stack([trees["dbh_m"] / own_m, trees["height_m"] / upright / self.height_m])
 
-    def world_T_model(self, trees: Trees) -> Array:
+    def world_T_model(self, trees: Trees) -> F8:
         """Return the transforms (n, 3, 4) of trees."""
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
         across, along = self.scale(trees).T
@@ -228,7 +226,7 @@ class TreeModel:
         tilt = (atan2(level_m2, upright_m2) * (_TILTS / np.pi * 2.0)).astype(int).clip(max=_TILTS - 1)
         self._leaf_m2 = [np.bincount(tilt, m2, _TILTS) for m2 in (level_m2, upright_m2)]
 
-    def _circles(self, low_m: float, high_m: float) -> Array:
+    def _circles(self, low_m: float, high_m: float) -> F8:
         """(16, 4) middles and radii of the stem, nearer to each other at the butt; straight lines where it cannot be cut."""
         share = np.square(np.linspace(0.0, 1.0, 16))
         at_m = low_m + share * (high_m - low_m)
@@ -238,7 +236,7 @@ class TreeModel:
         x_m, y_m, radius_m = (np.interp(at_m, at_m[there], column) for column in found.T)
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
-    def _meshes(self, part: PlantPart, vertices_m: Array, faces: Faces) -> list[tuple[int, int, Mesh]]:
+    def _meshes(self, part: PlantPart, vertices_m: F8, faces: Faces) -> list[tuple[int, int, Mesh]]:
         """Part, part in the far medium and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
         if part not in STEM_PARTS:
             return [(part, part, _used(vertices_m, faces))]
@@ -256,7 +254,7 @@ class TreeModel:
         return outline
 
 
-def _used(vertices_m: Array, faces: Faces) -> Mesh:
+def _used(vertices_m: F8, faces: Faces) -> Mesh:
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices_m[used].astype(np.float32), corners.reshape(-1, 3).astype(np.uint32))
 
@@ -296,9 +294,8 @@ class TreeModels:
         placed = []
         for i, own in self._by_model(trees):
             model = self._models[i]
-            rows, shape = plant_surfaces(own, model.parts, self._plants), np.zeros(len(own), np.int64)
-            key, world_T = ModelKey(i, model.content), model.world_T_model(own)
-            placed.append(PlacedThings((key,), shape, world_T, rows, own, is_exact=is_exact))
+            keys, rows = [ModelKey(i, model.content)] * len(own), plant_surfaces(own, model.parts, self._plants)
+            placed.append(PlacedThings(keys, model.world_T_model(own), rows, own, is_exact=is_exact))
         return placed
 
     def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
@@ -309,7 +306,7 @@ class TreeModels:
         """Return the parts of a model's meshes in the far medium; None for any other shape."""
         return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
 
-    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: IntArray) -> NDArray[np.void]:
+    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: F8, rows: I8) -> NDArray[np.void]:
         """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
         of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
         stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))

@@ -20,7 +20,7 @@ from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.inventory import hull_m
 from vlp16emu.forest.tiles import TILE_M, TileKey
-from vlp16emu.types import Array, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.types import F8, Mesh, PlantPart, Semantic, ShapeKey, Window
 
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
 
@@ -34,7 +34,7 @@ class AllNear:
     near_m: float = math.inf
     seed: int = 0
 
-    def window(self, _track_m: Array) -> Window:
+    def window(self, _track_m: F8) -> Window:
         """Return the window for any track."""
         return self.inside
 
@@ -52,8 +52,8 @@ class Thing:
     species: int
     kind: str
     """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
-    place_m: Array  # (3,) origin of its shape in the world
-    outline_m: Array  # (k, 2) convex outline seen from above, counter-clockwise, in the world
+    place_m: F8  # (3,) origin of its shape in the world
+    outline_m: F8  # (k, 2) convex outline seen from above, counter-clockwise, in the world
     size_m: tuple[float, float, float]
     """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
     stumps the diameter at the top and the height; of anything else its extent."""
@@ -87,7 +87,7 @@ def things_near(
 
 
 def cut_out(
-    window: Window, shape: Grow, *, instances: NDArray[np.uint32], inside: Callable[[Array], NDArray[np.bool_]]
+    window: Window, shape: Grow, *, instances: NDArray[np.uint32], inside: Callable[[F8], NDArray[np.bool_]]
 ) -> tuple[Window, Grow]:
     """Leave of a window the ground of a place, which points (n, 2) lie inside, and some instances (n,) whole.
 
@@ -116,7 +116,7 @@ def cut_out(
 
 
 def _kept(
-    window: Window, wanted: NDArray[np.bool_], inside: Callable[[Array], NDArray[np.bool_]]
+    window: Window, wanted: NDArray[np.bool_], inside: Callable[[F8], NDArray[np.bool_]]
 ) -> tuple[NDArray[np.bool_], dict[TileKey, int]]:
     """Return a mask (n,) of placements that show a wanted surface or ground of the place, and the placement of each tile."""
     keys = (window.shapes[which] for which in window.shape)
@@ -154,7 +154,7 @@ def write_glb(
     window: Window,
     shape: Callable[[ShapeKey], tuple[Mesh, ...]],
     *,
-    places_m: Mapping[int, Array],
+    places_m: Mapping[int, F8],
     species: Mapping[int, str],
     colours: NDArray[np.uint8],
 ) -> int:
@@ -180,7 +180,7 @@ def write_glb(
 
 class _Twin:
     def __init__(
-        self, window: Window, species: Mapping[int, str], colours: NDArray[np.uint8], places_m: Mapping[int, Array]
+        self, window: Window, species: Mapping[int, str], colours: NDArray[np.uint8], places_m: Mapping[int, F8]
     ) -> None:
         import trimesh  # here: it takes a while to load
 
@@ -221,7 +221,7 @@ class _Twin:
         node += f".{self._nodes[node]}" if self._nodes[node] > 1 else ""
         self.scene.graph.update(node, parent, matrix=world_T_shape, geometry=name, metadata=_extras(row))
 
-    def _instance(self, row: np.void, place_m: Array) -> str:
+    def _instance(self, row: np.void, place_m: F8) -> str:
         name = label(row, self._species, with_part=False)
         if name not in self._nodes:
             self._nodes[name] = 1

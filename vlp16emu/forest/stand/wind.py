@@ -27,7 +27,7 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.random import generator
-from vlp16emu.types import Array, IntArray, Sway, Window
+from vlp16emu.types import F8, I8, Sway, Window
 
 Stand = NDArray[np.void]
 ALONG, ACROSS = 0, 1  # components of the gusts' speed: with the mean wind, and level to the left of it
@@ -61,19 +61,19 @@ _SECTIONS = 16
 class Lines(NamedTuple):
     """Gusts of one component."""
 
-    omega_rad_s: Array  # (n,).
-    speed_m_s: Array  # (n,) amplitude
-    phase_rad: Array  # (n,) at the origin of the world when the run begins
-    aside_rad_m: Array  # (n,) increase of the phase to the left of the wind
+    omega_rad_s: F8  # (n,).
+    speed_m_s: F8  # (n,) amplitude
+    phase_rad: F8  # (n,) at the origin of the world when the run begins
+    aside_rad_m: F8  # (n,) increase of the phase to the left of the wind
 
 
 class Trees(NamedTuple):
     """Oscillators."""
 
-    omega_rad_s: Array  # (m,) undamped natural frequencies
+    omega_rad_s: F8  # (m,) undamped natural frequencies
     damping_ratio: float  # share of critical damping
-    downwind_m: Array  # (m,) places along the wind
-    aside_m: Array  # (m,) places to the left of it
+    downwind_m: F8  # (m,) places along the wind
+    aside_m: F8  # (m,) places to the left of it
 
 
 def gust_lines(section: Wind, seed: int, component: int) -> Lines:
@@ -102,7 +102,7 @@ def gust_lines(section: Wind, seed: int, component: int) -> Lines:
     )
 
 
-def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: Array) -> Array:
+def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: F8) -> F8:
     """Gusts as oscillators follow them: (k, m) in m/s at times (k,) since the run began.
 
     Each is the y of y'' + 2 z w y' + w^2 y = w^2 u with the gusts u at its place, swung in.
@@ -114,7 +114,7 @@ def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Array, out: Array) -> None:
+def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, out: F8) -> None:
     """Fill (m, k), line after line, so that neither other trees nor other times can matter."""
     for tree in range(len(out)):
         now = out[tree]
@@ -134,7 +134,7 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
                 now[k] += a * cosine[line, k] - b * sine[line, k]
 
 
-def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[Array, Array]:
+def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
     """Return undamped frequencies (n,) in Hz, and leans (n,), as tangents, per Pa of the wind's shear stress on the canopy.
 
     Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
@@ -173,7 +173,7 @@ class TreeSway:
         self._axes = np.array([[east, north], [-north, east]])
         self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
 
-    def shear(self, trees: Stand, t_ns: IntArray) -> Array:
+    def shear(self, trees: Stand, t_ns: I8) -> F8:
         """Lean of trees (m,) at UTC times (k,): (k, m, 2) metres east and north per metre over the foot.
 
         Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
@@ -190,7 +190,7 @@ class TreeSway:
         east, north = (downwind * a + aside * b for a, b in self._axes.T)
         return np.stack([east, north], axis=-1)
 
-    def with_sway(self, window: Window, track_m: Array, start_ns: int, stop_ns: int) -> Window:
+    def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
         """Return `window`, of positions (n, 3), with the sway of its trees between `start_ns` and `stop_ns`, UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]

@@ -1,9 +1,14 @@
-"""The server of the page: who may ask, and what strangers get."""
+"""The page: who may ask, what strangers get, and what a real browser shows: Chromium without a screen, drawing by software."""
 
 import http.client
+import re
+import shutil
 import socket
+import subprocess
+import sys
 from contextlib import closing, suppress
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 
@@ -16,13 +21,15 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect
 
+from vlp16emu import Emulator
 from vlp16emu.errors import OutputError
-from vlp16emu.extras.viewer.guard import LOOPBACK, guarded_server, is_ours
+from vlp16emu.extras.viewer.page import LOOPBACK, Page, guarded_server, is_ours
+from vlp16emu.extras.viewer.sweeps import SceneSweeps
 
 
 @pytest.fixture(scope="module")
 def server():
-    with guarded_server("127.0.0.1", 0, "test") as server:
+    with guarded_server("127.0.0.1", 0) as server:
         yield server
 
 
@@ -72,24 +79,6 @@ def test_the_page_is_there_and_no_file_beside_it(port):
         connect(f"ws://127.0.0.1:{port}/", origin="http://evil.example")
 
 
-def test_a_message_sets_values_and_nothing_else(server, port):
-    """Messages that set the insides of a control, or a value of another type, change nothing; an honest one does."""
-    slider = server.gui.add_slider("time", 0.0, 1.0, 0.1, 0.0)
-    inner = [slider._impl.update_cb, slider._impl.sync_cb, slider._impl.is_button]
-    inside = [{"removed": True}, {"update_cb": 5}, {"sync_cb": None}, {"is_button": 1}, {"value": 0.9, "uuid": "x"}]
-    with client_of(port) as client:
-        for updates in (*inside, {"value": "far"}, {"value": [1]}, {"value": 0.5}):
-            message = {"type": "GuiUpdateMessage", "uuid": slider._impl.uuid, "updates": updates}
-            client.send(msgspec.msgpack.encode(message))
-        for _ in range(200):
-            if slider.value == 0.5:
-                break
-            client.ping().wait(timeout=5)
-    assert slider.value == 0.5
-    assert [slider._impl.update_cb, slider._impl.sync_cb, slider._impl.is_button] == inner
-    assert not slider._impl.removed
-
-
 KEYS = (
     *("name", "uuid", "updates", "filename", "source_component_uuid"),
     *("transfer_uuid", "value", "position", "wxyz", "part_index"),
@@ -122,24 +111,85 @@ def test_hostile_messages_change_nothing(port, monkeypatch, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["secret"]
 
 
-def test_a_long_message_ends_its_connection(port):
-    """No message of the page is as long as 64 KiB: one that is longer is not read."""
-    with client_of(port) as client:
-        client.send(bytes(1 << 17))
-        with suppress(ConnectionClosed):
-            while client.recv(timeout=20):
-                pass
-    assert client.close_code == 1009
+def test_values_out_of_range_are_drawn_as_the_nearest(server):
+    """Numbers and words that no control has, as a client may send them, give a picture of the least or the default."""
+    page = Page(server, SceneSweeps(Emulator("static_bench", {"duration_s": 0.5})), {})
+    page._slider.value, page._size.value, page._together.value, page._layer.value = float("nan"), -1e9, -3, "no layer"
+    page._draw()
+    points = server.scene._handle_from_node_name["/sweep"]
+    assert len(points.points) > 5_000
+    assert points.point_size == pytest.approx(0.01)
+    assert "by natural, sweep at 0.0 s" in page._text.content
 
 
 def test_a_port_in_use_is_one_clear_line():
     """The library would take another port; we say so and end."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
-        with (
-            pytest.raises(OutputError, match=f"127.0.0.1:{number}: address already in use"),
-            guarded_server("127.0.0.1", number, "test"),
-        ):
+        line = f"127.0.0.1:{number}: address already in use"
+        with pytest.raises(OutputError, match=line), guarded_server("127.0.0.1", number):
             pass
-    with pytest.raises(OutputError, match=r"192\.0\.2\.1"), guarded_server("192.0.2.1", 0, "test"):
+    with pytest.raises(OutputError, match=r"192\.0\.2\.1"), guarded_server("192.0.2.1", 0):
         pass
+
+
+CHROMIUM = shutil.which("chromium")
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+WAIT_MS = 120_000
+SCENE = """schema = 1
+duration_s = 2.0
+[sensor]
+max_range_m = 12.0
+[beam]
+model = "none"
+[motion]
+kind = "walk"
+way_points_m = [[0, 0], [4, 0], [8, 1]]
+speed_m_s = 1.2
+[world]
+kind = "forest"
+stems_per_ha = 150
+species = [{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.0 }]
+"""
+
+
+def seen_by(page, is_there, least):
+    """Wait until so many pixels are there."""
+    for _ in range(10):
+        pixels = imageio.imread(page.screenshot(timeout=WAIT_MS))[..., :3].astype(int)
+        if (count := is_there(*np.moveaxis(pixels, -1, 0)).sum()) >= least:
+            return
+    raise AssertionError(f"{count} pixels, not {least}")
+
+
+def leaf(r, g, b):
+    return (g > r) & (r > b + 60) & (g > 120)
+
+
+def stem(r, g, b):
+    return (abs(r - b) < 12) & (abs(g - r) < 12) & (r > 90) & (r < 190)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+@pytest.mark.usefixtures("kept_woods")
+def test_a_browser_shows_the_stand_and_plays_the_sweeps(tmp_path):
+    """The page has stems and leaves, and the points of the sweep at the cursor, which goes on as it plays."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    (tmp_path / "birches.toml").write_text(SCENE)
+    words = "view", str(tmp_path / "birches.toml"), "--radius", "8", "--port", "0"
+    command = [sys.executable, "-m", "vlp16emu", *words]
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
+        sync_api.sync_playwright() as playwright,
+        playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as browser,
+    ):
+        try:
+            page = browser.new_page(viewport={"width": 900, "height": 700})
+            page.goto(re.search(r"http\S+", program.stdout.readline())[0])
+            page.get_by_text("points by natural, sweep at 0.0 s").wait_for(timeout=WAIT_MS)
+            seen_by(page, stem, 1000)
+            seen_by(page, leaf, 200)
+            page.get_by_label("play").click(timeout=WAIT_MS)
+            page.get_by_text(re.compile("points by natural, sweep at 0.[1-9] s")).wait_for(timeout=WAIT_MS)
+        finally:
+            program.terminate()

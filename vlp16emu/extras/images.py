@@ -1,14 +1,14 @@
 """Images of a scene from the place of a sensor, each of one instant: depth, labels and colours."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import Any, BinaryIO, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +34,12 @@ LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.
 _POSES = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; camera z forward, x right, y down\n"
 
 
-class PictureFolder:
-    """A folder for the images of one run: a context manager that writes the poses at its end.
-
-    It is an `OutputFolder`, and takes its name then. After an error the images so far stay without that name.
+class ImageFolder(OutputFolder):
+    """A new or empty folder for the images of one run; after an error the images so far stay, without its name.
 
     Parameters
     ----------
-    path : new or empty folder
+    path : folder
     cameras : content of `cameras.json`
     """
 
@@ -53,40 +51,20 @@ class PictureFolder:
             library = "OpenEXR" if error.name == "OpenEXR" else "Pillow"
             raise MissingExtraError(library, "images", "writing images") from None
         self._exr, self._image = OpenEXR, Image
-        self.bytes, self._poses = 0, [_POSES]
-        self._folder = OutputFolder(path)
-        self._path = self._folder.path
+        self.images = self.bytes = 0
+        super().__init__(path)
         for layer in (*LAYERS, "exr"):
-            (self._path / layer).mkdir()
-        write_json(self._path / "cameras.json", cameras)
-
-    def __enter__(self) -> Self:
-        return self
+            (self.path / layer).mkdir()
+        write_json(self.path / "cameras.json", cameras)
+        (self.path / "poses.tum").write_text(_POSES)
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is None or isinstance(error, KeyboardInterrupt):
-            with self._new("poses.tum") as file:
-                file.write("".join(self._poses).encode())
-            self._folder.keep()
-        elif self.images:
-            self._folder.leave()
-        self._folder.discard()
-
-    @contextmanager
-    def _new(self, name: str) -> Iterator[BinaryIO]:
-        try:
-            with (self._path / name).open("xb") as file:
-                yield file
-        except OSError as error:
-            raise RunError(f"{self._path / name}: {error.strerror or error}; the images before it are whole") from error
-
-    @property
-    def images(self) -> int:
-        """Number of images written."""
-        return len(self._poses) - 1
+        if error is not None and self.images:
+            self.leave()
+        super().__exit__(kind, error, trace)
 
     def add(self, pose: Poses, rgb: U1, depth_m: F4, labels: Mapping[str, NDArray[Any]]) -> None:
-        """Write one image, taken at a pose of the camera.
+        """Write one image, taken at a pose of the camera; RunError if it cannot be written.
 
         Parameters
         ----------
@@ -95,22 +73,23 @@ class PictureFolder:
         labels : (height, width) each: `semantic`, `part`, `species`, `instance`
         """
         name = f"{self.images:06d}"
-        steps = np.rint(depth_m / DISTANCE_LSB_M)
-        for layer, kind in LAYERS.items():
-            pixels = {"rgb": rgb, "depth": steps}.get(layer, labels.get(layer))
-            with self._new(f"{layer}/{name}.png") as file:
-                self._image.fromarray(np.ascontiguousarray(pixels, kind)).save(file, "PNG")
-                self.bytes += file.tell()
+        pixels = {"rgb": rgb, "depth": np.rint(depth_m / DISTANCE_LSB_M), **labels}
         channels = {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()}
         header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
-        with self._new(f"exr/{name}.exr") as file:
-            try:
-                with self._exr.File(header, {key: np.ascontiguousarray(of) for key, of in channels.items()}) as image:
-                    image.write(file.name)
-            except RuntimeError as error:
-                raise RunError(f"{file.name}: {error}") from None
-        self.bytes += (self._path / "exr" / f"{name}.exr").stat().st_size
-        self._poses.append(tum_rows(pose))
+        files = {layer: self.path / layer / f"{name}.png" for layer in LAYERS}
+        files["exr"] = self.path / "exr" / f"{name}.exr"
+        try:
+            for layer, kind in LAYERS.items():
+                self._image.fromarray(np.ascontiguousarray(pixels[layer], kind)).save(files[layer])
+            with self._exr.File(header, {key: np.ascontiguousarray(of) for key, of in channels.items()}) as image:
+                image.write(str(files["exr"]))
+            with (self.path / "poses.tum").open("a") as poses:
+                poses.write(tum_rows(pose))
+        except (OSError, RuntimeError) as error:
+            found = (error.strerror if isinstance(error, OSError) else None) or error
+            raise RunError(f"{self.path}: image {name}: {found}; the images before it are whole") from error
+        self.images += 1
+        self.bytes += sum(path.stat().st_size for path in files.values())
 
 
 _BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -167,7 +146,7 @@ def write_images(
     scenario, of = engine.scenario, engine.parts.units[emulator.number(asked.unit)]
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(asked.start_s, asked.duration_s))
     windows, species = engine.windows, species_of(engine.parts.world)
-    pictures = PictureFolder(Path(folder), _cameras(camera, species))
+    pictures = ImageFolder(Path(folder), _cameras(camera, species))
     with windows.stopped_by(stop), pictures, workers(engine.threads, "image", stop) as pool, suppress(CancelledError):
         for since_ns in range(begin_ns, end_ns, seconds_to_ns(asked.every_s)):
             geometry = windows.wait(windows.at_time(since_ns))
@@ -182,9 +161,8 @@ def write_images(
             progress((since_ns - begin_ns) / S_NS)
             if stop.is_set():
                 break
-    written: dict[str, Any] = {"images": pictures.images, "bytes": pictures.bytes, "interrupted": stop.is_set()}
-    size_px = camera.width, camera.height
-    return ImageRun(str(folder), emulator.name, asked.unit, camera.kind, *size_px, **written)
+    counts = pictures.images, pictures.bytes, stop.is_set()
+    return ImageRun(str(folder), emulator.name, asked.unit, camera.kind, camera.width, camera.height, *counts)
 
 
 def species_of(world: World) -> dict[int, str]:
@@ -196,9 +174,13 @@ def species_of(world: World) -> dict[int, str]:
 def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
     sensor_T_camera = np.eye(4)
     sensor_T_camera[:3, :3] = _BODY_R_CAMERA
-    size: dict[str, Any] = {"kind": camera.kind, "width": camera.width, "height": camera.height}
-    size |= {"fx": camera.focal_px, "fy": camera.focal_px, "cx": camera.width / 2, "cy": camera.height / 2}
-    return size | {
+    return {
+        "kind": camera.kind,
+        "width": camera.width,
+        "height": camera.height,
+        **dict.fromkeys(("fx", "fy"), camera.focal_px),
+        "cx": camera.width / 2,
+        "cy": camera.height / 2,
         "shutter": "global",
         "depth": "along the optical axis" if camera.kind is CameraKind.PINHOLE else "along the ray",
         "depth_png_m": DISTANCE_LSB_M,

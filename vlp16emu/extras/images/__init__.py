@@ -1,1 +1,0 @@
-"""What a camera at the place of the sensor would see: depth, labels and colours."""
