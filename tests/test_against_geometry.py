@@ -138,9 +138,7 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
     exact, opened = ExactHall(scenario), []
     look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
     list(Engine.of(scenario, taps=[look]).returns(0, 0.01))
-    poses_at = unit.motion.poses_at
-    groups = [range(first, first + 8) for first in range(0, 1808, 192)]
-    aimed = [bench.aimed(group, poses_at) for group in groups]
+    aimed = [bench.aimed(range(first, first + 8)) for first in range(0, 1808, 192)]
     answers = {
         scene: joined([bench.answer(scene, firings, settings[-1].beam) for firings in aimed])
         for scene in (opened[0], exact)

@@ -13,7 +13,7 @@ import pytest
 from vlp16emu import Emulator
 from vlp16emu.captures import CaptureReader
 from vlp16emu.cli.app import run
-from vlp16emu.extras.bag import write_bag
+from vlp16emu.extras.bag.write import write_bag
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from rosbags.highlevel import AnyReader

@@ -20,8 +20,8 @@ from vlp16emu.types import PacketKind
 HALL = {"gps.connected": True, "duration_s": 3600.0}  # longer than any of these tests on the busiest machine
 
 
-def stream(**options):
-    return vlp16emu.stream("static_bench", HALL, look_ahead=256, truth=False, **options)
+def stream(events=(), **options):
+    return vlp16emu.stream("static_bench", HALL | {"events": list(events)}, look_ahead=256, truth=False, **options)
 
 
 def get(http, path):
@@ -119,7 +119,7 @@ def test_events_of_the_scene_show_in_the_web_interface():
         {"kind": "setting", "at_s": 0.5, "return_mode": "dual", "phase_lock_deg": 90.0},
         {"kind": "http_error", "at_s": 1.5, "status": 503},
     ]
-    with vlp16emu.stream("static_bench", HALL | {"events": events}, look_ahead=256) as live:
+    with stream(events) as live:
         first_us = stamp_us(until(live, lambda payload: payload[1204] == 0x39))
         settings = get(live.http, "settings")
         assert settings["returns"] == "Dual"

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from vlp16emu import Emulator, load, write_truth
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.truth.truth import given_mount
-from vlp16emu.extras.walk import Harness
+from vlp16emu.extras.walk.settings import Harness
 from vlp16emu.motion.mount import true_mount
 from vlp16emu.motion.settings import Mount
 

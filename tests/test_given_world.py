@@ -113,16 +113,6 @@ def test_the_ground_is_the_given_ground(seen):
     assert np.abs(place[:, 2] - 0.1 * place[:, 0]).max() < 0.01
 
 
-def test_stems_stand_at_the_places_of_the_list(seen):
-    """Each stem's returns lie around one of the listed places, on the side that faces the sensor."""
-    origin, direction, distance, rows = seen
-    own = (rows["part"] == PlantPart.STEM) & (rows["semantic"] == Semantic.TREE)
-    place = (origin[own] + direction[own] * distance[own, None])[:, :2]
-    gap = np.linalg.norm(place[:, None] - np.array(TREES_M), axis=2)
-    assert gap.min(axis=1).max() < 0.3
-    assert set(gap.argmin(axis=1).tolist()) == {0, 1, 2, 3, 4}
-
-
 def test_trees_are_joined_with_their_lines_of_the_list(folder, tmp_path):
     """The inventory tells of each tree the line of the list that has its place."""
     assert run(["forest", str(folder / "plot.toml"), "--inventory", str(tmp_path / "trees.csv")]) == 0

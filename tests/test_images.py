@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from woods import THIN
 
 from vlp16emu import Emulator
+from vlp16emu.cli.app import run
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.images import write_images
@@ -32,8 +33,8 @@ def hall():
 def seen(request, hall, tmp_path_factory):
     """A folder with one image of a kind."""
     folder = tmp_path_factory.mktemp(request.param) / "views"
-    run = write_images(hall, folder, kind=request.param, size=KINDS[request.param], duration_s=0.1)
-    assert (run.images, run.interrupted) == (1, False)
+    written = write_images(hall, folder, kind=request.param, size=KINDS[request.param], duration_s=0.1)
+    assert (written.images, written.interrupted) == (1, False)
     return folder
 
 
@@ -141,9 +142,9 @@ def test_threads_change_no_byte(seen, tmp_path):
 
 def test_each_image_has_its_pose(hall, tmp_path):
     """Images are taken at the beginning of the span and every so often before its end."""
-    run = write_images(hall, tmp_path / "views", size=(64, 16), start_s=0.5, duration_s=0.35, every_s=0.1)
+    written = write_images(hall, tmp_path / "views", size=(64, 16), start_s=0.5, duration_s=0.35, every_s=0.1)
     poses = np.loadtxt(tmp_path / "views" / "poses.tum")
-    assert run.images == len(poses) == 4
+    assert written.images == len(poses) == 4
     seconds = poses[:, 0] - hall.scenario.start_ns / 1e9
     np.testing.assert_allclose(seconds, [0.5, 0.6, 0.7, 0.8], atol=1e-6)
     names = sorted(path.name for path in (tmp_path / "views" / "rgb").iterdir())
@@ -167,3 +168,16 @@ def test_cameras_that_cannot_be_are_refused(hall, tmp_path, asked, line):
         write_images(hall, tmp_path / "views", **asked)
     assert line in str(error.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_them(tmp_path, capsys):
+    """The verb takes size, field of view and span, and reports what it wrote; a size that is none is refused."""
+    words = ["images", "static_bench", str(tmp_path / "views"), "--json", "--kind", "pinhole"]
+    assert run([*words, "--size", "64x48", "--fov", "60", "--every", "0.2", "--duration", "0.3"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    camera = json.loads((tmp_path / "views" / "cameras.json").read_text())
+    assert (said["images"], said["width"], said["height"], said["kind"]) == (2, 64, 48, "pinhole")
+    assert camera["fx"] == pytest.approx(32 / np.tan(np.radians(30)))
+    assert said["bytes"] == sum(path.stat().st_size for path in (tmp_path / "views").glob("*/*"))
+    assert run(["images", "static_bench", str(tmp_path / "more"), "--size", "64"]) == 2
+    assert "--size: found 64; expected width and height" in capsys.readouterr().err

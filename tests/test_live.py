@@ -12,7 +12,7 @@ from listening import Listener
 from vlp16emu import Emulator
 from vlp16emu.errors import InputError, OutputError, TrajectoryError
 from vlp16emu.extras.bench.options import PosesIn
-from vlp16emu.extras.live.flight import PoseReceiver, pose_port
+from vlp16emu.extras.live.flight import PoseReceiver
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.types import PacketKind
@@ -150,7 +150,7 @@ def test_poses_of_another_scene_are_refused(tmp_path):
 def test_where_poses_come_in_is_checked(where):
     """An address without scheme, host or port is refused."""
     with pytest.raises(InputError, match="--pose-in: found"):
-        pose_port(where)
+        PoseReceiver(where, lambda *_: None)
 
 
 def test_a_port_in_use_is_reported():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from ipaddress import IPv4Address
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ from vlp16emu import Emulator
 from vlp16emu.captures import Capture
 from vlp16emu.extras.replay import packets_of
 from vlp16emu.scenario import load
-from vlp16emu.sinks import PcapSink
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS
 
@@ -27,9 +27,10 @@ def made(*settings):
 
 
 @pytest.fixture(scope="module")
-def rig():
-    """A level sensor and a tilted one in dual return."""
-    return made(f"rig=[{{name='tilted', return_mode='dual', phase_lock_deg=90.0, mount={MOUNT}, seed=9}}]")
+def rig(tmp_path_factory):
+    """A level sensor and a tilted one in dual return, their packets, and the report of a recording of them."""
+    emulator, packets = made(f"rig=[{{name='tilted', return_mode='dual', phase_lock_deg=90.0, mount={MOUNT}, seed=9}}]")
+    return emulator, packets, emulator.record(tmp_path_factory.mktemp("rig") / "rig.pcap", duration_s=SPAN_S)
 
 
 def of_unit(packets, number):
@@ -44,28 +45,25 @@ def data_of(packets, number):
 
 def test_a_unit_sends_what_it_would_send_alone(rig):
     """Each unit's packets are those of a scene with that sensor only: the others change nothing."""
-    _, packets = rig
+    _, packets, _ = rig
     assert of_unit(packets, 0) == of_unit(made()[1], 0)
     alone = [f"motion.mount={MOUNT}", "sensor.return_mode=dual", "sensor.phase_lock_deg=90.0", "seed=9"]
     assert data_of(packets, 1) == data_of(made(*alone)[1], 0)  # the GPS receiver rides on the first unit
 
 
-def test_a_prepared_rig_sends_what_it_sends_alive(rig, tmp_path):
+def test_a_prepared_rig_sends_what_it_sends_alive(rig):
     """What is read back from a recording are the packets of both units in their order, with times in whole microseconds."""
-    emulator, packets = rig
-    path = tmp_path / "rig.pcap"
-    emulator.record(path, duration_s=SPAN_S)
-    read = list(packets_of([unit.link for unit in emulator.parts.units], path))
+    emulator, packets, recorded = rig
+    read = list(packets_of([unit.link for unit in emulator.parts.units], Path(recorded.file)))
     times = [replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None, number=0) for packet in packets]
     assert read == times
 
 
 def test_each_unit_has_a_capture_of_its_own(rig, tmp_path):
     """Split, a recording is a file for each unit, with that unit's records as they are in the file of both, byte for byte."""
-    emulator, _ = rig
-    whole = emulator.record(tmp_path / "rig.pcap", duration_s=SPAN_S)
+    emulator, _, whole = rig
     split = emulator.record(tmp_path / "own.pcap", duration_s=SPAN_S, split=True)
-    with Capture(tmp_path / "rig.pcap") as capture:
+    with Capture(Path(whole.file)) as capture:
         all_of = [datagram._replace(number=0) for datagram in capture]
     for number, unit in enumerate(emulator.parts.units, start=1):
         with Capture(tmp_path / f"own_{number}.pcap") as capture:
@@ -88,23 +86,13 @@ def test_a_locked_phase_is_passed_at_each_second(phase_deg):
     assert np.abs((angle_deg - phase_deg + 180) % 360 - 180).max() < 1e-6
 
 
-def test_a_file_of_two_is_separated_by_others(rig, tmp_path):
+def test_a_file_of_two_is_separated_by_others(rig):
     """Frames have each unit's address and port; a decoder that is not ours reads either unit's packets."""
-    emulator, packets = rig
-    path = tmp_path / "rig.pcap"
-    with PcapSink(path, [unit.link for unit in emulator.parts.units]) as sink:
-        for packet in packets:
-            sink.send(packet)
-    with Capture(path) as capture:
-        seen = [(str(IPv4Address(row.source)), row.destination_port, bytes(row.payload)) for row in capture]
-    assert seen == [
-        (
-            f"192.168.1.20{1 + packet.unit}",
-            (2368 if packet.kind is PacketKind.DATA else 8308) + packet.unit,
-            packet.payload,
-        )
-        for packet in packets
-    ]
+    _, packets, recorded = rig
+    with Capture(Path(recorded.file)) as capture:
+        seen = {(str(IPv4Address(row.source)), row.destination_port, len(row.payload)) for row in capture}
+    ports = ((2368, 1206), (8308, 512))
+    assert seen == {(f"192.168.1.20{1 + n}", port + n, size) for n in (0, 1) for port, size in ports}
     for number, per_scan in ((0, 28_928), (1, 2 * 28_928)):
         decoder = velodyne_decoder.StreamDecoder(velodyne_decoder.Config())
         scans = [

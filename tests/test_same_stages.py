@@ -53,8 +53,8 @@ def test_a_planted_difference_is_found_at_its_stage(check, hall, name):
     bytes_too = "" if stage == "packets" else " (same bytes)"
     assert code == 1
     assert f"| one thread | - | **{stage}**{bytes_too} |\n" in out
-    assert f"1 of {one.size:_}".replace("_", " ") + (", 1" if stage == "packets" else ", 1 ulp, ") in out
-    assert f"| `{name}` at {[int(i) for i in np.unravel_index(2, one.shape)]} |\n" in out
+    place, apart = [int(i) for i in np.unravel_index(2, one.shape)], ", 1" if stage == "packets" else ", 1 ulp, "
+    assert f"- one thread, hall: {name} at {place}: 1 of {one.size}{apart}" in out
     assert out.endswith("different: one thread\n")
 
 

@@ -12,7 +12,6 @@ from vlp16emu.errors import CaptureError, InputError, PacketError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.clouds.scan import Chunk, cut_scans
 from vlp16emu.packets import DISTANCE_LSB_M
-from vlp16emu.types import Semantic
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -114,16 +113,6 @@ def test_poses_take_points_to_the_world(tmp_path):
         same = np.isin(points["t_ns"], scan.t_ns)
         world_m = np.einsum("nij,nj->ni", T[:, :3, :3], scan.xyz_m) + T[:, :3, 3]
         np.testing.assert_allclose(world_m, points["world_m"][same], atol=1e-5)
-
-
-def test_labels_are_per_point_and_only_when_asked_for(hall):
-    """With the truth each point has its class, part, instance and species; without it there are none."""
-    emulator = hall()
-    labelled, plain = (next(emulator.scans(duration_s=0.12, truth=truth)) for truth in (True, False))
-    assert plain.labels is None
-    n = len(labelled.t_ns)
-    assert {len(getattr(labelled.labels, name)) for name in ("semantic", "part", "instance", "species")} == {n}
-    assert set(labelled.labels.semantic) == {Semantic.GROUND, Semantic.OTHER}
 
 
 def test_spans_that_begin_anywhere_give_the_same_scans(hall):

@@ -81,7 +81,7 @@ def test_packets_that_are_lost_are_listed_one_by_one(run):
 
 
 def test_what_lasts_has_one_row(run):
-    """Begin, end and packets within of each event that befalls all of them; those beyond the end of the run have none."""
+    """Begin, end and packets within of each event that hits all of them; those beyond the end of the run have none."""
     made, before, _, folder = run
     start_ns = made.scenario.start_ns
     listed = {row["kind"]: row for row in rows(folder) if row["kind"] != "drop"}

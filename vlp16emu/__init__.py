@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from vlp16emu.extras.images import write_images
     from vlp16emu.extras.replay import Replayed, replay
     from vlp16emu.extras.truth.truth import write_truth
-    from vlp16emu.extras.verify import Finding, Verification, verify
+    from vlp16emu.extras.verify.frames import Finding
+    from vlp16emu.extras.verify.run import Verification, verify
     from vlp16emu.run.emulator import Emulator
     from vlp16emu.run.options import TruthTo
     from vlp16emu.run.report import Recording
@@ -35,7 +36,8 @@ _MODULES = {
     "extras.images": "write_images",
     "extras.replay": "Replayed replay",
     "extras.truth.truth": "write_truth",
-    "extras.verify": "Finding Verification verify",
+    "extras.verify.frames": "Finding",
+    "extras.verify.run": "Verification verify",
     "run.options": "TruthTo",
     "run.report": "Recording",
     "scenario": "Scenario load",

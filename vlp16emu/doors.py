@@ -71,7 +71,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
     },
     "parts": {
         "audit": "vlp16emu.extras.accuracy.audit:Audit",
-        "bag": "vlp16emu.extras.bag:bag_of_run",
+        "bag": "vlp16emu.extras.bag.write:bag_of_run",
         "beside": "vlp16emu.extras.bench.outlets:Beside",
         "displace": "vlp16emu.extras.displace:displace",
         "events": "vlp16emu.extras.bench.changes:with_events",
@@ -141,7 +141,7 @@ def added(group: str) -> Iterator[tuple[str, Any]]:
         try:
             yield name, _load(entry)
         except InputError as error:
-            _log.info("%s", error)  # whoever asks for it by name gets the line as an error
+            _log.info("%s", error)  # a scene or command that names it gets the line as an error
 
 
 @cache

@@ -349,7 +349,7 @@ class World(Protocol):
 
     @property
     def near_m(self) -> float:
-        """Range beyond which it is seen from afar, as squares (`vlp16emu.foliage.tiles`); inf for a world that has none."""
+        """Range beyond which it is a far medium, square by square (`vlp16emu.foliage.tiles`); inf for a world that has none."""
 
     @property
     def seed(self) -> int:

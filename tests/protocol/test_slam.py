@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.extras.slam import Rig, configurations, programs
+from vlp16emu.extras.slam.configure import Rig, configurations, programs
 from vlp16emu.extras.slam.fitness import ROWS
 
 NAMES = tomllib.loads(Path(__file__).with_name("slam_names.toml").read_text(encoding="utf-8"))

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.extras.imu.settings import Imu
-from vlp16emu.extras.walk import Gait
+from vlp16emu.extras.walk.settings import Gait
 from vlp16emu.forest.settings import Forest, Terrain
 from vlp16emu.motion.settings import Mount
 from vlp16emu.scenario import load

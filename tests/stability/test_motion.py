@@ -8,8 +8,8 @@ import pytest
 from vlp16emu import Emulator
 from vlp16emu.engine import assemble
 from vlp16emu.errors import InputError
-from vlp16emu.extras.walk import Harness
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack
+from vlp16emu.extras.walk.settings import Harness
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, DATA_BYTES, DISTANCE_LSB_M, LASERS, decode_data
 from vlp16emu.scenario import load

@@ -262,7 +262,7 @@ def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
     """Yield the frames of classic pcap, as `_frames_in`; `file` begins with one of `PCAP`."""
     header = read(file, _PCAP_HEADER_BYTES)
     if len(header) < _PCAP_HEADER_BYTES:
-        raise no_capture(path, header)
+        raise not_a_capture(path, header)
     order, unit_ns, form = PCAP[header[:4]]
     record, word, number = struct.Struct(order + form), struct.Struct(f"{order}I"), 0
     link_type = word.unpack_from(header, 20)[0] & 0xFFFF  # above are flags of the check sequence
@@ -302,7 +302,7 @@ def read(file: BinaryIO, size: int) -> bytes:
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-def no_capture(path: Path, head: bytes) -> CaptureError:
+def not_a_capture(path: Path, head: bytes) -> CaptureError:
     """Return the error of a file that begins with other bytes than captures do."""
     return CaptureError(str(path), f"no capture, it begins with {head[:4].hex(' ') or 'nothing'}", EXPECTED)
 

@@ -31,7 +31,7 @@ from vlp16emu.run.options import Option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vlp16emu.extras.accuracy.sweep import Accuracy, LevelOfDetail, Row
+    from vlp16emu.extras.accuracy.sweep import Accuracy, LevelOfDetail
 
 
 def scenes(*, as_json: AsJson = False) -> None:
@@ -262,11 +262,11 @@ def accuracy(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the error and the cost of settings of the beam, of poses and of foliage.
+    """Measure the error and the cost of settings of the beam and of foliage.
 
     Pulses from all over the run are received with each setting and compared with their converged answer, of
-    thousands of sub-rays, by a receiver without noise; so are poses that are held. A forest cast leaf by leaf to some
-    distances is held against the explicit one by means, with 8 times as many pulses.
+    thousands of sub-rays, by a receiver without noise. A forest cast leaf by leaf to some distances is held
+    against the explicit one by means, with 8 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
     from vlp16emu.extras.outputs import report
@@ -305,16 +305,23 @@ def accuracy(
 
 
 def _print_accuracy(measured: "Accuracy") -> None:
+    """Print settings of the beam as a table; the one in use has a star."""
     errors = measured.rows[0].errors
     print(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
         f"  {count(errors.pulses)} pulses, {count(errors.returns)} with a return; answer of "
         f"{count(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
     )
-    _print_rows(measured.rows, "setting of the beam")
-    if measured.poses:
-        print("\nWith the light of the answer; run time is that of posing and aiming.")
-        _print_rows(measured.poses, "pose")
+    heads = "us/pulse", "+-", "rays", "mean mm", "RMSE", "bias", "p95", "lost %", "invented", "wrong", "last", "refl."
+    lines = [["setting of the beam", *heads]]
+    for row in measured.rows:
+        e = row.errors
+        lengths_m = e.mean_error_m, e.range_rmse_m, e.range_bias_m, e.range_p95_m
+        cells = [f"{row.us_per_pulse:.2f}", f"{row.us_spread / 2:.2f}", f"{row.rays_per_pulse:.1f}"]
+        cells += [f"{1e3 * length_m:.{1 if length_m >= 1e-3 else 2}f}" for length_m in lengths_m]
+        cells += [f"{100 * share:.2f}" for share in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)]
+        lines.append([_starred(row.name, in_use=row.in_use), *cells, f"{e.reflectivity_rmse:.2f}"])
+    print_table(lines)
     if measured.foliage:
         _print_foliage(measured.foliage)
 
@@ -336,17 +343,3 @@ def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
 def _starred(name: str, *, in_use: bool) -> str:
     short = name.removeprefix("beam.model=").removeprefix("world.").replace("beam.", "")
     return f"{short} *" if in_use else short
-
-
-def _print_rows(rows: "Sequence[Row]", what: str) -> None:
-    """Print settings as a table; the one in use has a star."""
-    heads = "us/pulse", "+-", "rays", "mean mm", "RMSE", "bias", "p95", "lost %", "invented", "wrong", "last", "refl."
-    lines = [[what, *heads]]
-    for row in rows:
-        e = row.errors
-        lengths_m = e.mean_error_m, e.range_rmse_m, e.range_bias_m, e.range_p95_m
-        cells = [f"{row.us_per_pulse:.2f}", f"{row.us_spread / 2:.2f}", f"{row.rays_per_pulse:.1f}"]
-        cells += [f"{1e3 * length_m:.{1 if length_m >= 1e-3 else 2}f}" for length_m in lengths_m]
-        cells += [f"{100 * share:.2f}" for share in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)]
-        lines.append([_starred(row.name, in_use=row.in_use), *cells, f"{e.reflectivity_rmse:.2f}"])
-    print_table(lines)

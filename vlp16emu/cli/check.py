@@ -16,7 +16,7 @@ from vlp16emu.run.options import Option
 
 if TYPE_CHECKING:
     from vlp16emu.extras.compare import Compared
-    from vlp16emu.extras.verify import Verification
+    from vlp16emu.extras.verify.run import Verification
 
 
 def verify(
@@ -52,7 +52,7 @@ def verify(
     if file.suffix.lower() in (".mcap", ".bag") or (file / "metadata.yaml").is_file():
         raise InputError(str(file), "a bag", "a capture, or --for with the name of a SLAM program, or all")
     from vlp16emu.captures import chosen_unit, units_in
-    from vlp16emu.extras.verify import verify_units
+    from vlp16emu.extras.verify.run import verify_units
 
     if file.is_fifo():  # its units are looked for first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
@@ -74,7 +74,7 @@ def verify(
 
 
 def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> None:
-    from vlp16emu.extras.slam import fitness
+    from vlp16emu.extras.slam.fitness import fitness
 
     if unit is not None:
         raise InputError("--unit", f"found {unit}", "no unit with --for")

@@ -153,7 +153,7 @@ def bag(
     Works on recordings of real sensors too. Topics and frames are those of the velodyne driver and of REP 105. All sensors are
     written unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
     """
-    from vlp16emu.extras.bag import write_bag
+    from vlp16emu.extras.bag.write import write_bag
 
     with stop_on_ctrl_c() as stop:
         result = write_bag(file, out, truth, unit=unit, clock=clock, options=options, stop=stop)

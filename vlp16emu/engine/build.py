@@ -23,7 +23,7 @@ from vlp16emu.sensor.beams import with_angle_errors
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.power_up import counters_of, powered_up
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
-from vlp16emu.sensor.settings import Lidar, Sensor, on_the_wire
+from vlp16emu.sensor.settings import Lidar, Sensor, require_packets
 from vlp16emu.types import F8, I8, GnssFix, HeightField, PpsState, ReturnMode, World
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -85,7 +85,7 @@ class Unit:
 
         Raises ScenarioError if it has no packets.
         """
-        section, counters = on_the_wire(self.section), counters_of(self.section, self.seed, self.number)
+        section, counters = require_packets(self.section), counters_of(self.section, self.seed, self.number)
         return replace(
             FACTORY_LINK,
             source_mac=counters.mac,
@@ -106,7 +106,7 @@ class Unit:
     def positions_from_ns(self) -> int:
         """UTC from which its position packets are counted; not after the first pulse."""
         phase = counters_of(self.section, self.seed, self.number).position_phase
-        return positions_from_ns(on_the_wire(self.section).position_rate, self.head.start_ns, phase)
+        return positions_from_ns(require_packets(self.section).position_rate, self.head.start_ns, phase)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import require_packets
 from vlp16emu.types import F8, Firings, Hits, Packet, PacketKind, Returns
 from vlp16emu.units import seconds_to_ns
 
@@ -101,7 +101,7 @@ class Engine:
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
         the walk ends before the span does.
         """
-        on_the_wire(self.scenario.sensor)
+        require_packets(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
         if not self.scenario.events:
             return self.sent(*span_ns)
@@ -188,13 +188,13 @@ def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -
     """Find the number of the first packet of a kind that a unit sends at a time since the first pulse, or later."""
     if kind is PacketKind.DATA:
         return unit.timeline.count(0, since_ns)
-    rate = on_the_wire(unit.section).position_rate
+    rate = require_packets(unit.section).position_rate
     return first_position_packet(rate, unit.seed, unit.positions_from_ns, scenario.start_ns + since_ns)
 
 
 def positions_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
     """Yield number and UTC of the position packets of a unit due in a span since the first pulse."""
-    rate = on_the_wire(unit.section).position_rate
+    rate = require_packets(unit.section).position_rate
     first, stop = (number_at(scenario, unit, PacketKind.POSITION, since_ns) for since_ns in (start_ns, stop_ns))
     from_ns = unit.positions_from_ns
     for number in range(first, stop, _AT_ONCE):

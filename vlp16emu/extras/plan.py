@@ -10,7 +10,7 @@ from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import window_of
 from vlp16emu.extras.keep_up import choose, settings_that_keep_up
 from vlp16emu.extras.meshes.furnished import MeshKey
-from vlp16emu.extras.walk import Walk
+from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.forest.plants.foliage import IvyKey
 from vlp16emu.forest.plants.prototypes import CrownKey, SaplingKey, ShrubKey
 from vlp16emu.forest.plants.stem import StemKey

@@ -6,6 +6,7 @@ Colours are what people expect of a species, not what 903 nm would show.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.resources import files
+from importlib.util import find_spec
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING, Any
 
@@ -17,7 +18,6 @@ from vlp16emu.settings import toml
 from vlp16emu.types import U1, PlantPart, Semantic
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -73,11 +73,8 @@ _STYLE: Mapping[Any, Any] = MappingProxyType(
 
 def check_matplotlib() -> None:
     """Raise MissingExtraError if matplotlib is not installed."""
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise MissingExtraError("matplotlib", "picture", "a picture") from None
-    del mpl
+    if find_spec("matplotlib") is None:
+        raise MissingExtraError("matplotlib", "picture", "a picture")
 
 
 @contextmanager
@@ -115,11 +112,3 @@ def plotted(
         # A palette by frequency alone would lose thin coloured lines.
         few = picture.quantize(few_colours, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
         few.save(file, format="PNG", optimize=True)
-
-
-def scale_bar(axes: "Axes", px_per_m: float, length_m: float, place_px: tuple[float, float]) -> None:
-    """Draw a bar with its length above it, in axes whose unit is the pixel; `place_px` is its left end, from below."""
-    left, up = place_px
-    axes.plot([left, left + length_m * px_per_m], [up, up], color=INK, lw=2.5, solid_capstyle="butt")
-    words = f"{length_m:g} m" if length_m >= 1 else f"{100 * length_m:g} cm"
-    axes.text(left, up + 7, words, bbox={"facecolor": BACK, "edgecolor": "none", "alpha": 0.7, "pad": 1.5})

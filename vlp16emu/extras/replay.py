@@ -141,11 +141,10 @@ def replay(
     packets = Replay(Path(path), loop=asked.loop, keep_gaps=asked.keep_gaps)
     if len(packets.units) > 1 and given != (None, None):
         raise InputError(str(path), f"{len(packets.units)} sensors", "one, where ports are given")
-    first = list[int]()
+    pacer = Pacer(asked.speed)
 
     def sent(due_ns: int) -> None:
-        first.append(due_ns) if not first else None
-        progress((due_ns - first[0]) / S_NS)
+        progress((due_ns - (pacer.first_due_ns or due_ns)) / S_NS)
 
     with ExitStack() as stack:
         free = iter(stack.enter_context(free_ports(given.count(0))))
@@ -157,7 +156,7 @@ def replay(
         udp = UdpSink(links, to, as_sensor=asked.is_from_sensor, interface=asked.interface, sent=sent)
         stack.enter_context(udp)
         opened(packets)
-        made = stream(packets, udp, Pacer(asked.speed), late=Late(asked.late), notify=notify, now=asked.now, stop=stop)
+        made = stream(packets, udp, pacer, late=Late(asked.late), notify=notify, now=asked.now, stop=stop)
     counts = ((of[PacketKind.DATA], of[PacketKind.POSITION]) for of in udp.sent)
     units = tuple(
         UnitSent(number, str(unit), link.source, link.data_port, link.position_port, *of)

@@ -25,7 +25,7 @@ from vlp16emu.raycast.build import Placed
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
 from vlp16emu.store import recalled
-from vlp16emu.types import F4, F8, U1, Mesh, ShapeKey, Window
+from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window
 
 STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
 _LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are level in float32, too
@@ -35,42 +35,6 @@ _NO_GROUND_M = np.float32(-1e6)
 _AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
 _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
 """Cloud of a library before anything is measured, if only stems and ground are far."""
-
-
-def _joined(
-    window: TiledWindow,
-    tiles: Mapping[Name, FarTile],
-    shelf: Shelf,
-    rows: Mapping[Name, int],
-    cosine: F4,
-    world: TiledWorld,
-) -> Medium:
-    blocks, places = {name: shelf.blocks[name] for name in rows}, np.array(list(rows))
-    low, high = places.min(axis=0), places.max(axis=0) + 1
-    bottom = min(block.bottom for block in blocks.values())
-    top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
-    size = (*((high - low) * _BRICKS).tolist(), top - bottom)
-    brick = np.zeros((*size, 2), np.uint64)
-    surface = np.zeros((*(high - low), 9), np.uint32)
-    for (ix, iy), block in blocks.items():
-        i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
-        here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
-        brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.first
-        surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
-    corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
-    corner_m = corner * VOXEL_M - window.origin_m
-    return Medium(
-        world.near_m,
-        tuple(corner_m.tolist()),
-        tuple(corner.tolist()),
-        brick,
-        *shelf.arrays,
-        surface,
-        cosine,
-        _ground(window, tiles, rows, corner_m, size),
-        _stems(window, tiles, rows),
-        world.seed & 0xFFFFFFFF,
-    )
 
 
 def _ground(
@@ -226,9 +190,37 @@ class FarCaster(EmbreeCaster):
         made = self._workers.map(lambda name: self._block(tiles, *name), missing)
         for name, block in zip(missing, made, strict=True):
             self._shelf.lay(name, block, len(rows))
-        medium = _joined(window, tiles, self._shelf, rows, self._cosine, self._tiled)
+        medium = self._joined(window, tiles, rows)
         self._shelf.keep(medium.brick, rows)
         return medium
+
+    def _joined(self, window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int]) -> Medium:
+        blocks, places = {name: self._shelf.blocks[name] for name in rows}, np.array(list(rows))
+        low, high = places.min(axis=0), places.max(axis=0) + 1
+        bottom = min(block.bottom for block in blocks.values())
+        top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
+        size = (*((high - low) * _BRICKS).tolist(), top - bottom)
+        brick = np.zeros((*size, 2), np.uint64)
+        surface = np.zeros((*(high - low), 9), np.uint32)
+        for (ix, iy), block in blocks.items():
+            i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
+            here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
+            brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.first
+            surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
+        corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
+        corner_m = corner * VOXEL_M - window.origin_m
+        return Medium(
+            self._tiled.near_m,
+            tuple(corner_m.tolist()),
+            tuple(corner.tolist()),
+            brick,
+            *self._shelf.arrays,
+            surface,
+            self._cosine,
+            _ground(window, tiles, rows, corner_m, size),
+            _stems(window, tiles, rows),
+            self._tiled.seed & 0xFFFFFFFF,
+        )
 
     def _block(self, tiles: dict[Name, FarTile], ix: int, iy: int) -> Block:
         library, place, names, world = self._library, self._place, self._names, self._tiled.name

@@ -45,13 +45,13 @@ class FarTile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiledWindow(Window):
-    """A window with squares that may be seen from afar."""
+    """A window with squares that may be cast as a far medium."""
 
     track_m: F8  # (t, 3) positions of the sensors that the window is for, to which things are near or far
     tiles: tuple[tuple[int, int, int], ...]
-    """Squares (ix, iy) that are seen from afar by `TiledWorld.far_tile`, and the row of `surfaces` at which theirs begin."""
+    """Squares (ix, iy) whose far medium `TiledWorld.far_tile` makes, and the row of `surfaces` at which theirs begin."""
     far: NDArray[np.bool_]  # (n,) which placements `tiles` stand for
-    low: NDArray[np.bool_]  # (n,) which of the others are so low that light from afar meets the ground in their place
+    low: NDArray[np.bool_]  # (n,) which of the others are so low that far light meets the ground in their place
 
     def with_more(self, count: int) -> dict[str, Any]:
         """Return the further fields of the window for `count` placements that are exact at any range."""
@@ -60,7 +60,7 @@ class TiledWindow(Window):
 
 
 class TiledWorld(World, Protocol):
-    """A world of squares that are seen from afar beyond `near_m`."""
+    """A world of squares that are a far medium beyond `near_m`."""
 
     @property
     def name(self) -> str:

@@ -60,7 +60,7 @@ class EmbreeGeometry:
         near_m : (L,) range at which each laser's light begins
         far_m : range at which it is given up
         beam : how wide a pulse is
-        as_far : whether also what is near is cast as the medium that it is from afar, where there is one
+        as_far : whether near content, too, is cast as the far medium, where there is one
 
         Raises ValueError where the firings are not as said above.
         """

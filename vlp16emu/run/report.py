@@ -7,7 +7,7 @@ from typing import Any, Self
 from vlp16emu.engine import Unit
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import require_packets
 from vlp16emu.sinks import StreamReport
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -69,7 +69,7 @@ class UnitSent:
     @classmethod
     def of(cls, unit: Unit, sent: Mapping[PacketKind, int], simulated_s: float, returns: int | None = None) -> Self:
         """Describe what a sensor of a scene sent, by kind."""
-        sensor, turn = on_the_wire(unit.section), turn_of(unit.head, simulated_s)
+        sensor, turn = require_packets(unit.section), turn_of(unit.head, simulated_s)
         where = sensor.name, sensor.address, sensor.data_port, sensor.position_port
         return cls(unit.number + 1, *where, sent[PacketKind.DATA], sent[PacketKind.POSITION], returns, turn)
 

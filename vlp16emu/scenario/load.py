@@ -68,7 +68,7 @@ def load(
     read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
     changes = [_meant(one) for one in read]
     if ideal:
-        _take_errors(source.tree)
+        _without_errors(source.tree)
     try:
         return _checked(_changed(source, changes))
     except ValidationError as error:
@@ -134,7 +134,7 @@ def _check_depth(where: str, tree: Any) -> None:
     raise ScenarioError(where, f"tables or lists in one another, {DEEPEST} deep", "the tables of a scene")
 
 
-def _take_errors(tree: dict[str, Any]) -> None:
+def _without_errors(tree: dict[str, Any]) -> None:
     """Make a scene's light, air and sensors ideal."""
     tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={}, capture={"preset": "ideal"})
     units = rig if isinstance(rig := tree.get("rig"), list) else []

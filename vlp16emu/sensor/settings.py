@@ -156,7 +156,7 @@ AnySensor = Annotated[Lidar, OneOf(Lidar, "sensors", "model", "vlp-16")]
 """The `[sensor]` table."""
 
 
-def on_the_wire(sensor: Lidar) -> Sensor:
+def require_packets(sensor: Lidar) -> Sensor:
     """Return a sensor that has packets.
 
     Raises ScenarioError if it has none.

@@ -10,8 +10,7 @@ import pytest
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import Batching
 from vlp16emu.errors import RunError
-from vlp16emu.extras.accuracy import Audit
-from vlp16emu.extras.accuracy.audit import Detections, Tally, apart_m, compare, errors_of
+from vlp16emu.extras.accuracy.audit import Audit, Detections, Tally, apart_m, compare, errors_of
 from vlp16emu.extras.accuracy.sweep import (
     GROUP,
     Bench,
@@ -25,7 +24,6 @@ from vlp16emu.extras.accuracy.sweep import (
     joined,
     measure_accuracy,
     measure_foliage,
-    pose_rates,
 )
 from vlp16emu.scenario import load
 
@@ -41,7 +39,6 @@ def test_errors_are_the_same_each_time():
     first, second = (measured("beam.model='adaptive'") for _ in range(2))
     assert [row.errors for row in first.rows] == [row.errors for row in second.rows]
     assert first.answer_rmse_m == second.answer_rmse_m
-    assert first.poses == (), "a static sensor has no poses to judge"
     assert all(row.us_per_pulse > 0 for row in first.rows)
     assert [row.name for row in first.rows if row.in_use] == ["beam.model=adaptive beam.target_m=0.05"]
 
@@ -75,16 +72,6 @@ def test_names_are_settings():
     for light in beam_settings(load("static_bench"), 1):
         again = beam_settings(load("static_bench", light.name.split()), 1)
         assert [one.beam for one in again if one.in_use] == [light.beam]
-
-
-def test_a_held_pose_is_that_of_the_first_pulse():
-    """Held over a packet of 24 sequences, all pulses have the pose of the packet's first one."""
-    unit = Engine.of(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]
-    t_ns = unit.head.times_ns(1920, 48)
-    _, per_sequence, per_packet = (held(t_ns.reshape(-1)).world_p_body_m for held in pose_rates(unit).values())
-    first_m = unit.motion.poses_at(t_ns[:, 0].copy()).world_p_body_m
-    assert (per_sequence.reshape(48, 16, 3) == first_m[:, None]).all()
-    assert (per_packet.reshape(2, 24 * 16, 3) == first_m[::24, None]).all()
 
 
 def test_where_nothing_is_met_that_is_said():
@@ -187,9 +174,9 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     emulator = Engine.of(hall, taps=[look])
     list(emulator.returns(0.0, 20 * BLOCK_S))
     unit = emulator.parts.units[0]
-    bench, poses_at = Bench(unit, 128), unit.motion.poses_at
+    bench = Bench(unit, 128)
     ((_, groups),) = draw_groups(Batching(16, 55_296), 20, 8_192, 1, moves=False)
-    aimed = [bench.aimed(group, poses_at) for group in groups]
+    aimed = [bench.aimed(group) for group in groups]
     answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
     returns = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
     measured_m = errors_of(compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m

@@ -373,12 +373,7 @@ def by_curl(web, path, body):
     return int(said[-3:]), said[:-3]
 
 
-CLIENTS = {
-    "http.client": lambda web, path, body: web.client.post(path, body),
-    # It does not look at the status.
-    "nebula": lambda web, path, body: (204, Nebula(web.address).request("POST", path, body).encode()),
-    "curl": by_curl,
-}
+CLIENTS = {"http.client": lambda web, path, body: web.client.post(path, body), "curl": by_curl}
 
 
 @pytest.mark.parametrize("client", CLIENTS)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.extras.imu.sampler import GRAVITY_M_S2, ImuSampler
 from vlp16emu.extras.imu.settings import Imu
-from vlp16emu.extras.walk import Harness, Walk
+from vlp16emu.extras.walk.settings import Harness, Walk
 from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import Kinematics, StaticMotion, rotations
 from vlp16emu.motion.settings import Gps, Mount

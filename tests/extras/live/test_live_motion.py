@@ -95,12 +95,15 @@ def test_steady_motion_is_followed_without_lag():
 
 
 def test_a_jump_of_poses_is_no_jump_of_the_body():
-    """A pose 3 m aside is approached at 4 m/s at most, and reached within 3 s, with 5 cm of overshoot at most."""
+    """A pose 3 m aside, or turned by 3 rad, is approached at 4 m/s or 6 rad/s at most, and reached within 3 s, with 5 cm of overshoot at most."""
     states, t_s = Bench().fly(lambda t: ((3.0 if t >= 1.0 else 0.0, 0.0, 2.0), LEVEL), 5.0)
     x_m = states[:, 0]
     assert np.abs(np.diff(x_m)).max() < 4.0 * STEP_S
     assert x_m.max() < 3.05
     assert x_m[t_s > 4.0] == pytest.approx(3.0, abs=1e-3)
+    states, t_s = Bench().fly(lambda t: turning(3.0 if t >= 1.0 else 0.0), 5.0)
+    assert np.linalg.norm(states[:, 10:], axis=1).max() < 6.0
+    assert Rotation.from_quat(states[t_s > 4.0, 3:7]).magnitude() == pytest.approx(3.0, abs=1e-3)
 
 
 def test_without_poses_the_body_comes_to_rest_and_goes_on_without_a_jump():

@@ -10,8 +10,9 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.extras.bag import write_bag
-from vlp16emu.extras.slam import fitness, programs
+from vlp16emu.extras.bag.write import write_bag
+from vlp16emu.extras.slam.configure import programs
+from vlp16emu.extras.slam.fitness import fitness
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from rosbags.highlevel import AnyReader

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vlp16emu.extras.verify import verify
+from vlp16emu.extras.verify.run import verify
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.packets.layout import DATA_PAYLOAD
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.extras.verify import Rule, verify
+from vlp16emu.extras.verify.frames import Rule
+from vlp16emu.extras.verify.run import verify
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 

@@ -6,7 +6,8 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.extras.bench.faults import arriving
-from vlp16emu.extras.verify import Rule, verify
+from vlp16emu.extras.verify.frames import Rule
+from vlp16emu.extras.verify.run import verify
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
 from vlp16emu.units import S_NS, seconds_to_ns

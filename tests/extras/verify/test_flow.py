@@ -7,7 +7,8 @@ import tracemalloc
 import pytest
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.extras.verify import Rule, verify
+from vlp16emu.extras.verify.frames import Rule
+from vlp16emu.extras.verify.run import verify
 
 HOUR_US = 3_600_000_000
 

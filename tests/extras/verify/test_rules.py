@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from vlp16emu.extras.verify import Rule
+from vlp16emu.extras.verify.frames import Rule
 
 HOUR_US = 3_600_000_000
 
@@ -109,35 +109,22 @@ DAMAGES = {
     "digit of the sentence": (Rule.NMEA_CHECKSUM, position(226, b"7")),
     "line end": (Rule.NMEA_END, position(lambda payload: payload.index(b"\r\n"), b"\n\0")),
     "remains behind the sentence": (Rule.NMEA_END, position(400, b"x")),
-}
+    "azimuth of a pair": (Rule.DUAL_AZIMUTH, azimuths(lambda a: [*a[:3], a[3] - 1, *a[4:]])),
+    "last return nearer": (Rule.DUAL_ORDER, field("blocks", "records", "distance_lsb", ([4, 5], 0, 0), to=[3000, 4000])),
+    "reflectivity of pairs": (Rule.DUAL_REFLECTIVITY, field("blocks", "records", "reflectivity", slice(1, None, 2), to=lambda old: old ^ 1)),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", DAMAGES)
 def test_damage_is_found_by_its_rule_at_its_packet(traffic, name):
     """One damaged packet among a thousand is named by number, under the rule it breaks and no other."""
     rule, damage = DAMAGES[name]
-    made = traffic(1.2)
+    made = traffic(1.0, dual=True) if rule.startswith("dual") else traffic(1.2)
     number = damage(made) + 1
     result = made.verified()
     assert set(result.counts) == {rule}
     assert next(finding.packet for finding in result.findings if finding.rule is rule) == number
     assert not result.is_clean
-
-
-@pytest.mark.parametrize(
-    ("rule", "damage"),
-    [
-        (Rule.DUAL_AZIMUTH, azimuths(lambda a: [*a[:3], a[3] - 1, *a[4:]])),
-        (Rule.DUAL_ORDER, field("blocks", "records", "distance_lsb", ([4, 5], 0, 0), to=[3000, 4000])),
-        (Rule.DUAL_REFLECTIVITY, field("blocks", "records", "reflectivity", slice(1, None, 2), to=lambda old: old ^ 1)),
-    ],
-)
-def test_damaged_pairs_are_found(traffic, rule, damage):
-    """A broken pair in one dual packet is named by number, under its rule and no other."""
-    made = traffic(1.0, dual=True)
-    number = damage(made) + 1
-    result = made.verified()
-    assert [(finding.rule, finding.packet) for finding in result.findings] == [(rule, number)]
 
 
 def test_one_azimuth_of_36000_is_a_note(traffic):

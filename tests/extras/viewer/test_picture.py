@@ -16,25 +16,13 @@ Image = pytest.importorskip("PIL.Image", reason="the extra picture is not instal
 pytest.importorskip("matplotlib", reason="the extra picture is not installed")
 
 SMALL = ["--size", "320x200", "--duration", "0.4", "--set", "beam.model=none"]
-HALL = """
-schema = 1
-title = "Two boxes, ahead and to the left"
-seed = 1
-duration_s = 1.0
-motion = { kind = "static", x_m = 0.0, y_m = 0.0 }
-beam = { model = "none" }
-
-[world]
-kind = "hall"
-length_m = 24.0
-width_m = 24.0
-height_m = 6.0
-wall_reflectance = 0.05
-boxes = [
-    { name = "ahead", centre_m = [4.5, 0.0, 1.5], size_m = [1.0, 1.0, 3.0], reflectance = 0.9 },
-    { name = "left", centre_m = [0.0, 6.5, 1.5], size_m = [1.0, 1.0, 3.0], reflectance = 0.9 },
-]
-"""
+BOXES = ", ".join(
+    f'{{ name = "{name}", centre_m = [{x_m}, {y_m}, 1.5], size_m = [1.0, 1.0, 3.0], reflectance = 0.9 }}'
+    for name, x_m, y_m in (("ahead", 4.5, 0.0), ("left", 0.0, 6.5))
+)
+HALL = (
+    f'{{ kind = "hall", length_m = 24.0, width_m = 24.0, height_m = 6.0, wall_reflectance = 0.05, boxes = [{BOXES}] }}'
+)
 BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
 
 
@@ -108,10 +96,9 @@ def test_a_view_of_a_revolution_is_of_one(tmp_path, view, capsys):
 
 def test_a_sweep_lies_ahead_upwards(tmp_path):
     """From above, a box ahead of the sensor is over its middle and one to its left at the left, both at their ranges."""
-    scene = tmp_path / "two.toml"
-    scene.write_text(HALL)
     words = ["--view", "sweep", "--size", "400x400", "--duration", "0.3", "--colour", "reflectivity"]
-    assert run(["picture", str(scene), str(tmp_path / "a.png"), *words]) == 0
+    words += ["--set", f"world={HALL}"]
+    assert run(["picture", "static_bench", str(tmp_path / "a.png"), *words]) == 0
     with Image.open(tmp_path / "a.png") as image:
         rgb = np.array(image.convert("RGB")).astype(int)
     row, column = np.nonzero((rgb[..., 1] > 180) & (rgb[..., 2] < 120))  # of bright points, not of text

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vlp16emu.extras.walk import Gait, Harness, Walk
 from vlp16emu.extras.walk.motion import WalkMotion
+from vlp16emu.extras.walk.settings import Gait, Harness, Walk
 
 START_NS = 1_780_000_000 * 10**9
 STILL = Gait(preset="none", step_hz=1.85)

@@ -6,9 +6,9 @@ from extras.walk.kit import gait, straps
 from scipy import stats
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.extras.walk import Gait, Walk
 from vlp16emu.extras.walk.gait import Trunk, step_rate_hz
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack
+from vlp16emu.extras.walk.settings import Gait, Walk
 from vlp16emu.motion.settings import Gps
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.extras.walk import Stop, Walk
 from vlp16emu.extras.walk.path import Path
 from vlp16emu.extras.walk.route import Route
+from vlp16emu.extras.walk.settings import Stop, Walk
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [36.0, 2.0], [20.0, 14.0]])
 LOOP_M = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 9.0], [0.0, 9.0], [0.0, 0.0]])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from extras.walk.kit import START_NS, STILL, Circle, at, gait, straps, walking
 
-from vlp16emu.extras.walk import Harness
 from vlp16emu.extras.walk.motion import _sit
+from vlp16emu.extras.walk.settings import Harness
 from vlp16emu.motion.pose import rotations
 
 STRAPS = Harness(vertical_hz=2.0, damping_ratio=0.2)

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial import KDTree
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.extras.walk import LawnMower, Stop, Walk
 from vlp16emu.extras.walk.path import Path
 from vlp16emu.extras.walk.route import Route
+from vlp16emu.extras.walk.settings import LawnMower, Stop, Walk
 from vlp16emu.extras.walk.way_points import lawn_mower, way_points
 from vlp16emu.motion.settings import Gps
 

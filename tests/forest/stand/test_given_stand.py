@@ -16,9 +16,9 @@ from vlp16emu.forest.stand.stand import TREE
 
 LIST = """\
 x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg,remark
-1.5,2.5,norway_spruce,30,25,10,4.5,2,90,old
--3,4,silver_birch,20.5,21,8,4,,,
-10,-7.25,norway_spruce,40,28,,,0,0,forked
+1.5,2.5,Picea abies,30,25,10,4.5,2,90,old
+-3,4,silver birch,20.5,21,8,4,,,
+10,-7.25, NORWAY-SPRUCE ,40,28,,,0,0,forked
 """
 NO_ORIGIN = (0.0, 0.0, 0.0)
 
@@ -30,7 +30,7 @@ def read(tmp_path, text=LIST, origin_m=NO_ORIGIN):
 
 
 def test_a_list_is_read_as_it_stands(tmp_path):
-    """Place less the origin, species, diameter, height, crown and lean come from the list, in its order; other columns are ignored."""
+    """Place less the origin, species in any spelling, diameter, height, crown and lean come from the list, in its order; others are ignored."""
     trees, table = read(tmp_path), flora().trees
     moved = read(tmp_path, origin_m=(1.0, 2.0, 300.0))
     assert (moved["x_m"].tolist(), moved["y_m"].tolist()) == ([0.5, -4, 9], [0.5, 2, -9.25])
@@ -42,13 +42,6 @@ def test_a_list_is_read_as_it_stands(tmp_path):
     assert trees["dbh_m"] == pytest.approx([0.30, 0.205, 0.40])
     assert trees["crown_base_m"][:2].tolist() == [10, 8]
     assert trees["crown_width_m"][:2].tolist() == [4.5, 4]
-
-
-@pytest.mark.parametrize("name", ["Picea abies", "norway spruce", "Norway-Spruce", " NORWAY_SPRUCE "])
-def test_species_have_their_names_in_any_spelling(tmp_path, name):
-    """The name of the table is found with any case and any space, and so is the scientific one."""
-    (number,) = read(tmp_path, f"x,y,species,dbh_cm,height_m\n1,2,{name},30,25\n")["species"].tolist()
-    assert number == flora().trees["norway_spruce"].number
 
 
 def test_diameters_in_millimetres_are_refused(tmp_path):

@@ -71,20 +71,17 @@ def test_shares_and_sizes_must_be_plausible():
 
 
 def test_chance_has_the_distributions_that_it_should(trees):
-    """A quarter of the stems is birch, lean is Rayleigh with 1.5 degrees per axis in any direction, bark spreads evenly over 0.08 either way."""
+    """A quarter of the stems is birch, lean is Rayleigh with 1.5 degrees per axis in any direction, bark spreads evenly over 0.08 either way.
+
+    Feet are on the ground; crowns begin over it and end under the tip.
+    """
+    assert trees["z_m"] == pytest.approx(0.01 * trees["x_m"] + 0.02 * trees["y_m"])
+    assert ((trees["crown_base_m"] > 0) & (trees["crown_base_m"] < trees["height_m"])).all()
     birch = trees[trees["species"] == 1]
     assert stats.binomtest(len(birch), len(trees), 0.25).pvalue > 0.01
     assert stats.kstest(trees["lean_deg"], stats.rayleigh(scale=1.5).cdf).pvalue > 0.01
     assert stats.kstest(trees["lean_towards_deg"], stats.uniform(0, 360).cdf).pvalue > 0.01
     assert stats.kstest(birch["bark_reflectance"], stats.uniform(0.47, 0.16).cdf).pvalue > 0.01
-
-
-def test_foot_is_on_the_ground_and_sizes_make_sense(trees):
-    """Feet are at ground height; crowns begin over the ground and end under the tip."""
-    assert trees["z_m"] == pytest.approx(0.01 * trees["x_m"] + 0.02 * trees["y_m"])
-    assert (trees["crown_base_m"] > 0).all()
-    assert (trees["crown_base_m"] < trees["height_m"]).all()
-    assert (trees["height_m"] > 1.3).all()
 
 
 def of_classes(trees, columns):

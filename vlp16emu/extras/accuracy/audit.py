@@ -9,7 +9,6 @@ numbers by cluster, so that neither order nor number matters.
 import math
 import threading
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -27,21 +26,10 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import F4, F8, I8, U1, Firings, Hits
 
 FEWEST_CLUSTERS = 8  # clusters with errors; with fewer no interval is given
-MISTAKES = ("lost", "invented", "wrong_strongest")  # outcomes of pulses as fields of `Errors` and `Tally`
 _STRONGEST, _LAST = 0, 1
 _CONFIDENCE = 0.95
 _UM = 1e-6
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
-
-
-class Outcome(IntEnum):
-    """Outcome of a pulse, by its strongest return."""
-
-    NOTHING = 0  # no return, neither in the answer nor detected
-    LOST = 1  # the answer has a return, and nothing was detected
-    INVENTED = 2  # something was detected, and the answer has nothing
-    WRONG_STRONGEST = 3  # another echo was taken for the strongest
-    MATCHED = 4
 
 
 class Detections(NamedTuple):
@@ -52,17 +40,16 @@ class Detections(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Comparison of n pulses with the answer."""
+    """Comparison of pulses with the answer, by their strongest return unless said otherwise."""
 
-    outcome: I8  # (n,) `Outcome`
+    pulses: int
+    returns: int  # pulses with a return in the answer
+    lost: int  # the answer has a return, and nothing was detected
+    invented: int  # something was detected, and the answer has nothing
+    wrong_strongest: int  # another echo was taken for the strongest
+    wrong_last: int  # another echo was taken for the last
     error_m: F8  # (k,) range errors of the matched pulses
     reflectivity_error: F8  # (k,) likewise, in counts
-    wrong_last: int  # number of pulses with another echo taken for the last
-
-    @property
-    def returns(self) -> int:
-        """Number of pulses with a return in the answer."""
-        return int(np.isin(self.outcome, (Outcome.LOST, Outcome.WRONG_STRONGEST, Outcome.MATCHED)).sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,38 +91,40 @@ def compare(answer: Detections, detected: Detections, resolution_m: float) -> Co
     """Compare the detections of n pulses with the answer; ranges more than half a resolution apart are of different echoes."""
     seen, got = answer.distance_m[:, _STRONGEST] > 0, detected.distance_m[:, _STRONGEST] > 0
     off_m = detected.distance_m.astype(np.float64) - answer.distance_m
-    other = np.abs(off_m) > resolution_m / 2
-    outcome = np.where(other[:, _STRONGEST], Outcome.WRONG_STRONGEST, Outcome.MATCHED)
-    for mistake, where in (
-        (Outcome.NOTHING, ~seen & ~got),
-        (Outcome.LOST, seen & ~got),
-        (Outcome.INVENTED, got & ~seen),
-    ):
-        outcome[where] = mistake
-    matched = outcome == Outcome.MATCHED
+    other = (seen & got)[:, None] & (np.abs(off_m) > resolution_m / 2)
+    matched = seen & got & ~other[:, _STRONGEST]
     counts = detected.reflectivity[:, _STRONGEST].astype(np.float64) - answer.reflectivity[:, _STRONGEST]
-    wrong_last = int((seen & got & other[:, _LAST]).sum())
-    return Comparison(outcome, off_m[matched, _STRONGEST], counts[matched], wrong_last)
+    return Comparison(
+        pulses=len(seen),
+        returns=int(seen.sum()),
+        lost=int((seen & ~got).sum()),
+        invented=int((got & ~seen).sum()),
+        wrong_strongest=int(other[:, _STRONGEST].sum()),
+        wrong_last=int(other[:, _LAST].sum()),
+        error_m=off_m[matched, _STRONGEST],
+        reflectivity_error=counts[matched],
+    )
 
 
 def errors_of(compared: Comparison, resolution_m: float) -> Errors:
     """Summarise a comparison that was made with `resolution_m`."""
     error_m, returns = compared.error_m, compared.returns
-    counts = np.bincount(compared.outcome, minlength=len(Outcome))
 
     def share(count: float) -> float:
         return float(count / returns) if returns else np.nan
 
     return Errors(
-        pulses=len(compared.outcome),
+        pulses=compared.pulses,
         returns=returns,
         range_rmse_m=_rms(error_m),
         range_bias_m=float(error_m.mean()) if len(error_m) else np.nan,
         range_p95_m=float(np.quantile(np.abs(error_m), 0.95)) if len(error_m) else np.nan,
         mean_error_m=share(float(np.abs(error_m).sum()) + (returns - len(error_m)) * resolution_m),
-        reflectivity_rmse=_rms(compared.reflectivity_error),
+        lost=share(compared.lost),
+        invented=share(compared.invented),
+        wrong_strongest=share(compared.wrong_strongest),
         wrong_last=share(compared.wrong_last),
-        **{name: share(counts[Outcome[name.upper()]]) for name in MISTAKES},
+        reflectivity_rmse=_rms(compared.reflectivity_error),
     )
 
 
@@ -164,14 +153,14 @@ class Tally:
     def add(self, compared: Comparison) -> None:
         """Add a cluster."""
         error_um = np.rint(compared.error_m / _UM).astype(np.int64)
-        counts = np.bincount(compared.outcome, minlength=len(Outcome)).tolist()
         matched, squares_um2 = len(error_um), int(error_um @ error_um)
         self.clusters += 1
         self.with_errors += squares_um2 > 0
-        self.pulses += len(compared.outcome)
+        self.pulses += compared.pulses
         self.returns += compared.returns
-        for name in MISTAKES:
-            setattr(self, name, getattr(self, name) + counts[Outcome[name.upper()]])
+        self.lost += compared.lost
+        self.invented += compared.invented
+        self.wrong_strongest += compared.wrong_strongest
         self.matched += matched
         self.matched_2 += matched**2
         self.squares_um2 += squares_um2
@@ -240,7 +229,8 @@ class Audit:
     def finding(self) -> AuditFinding:
         """Result so far."""
         tally = self.tally
-        lost, invented, other = (getattr(tally, name) / tally.returns if tally.returns else None for name in MISTAKES)
+        counts = tally.lost, tally.invented, tally.wrong_strongest
+        lost, invented, other = (count / tally.returns if tally.returns else None for count in counts)
         low_m, high_m = tally.range_rmse_interval_m or (None, None)
         return AuditFinding(self.exact, tally.pulses, tally.range_rmse_m, low_m, high_m, lost, invented, other)
 

@@ -1,4 +1,4 @@
-"""Error against run time: settings of the beam, held poses and near_m, on pulses from all over a run; the picture.
+"""Error against run time: settings of the beam and near_m, on pulses from all over a run; the picture.
 
 Settings are judged by the converged answer: the same pulses with many more sub-rays, by a receiver without noise. Beyond
 `near_m` single leaves differ from those of the explicit world, so there means over the same pulses are compared, not pulses.
@@ -24,13 +24,12 @@ from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.audit import Detections, Errors, answer_beam, apart_m, compare, detections_of, errors_of
 from vlp16emu.extras.plots import CYCLE, INK, SOFT, plotted
 from vlp16emu.forest.settings import Woods
-from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Poses, ReturnMode, Returns
+from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Returns
 from vlp16emu.units import seconds_to_ns
 
 WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
@@ -43,7 +42,6 @@ class Kind(StrEnum):
     FIXED = "fixed"
     ADAPTIVE = "adaptive"
     BEAM_ERROR = "beam error"
-    POSE = "pose"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +52,7 @@ class Row:
     name: str  # setting of a beam as `--set` takes it
     in_use: bool  # whether it is the scene's own
     errors: Errors
-    us_per_pulse: float  # run time on one core: of casting and detecting, or for poses of posing and aiming
+    us_per_pulse: float  # run time of casting and detecting on one core
     us_spread: float  # difference between the slowest and the quickest repeat
     rays_per_pulse: float
 
@@ -92,8 +90,6 @@ class Accuracy:
     answer_rays: int  # sub-rays of the answer
     answer_rmse_m: float  # error of the answer itself, from two answers with different sub-rays
     rows: tuple[Row, ...]
-    poses: tuple[Row, ...]
-    """Held poses against a pose per pulse, with the beam of the answer; none if the sensor stands still."""
     foliage: tuple[LevelOfDetail, ...] = ()
     """Worlds cast leaf by leaf to some distances, the explicit one last; none of a hall."""
 
@@ -131,7 +127,7 @@ def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
         for axes, (name, (title, label)) in zip(figure.subplots(1, 2), _PANELS.items(), strict=True):
             for row in accuracy.rows:
                 place, colour = (row.us_per_pulse, getattr(row.errors, name)), _STYLES[row.kind][0]
-                words: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour}
+                words: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour, "rotation": 45}
                 axes.annotate(row.name.rpartition("=")[2], place, (4, 5), **words)
                 if row.in_use:
                     axes.plot(*place, "o", ms=15, mfc="none", mec=CYCLE[3], mew=2, label="in use")
@@ -148,8 +144,6 @@ def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
             axes.legend(loc="upper right")
         figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
 
-
-PosesAt = Callable[[I8], Poses]
 
 GROUP = 8
 """Firing sequences of a group, from a multiple of eight on: an adaptive beam is judged among so many, and no others."""
@@ -211,9 +205,9 @@ class Bench:
     unit: Unit
     rays: int  # sub-rays of an answer
 
-    def aimed(self, group: range, poses_at: PosesAt) -> Firings:
+    def aimed(self, group: range) -> Firings:
         """Aim the sequences of a group."""
-        return self.unit.head.aim(group.start, len(group), poses_at, beam_axis=True)
+        return self.unit.head.aim(group.start, len(group), self.unit.motion.poses_at, beam_axis=True)
 
     def cast(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Hits:
         """Cast pulses between the unit's limits of range."""
@@ -235,19 +229,12 @@ class Bench:
         detect(firings, hits, geometry.surfaces, self.unit.detector, truth=False)
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(hits.count.mean())
 
-    def timed_aim(self, block: range, poses_at: PosesAt) -> tuple[float, float]:
-        """Pose and aim as a run does; the result is as for `timed`, with the rays of an answer."""
-        began_s = time.thread_time()
-        firings = self.unit.head.aim(block.start, len(block), poses_at, beam_axis=self.unit.beam.has_width)
-        return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(self.rays)
-
 
 _COUNTS = (4, 8, 16, 32, 64, 128)
 _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, over that of the scene
 _RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times those of a pulse of the scene
 _REPEATS = 5
-_PER_PULSE = "pose per pulse"
-_POSED = 4  # every fourth group measures errors of poses and of the answer itself, as answers are costly
+_ANSWERED_TWICE = 4  # every fourth group measures the error of the answer itself, as answers are costly
 
 
 class BeamSetting(NamedTuple):
@@ -281,63 +268,35 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     return settings
 
 
-def pose_rates(unit: Unit) -> dict[str, PosesAt]:
-    """Return poses per pulse, per firing sequence and per packet by name; nothing if the sensor stands still."""
-    if not unit.motion.moves:
-        return {}
-    sequence_ns, start_ns = unit.head.beams.sequence_ns, unit.head.start_ns
-    packet_ns = SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * sequence_ns
-    poses_at, holds_ns = unit.motion.poses_at, {"firing sequence": sequence_ns, "packet": packet_ns}
-    held = {f"pose per {what}": _held(poses_at, start_ns, ns) for what, ns in holds_ns.items()}
-    return {_PER_PULSE: poses_at, **held}
-
-
-def _held(poses_at: PosesAt, start_ns: int, hold_ns: int) -> PosesAt:
-    """Return poses that hold for `hold_ns` their value at its beginning."""
-
-    def held(t_ns: I8) -> Poses:
-        begin_ns, whose = np.unique((t_ns - start_ns) // hold_ns * hold_ns + start_ns, return_inverse=True)
-        poses = poses_at(begin_ns)
-        return Poses(t_ns, poses.world_R_body[whose], poses.world_p_body_m[whose])
-
-    return held
-
-
 class _Ladder:
     """All settings on one bench, measured window by window."""
 
     def __init__(self, bench: Bench, scenario: Scenario) -> None:
         self._bench, self._apart_m = bench, apart_m(scenario.detector)
-        self._beams, self._pose_rates = beam_settings(scenario, bench.unit.seed), pose_rates(bench.unit)
+        self._beams = beam_settings(scenario, bench.unit.seed)
         self._wide = next(setting.beam for setting in self._beams if setting.kind is Kind.FIXED)
         self._detections = defaultdict[str, list[Detections]](list)
         self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
 
     def look(self, geometry: Geometry, groups: Sequence[range], pool: ThreadPoolExecutor) -> None:
         """Detect the groups of one window with all settings."""
-        bench, poses_at, some = self._bench, self._bench.unit.motion.poses_at, groups[::_POSED]
+        bench, aimed = self._bench, [self._bench.aimed(group) for group in groups]
 
-        def answers(groups: Sequence[range], poses_at: PosesAt = poses_at, number: int = 0) -> list[Detections]:
-            aimed = [bench.aimed(group, poses_at) for group in groups]
+        def answers(aimed: Sequence[Firings], number: int) -> list[Detections]:
             return list(pool.map(lambda firings: bench.answer(geometry, firings, self._wide, number), aimed))
 
-        self._detections["answer"] += (found := answers(groups))
-        self._detections["answer of some"] += found[::_POSED]
-        self._detections["another answer"] += answers(some, number=1)
+        self._detections["answer"] += (found := answers(aimed, 0))
+        self._detections["answer of some"] += found[::_ANSWERED_TWICE]
+        self._detections["another answer"] += answers(aimed[::_ANSWERED_TWICE], 1)
         for setting in self._beams:
-            for group in groups:
-                detections = bench.detections(geometry, bench.aimed(group, poses_at), setting.beam)
-                self._detections[setting.name].append(detections)
-        for name, held_at in self._pose_rates.items():
-            self._detections[name] += answers(some, held_at)
+            self._detections[setting.name] += [bench.detections(geometry, one, setting.beam) for one in aimed]
 
     def time(self, geometry: Geometry, block: range) -> None:
         """Measure run time of all settings, in turn, so that other load meets them alike."""
         bench = self._bench
-        firings = bench.aimed(block[:TIMED_SEQUENCES], bench.unit.motion.poses_at)
+        firings = bench.aimed(block[:TIMED_SEQUENCES])
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
-            timed |= {name: bench.timed_aim(block, poses_at) for name, poses_at in self._pose_rates.items()}
             if repeat:  # the first one compiled and warmed up
                 for name, (us, rays) in timed.items():
                     self._us[name].append(us)
@@ -351,14 +310,13 @@ class _Ladder:
             seed=seed,
             answer_rays=self._bench.rays,
             answer_rmse_m=answer.range_rmse_m / float(np.sqrt(2.0)),
-            rows=tuple(self._row(one.kind, one.name, "answer", one.in_use) for one in self._beams),
-            poses=tuple(self._row(Kind.POSE, one, "answer of some", one == _PER_PULSE) for one in self._pose_rates),
+            rows=tuple(map(self._row, self._beams)),
         )
 
-    def _row(self, kind: Kind, name: str, answer: str, in_use: bool) -> Row:
-        us = np.array(self._us[name]).reshape(-1, _REPEATS).mean(axis=0)
-        errors, rays = self._errors(name, answer), float(np.mean(self._rays[name]))
-        return Row(kind, name, in_use, errors, float(np.median(us)), float(np.ptp(us)), rays)
+    def _row(self, setting: BeamSetting) -> Row:
+        name, us = setting.name, np.array(self._us[setting.name]).reshape(-1, _REPEATS).mean(axis=0)
+        errors, rays = self._errors(name, "answer"), float(np.mean(self._rays[name]))
+        return Row(setting.kind, name, setting.in_use, errors, float(np.median(us)), float(np.ptp(us)), rays)
 
     def _errors(self, name: str, answer: str) -> Errors:
         compared = compare(joined(self._detections[answer]), joined(self._detections[name]), self._apart_m)
@@ -368,7 +326,7 @@ class _Ladder:
 def measure_accuracy(
     scenario: Scenario, scene: str, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> Accuracy:
-    """Measure errors and run time of beams and poses of a scene, which is called `scene`, with the first of its units.
+    """Measure errors and run time of the beams of a scene, which is called `scene`, with the first of its units.
 
     RunError if no pulse has a return.
 
@@ -430,17 +388,17 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     world = scenario.world.model_copy(update={"near_m": near_m})
     parts = assemble(scenario.model_copy(update={"world": world}))
     unit = parts.units[0]
-    bench, detector, poses_at = Bench(unit, unit.beam.rays), unit.detector.without_chance(), unit.motion.poses_at
+    bench, detector = Bench(unit, unit.beam.rays), unit.detector.without_chance()
 
     def returns(geometry: Geometry, group: range) -> Returns:
-        firings = bench.aimed(group, poses_at)
+        firings = bench.aimed(group)
         hits = bench.cast(geometry, firings, unit.beam)
         return detect(firings, hits, geometry.surfaces, detector, truth=True)
 
     with workers(os.cpu_count() or 1, "foliage") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             found = list(pool.map(partial(returns, geometry), groups))
-            timed = bench.aimed(range(start := groups[0].start, start + TIMED_SEQUENCES), poses_at)
+            timed = bench.aimed(range(start := groups[0].start, start + TIMED_SEQUENCES))
             us = min(bench.timed(geometry, timed, unit.beam)[0] for _ in range(_REPEATS))
             yield from ((one, us, share) for one in found)
 

@@ -143,23 +143,17 @@ class TrueMessages:
 
     def fixed(self, t_ns: int) -> None:
         """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; what spins has none."""
-        mounts = [
-            (frame, given_mount(unit, "body_T_sensor"))
-            for unit, frame in zip(self._rig["units"], self._frames, strict=True)
-        ]
-        if mounts[0][1] is not None:
-            antenna = mounts[0][1].copy()
-            antenna[:3, :3] = np.eye(3)
-            antenna[2, 3] += self._rig["antenna"]["above_sensor_m"]
-            mounts.append(("gps", antenna))
+        mounts = [given_mount(unit, "body_T_sensor") for unit in self._rig["units"]]
+        placed = dict(zip(self._frames, mounts, strict=True))
+        if mounts[0] is not None:
+            antenna_m = mounts[0][:3, 3] + [0.0, 0.0, self._rig["antenna"]["above_sensor_m"]]
+            placed["gps"] = np.column_stack([np.eye(4, 3), [*antenna_m, 1.0]])
         if "imu" in self._rig:
-            mounts.append(("imu", given_mount(self._rig["imu"], "body_T_imu")))
+            placed["imu"] = given_mount(self._rig["imu"], "body_T_imu")
         header = self._bag.header(t_ns, "base_link", "/tf_static")
-        if moved := [
-            (header, child, (place["translation_m"], place["quaternion_xyzw"]))
-            for child, T in mounts
-            if T is not None and (place := transform(T[:3, :3], T[:3, 3]))
-        ]:
+        poses = {child: transform(T[:3, :3], T[:3, 3]) for child, T in placed.items() if T is not None}
+        moved = [(header, child, (T["translation_m"], T["quaternion_xyzw"])) for child, T in poses.items()]
+        if moved:
             self._bag.write("/tf_static", t_ns, "tf2_msgs/msg/TFMessage", moved)
 
     def odometry(self, t_ns: int, numbers: Sequence[float]) -> None:

@@ -18,9 +18,9 @@ from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
 from vlp16emu.extras.bag.messages import TrueMessages, UnitMessages
 from vlp16emu.extras.imu.sampler import Inertial
-from vlp16emu.extras.slam import Rig, written_beside
+from vlp16emu.extras.slam.configure import Rig, written_beside
 from vlp16emu.extras.truth.folder import read_json
-from vlp16emu.extras.truth.truth import ATTITUDE, STAMP, Samples, attitude_of, rig_of, true_motion
+from vlp16emu.extras.truth.truth import ATTITUDE, IMU_AXES, STAMP, Samples, attitude_of, rig_of, true_motion
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.output import spare
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
@@ -32,7 +32,6 @@ from vlp16emu.units import S_NS, US_NS
 _EXPECTED = "a file of a --truth folder"
 _TIME = "t_utc_s"
 _POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
-_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 _SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
 _OFTEN_NS = S_NS // 10  # time whose truth is written together
@@ -280,7 +279,7 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
 
     def feeds(to: TrueMessages, begin_ns: int) -> list[Feed]:
         imu = scenario.get("imu") or {}
-        read = (*_AXES, *(ATTITUDE if imu.get("attitude") else ()))
+        read = (*IMU_AXES, *(ATTITUDE if imu.get("attitude") else ()))
         stamp = STAMP if imu.get("jitter_s") or any(imu.get("delay_s", ())) else _TIME
         found = [_feed(_poses(folder / rig["units"][0]["trajectory"], begin_ns), to.odometry)]
         for name, columns, take, time in (("imu.csv", read, to.inertial, stamp), ("gnss.csv", _SAID, to.fix, _TIME)):

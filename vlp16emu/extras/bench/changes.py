@@ -139,8 +139,10 @@ class DisturbedGps(GpsInput):
         if not self.connected:
             return None
         second_ns = (t_ns - self.sentence_delay_ns) // S_NS * S_NS
-        while (before_ns := self._absent_ns(second_ns, t_ns)) is not None:
-            second_ns = (before_ns - 1 - self.sentence_delay_ns) // S_NS * S_NS
+        while (missing := self._of("missing_sentence", second_ns)) or self._comes_ns(second_ns) > t_ns:
+            # The sentence before it, or before all that are missing.
+            first_ns = min((self._span_ns(event)[0] for event in missing), default=second_ns + self.sentence_delay_ns)
+            second_ns = (first_ns - 1 - self.sentence_delay_ns) // S_NS * S_NS
         if (off := _before(self._off, t_ns)) and self._comes_ns(second_ns) < off[1]:
             return None
         return second_ns
@@ -177,11 +179,6 @@ class DisturbedGps(GpsInput):
     def _comes_ns(self, second_ns: int) -> int:
         late_s = max((event.by_s for event in self._of("late_sentence", second_ns)), default=0.0)
         return second_ns + self.sentence_delay_ns + seconds_to_ns(late_s)
-
-    def _absent_ns(self, second_ns: int, t_ns: int) -> int | None:
-        if missing := self._of("missing_sentence", second_ns):
-            return min(self._span_ns(event)[0] for event in missing)
-        return second_ns + self.sentence_delay_ns if self._comes_ns(second_ns) > t_ns else None
 
     def _span_ns(self, event: Event) -> tuple[int, int]:
         return self.start_ns + event.begin_ns, min(self.start_ns + event.end_ns, FOREVER_NS)

@@ -25,7 +25,7 @@ from vlp16emu.extras.bench.web import WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import require_packets
 from vlp16emu.sinks import UdpSink, UnderWay
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -47,12 +47,11 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
     """Serve the web interface of each sensor; errors as of `WebServer` and `Device`."""
     control = Control(feed, sink, under_way, http.saved)
     with ExitStack() as stack:
-        servers = []
         host, first = http.address
-        for number, device in enumerate(control.devices):
-            port, fault = first + number if first else 0, partial(control.fault, number)
-            servers.append(WebServer(device, host, port, fault=fault))
-            stack.enter_context(servers[-1])
+        servers = [
+            stack.enter_context(WebServer(device, host, first and first + number, fault=partial(control.fault, number)))
+            for number, device in enumerate(control.devices)
+        ]
         stack.enter_context(control.following())
         http.controlled(control)
         http.serving([server.address for server in servers])
@@ -60,7 +59,7 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
 
 
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
-    sensor = on_the_wire(unit.section)
+    sensor = require_packets(unit.section)
     places = {key: getattr(sensor, key) for key in ("data_port", "position_port", "address")}
     return _showing(DeviceSettings(host=host, **places), InForce.of(sensor))
 
@@ -96,7 +95,7 @@ class Control:
         """What the web interface of each sensor shows and sets."""
 
     def _device(self, unit: Unit, saved: Path | None) -> Device:
-        sensor, n = on_the_wire(unit.section), unit.number
+        sensor, n = require_packets(unit.section), unit.number
         return Device(
             self._factory[n],
             status=partial(self.status, n),

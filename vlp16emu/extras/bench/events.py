@@ -90,7 +90,7 @@ _Degree: Any = _from(int, ge=0, le=359)
 _Sector: Any = Annotated[tuple[_Degree, _Degree], Field(strict=False)]
 _LAW = "False: no data packets; position packets go on (63-9243 Rev D, section 10.1.2)."
 _PHASE = "Rotor angle at each UTC second, which the rotor is turned to; `off` lets it run on."
-_COUNT = "Number of packets of a kind, one after the other, that it may befall, in place of `duration_s`."
+_COUNT = "Number of packets of a kind, one after the other, that it may hit, in place of `duration_s`."
 KEYS: dict[str, tuple[Any, Any, str]] = {
     "duration_s": (Positive | None, None, "How long it lasts; until the end of the run where it is left out."),
     "rpm": (_from(int, ge=300, le=1200, multiple_of=60) | None, None, "Rotor speed, which takes its time to change."),
@@ -108,9 +108,9 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     "drift_ppm": (_from(float, ge=-1000, le=1000), 0.0, "By which it runs fast from then on."),
     "characters": (_from(int, ge=1, le=60), 1, "Number of characters that are replaced."),
     "late_sentence.by_s": (_from(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
-    "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it befalls."),
+    "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it hits."),
     "count": (_from(int, ge=1) | None, None, _COUNT),
-    "share": (_from(float, gt=0, le=1), 1.0, "Probability with which it befalls each of them."),
+    "share": (_from(float, gt=0, le=1), 1.0, "Probability with which it hits each of them."),
     "after_s": (_from(float, ge=0, le=10), 0.0, "From the first one to the second."),
     "by": (_from(int, ge=1, le=100), 1, "Number of packets of its kind behind which one arrives."),
     "by_s": (_from(float, gt=0, le=10), 0.05, "How late they are."),

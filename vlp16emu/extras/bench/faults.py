@@ -16,7 +16,7 @@ from vlp16emu.extras.bench.events import Event
 from vlp16emu.packets import position_due_ns
 from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import require_packets
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, seconds_to_ns
 
@@ -32,7 +32,7 @@ Streams = Callable[[int, int], Iterator[Packet]]
 
 
 def kinds_of(event: Event) -> tuple[PacketKind, ...]:
-    """Return the kinds of packets that an event of packets befalls."""
+    """Return the kinds of packets that an event of packets hits."""
     both = PacketKind.DATA, PacketKind.POSITION
     return both if event.packets == "both" else (PacketKind(event.packets),)
 
@@ -45,10 +45,10 @@ class PacketFault:
     number: int  # its place among the events of the run, from 0
     unit: Unit
     start_ns: int  # UTC of the first pulse, from which position packets count
-    counted: Mapping[PacketKind, range]  # numbers of the packets that it may befall, where they are counted
+    counted: Mapping[PacketKind, range]  # numbers of the packets that it may hit, where they are counted
 
-    def befalls(self, packet: Packet, number: int) -> bool:
-        """Return whether it befalls a packet with a number among those of its unit and kind, by what that was before all faults."""
+    def hits(self, packet: Packet, number: int) -> bool:
+        """Return whether it hits a packet with a number among those of its unit and kind, by what that was before all faults."""
         event, since_ns = self.event, packet.due_ns - self.start_ns
         if packet.kind not in kinds_of(event):
             return False
@@ -66,7 +66,7 @@ class PacketFault:
         return seconds_to_ns(getattr(self.event, key)) if key else 0
 
     def change(self, packet: Packet, number: int) -> tuple[Packet, ...]:
-        """Return what becomes of a packet that it befalls, but for what depends on the packets before it."""
+        """Return what becomes of a packet that it hits, but for what depends on the packets before it."""
         event, due_ns, payload = self.event, packet.due_ns, packet.payload
         match event.kind:
             case "drop":
@@ -90,7 +90,7 @@ class PacketFault:
     def _overtaken_ns(self, packet: Packet, by: int) -> int:
         """Time until just after the packet leaves that is `by` packets of its kind behind one."""
         if packet.kind is PacketKind.POSITION:
-            rate = on_the_wire(self.unit.section).position_rate
+            rate = require_packets(self.unit.section).position_rate
             due_ns = position_due_ns(rate, self.unit.seed, self.unit.positions_from_ns, packet.number, by + 1)
             return int(due_ns[-1] - due_ns[0]) + 1
         assert packet.fired_ns is not None
@@ -142,7 +142,7 @@ class Wire:
             if fault.unit.number != packet.unit:
                 continue
             key = fault.number, packet.kind
-            hit = fault.befalls(packet, number)
+            hit = fault.hits(packet, number)
             # The first of `_ORDER`: of one packet.
             if fault.event.kind == "jitter" and packet.kind in kinds_of(fault.event):
                 due_ns = out[0].due_ns + (fault.jitter_ns(out[0], number) if hit else 0)

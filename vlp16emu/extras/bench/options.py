@@ -9,6 +9,18 @@ from vlp16emu.errors import InputError
 from vlp16emu.run.options import LAST_PORT, Option, Options, StreamOptions
 
 
+def host_and_port(text: str, option: str, expected: str, scheme: str = "") -> tuple[str, int]:
+    """Read HOST:PORT behind a scheme, IPv6 addresses in brackets; the host may be empty if there is no scheme.
+
+    Raises InputError, in the name of `option`, if it is none.
+    """
+    host, _, port = text.removeprefix(scheme).rpartition(":")
+    is_place = text.startswith(scheme) and (host or not scheme)
+    if not (is_place and port.isascii() and port.isdecimal() and int(port) <= LAST_PORT):
+        raise InputError(option, f"found {text}", expected)
+    return host.strip("[]"), int(port)
+
+
 @dataclass(frozen=True)
 class Http(Options):
     """Web interfaces of a stream's sensors."""
@@ -37,10 +49,8 @@ class Http(Options):
     @property
     def address(self) -> tuple[str, int]:
         """Host, and port of the first sensor; 0 for free ports. InputError if it is none."""
-        host, _, port = self.at.rpartition(":")
-        if not (port.isascii() and port.isdecimal() and int(port) <= LAST_PORT):
-            raise InputError("--http", f"found {self.at!r}", "HOST:PORT, such as 127.0.0.1:8080")
-        return host.strip("[]") or "127.0.0.1", int(port)
+        host, port = host_and_port(self.at, "--http", "HOST:PORT, such as 127.0.0.1:8080")
+        return host or "127.0.0.1", port
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,11 @@ from functools import partial
 from io import UnsupportedOperation
 from operator import itemgetter
 from typing import Any, Self, TypeVar
-from urllib.parse import urlsplit
 
 from vlp16emu.engine import Engine
 from vlp16emu.errors import OutputError, RunError, ScenarioError
 from vlp16emu.extras.bench.imu_frame import IMU_FRAME, imu_frames
-from vlp16emu.extras.bench.options import Outlets
+from vlp16emu.extras.bench.options import Outlets, host_and_port
 from vlp16emu.extras.imu.sampler import ImuSampler
 from vlp16emu.extras.imu.settings import Imu
 from vlp16emu.packets import rmc
@@ -323,7 +322,7 @@ class Ways(PacketSink):
         return 2 * imu.rate_hz if self._asked.imu_out and imu else 0
 
     def open(self, sensors: PacketSink, imu: Imu | None) -> Self:
-        """Open what there is beside `sensors`, the sink of data and position packets; `OutputError` if a port or receiver is none."""
+        """Open what there is beside `sensors`, the sink of data and position packets; errors as of `Emulator.stream`."""
         self._sensors = sensors
         if self._asked.gps_out:
             line = None if self._asked.gps_pps == "off" else self._asked.gps_pps
@@ -348,21 +347,14 @@ class Ways(PacketSink):
 
 
 def _imu_way(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
-    """Open the way that samples go; OutputError if it is none, or a serial line is too slow for the rate."""
+    """Open the way that samples go; InputError if it is none, OutputError if a serial line is too slow for the rate."""
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
         if rate_hz > most_hz:
             found = f"found imu.rate_hz = {rate_hz}"
             raise OutputError(f"{_WHERE} {to}", found, f"at most {most_hz} on a line of {_BAUD} baud, or udp://")
         return SerialSink(SerialPort(to.removeprefix("serial:"), _BAUD, _WHERE))
-    try:
-        parts = urlsplit(to)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host = port = None
-    if to != f"udp://{host}:{port}":
-        raise OutputError(_WHERE, f"found {to}", "udp://HOST:PORT, or serial:PORT")
-    return ImuUdpSink(str(host), int(port or 0))
+    return ImuUdpSink(*host_and_port(to, _WHERE, "udp://HOST:PORT, or serial:PORT", "udp://"))
 
 
 class ImuUdpSink(PacketSink):

@@ -15,7 +15,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, no_capture, pcap_frames, read
+from vlp16emu.captures.capture import EXPECTED, PCAP, Frame, not_a_capture, pcap_frames, read
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
@@ -52,7 +52,7 @@ def frames(path: Path, file: Any) -> Frames:
             read(unpacked, 4)
             yield from _pcapng(path, unpacked)
         else:
-            raise no_capture(path, head)
+            raise not_a_capture(path, head)
     except (zlib.error, lzma.LZMAError) as error:
         raise CaptureError(str(path), f"a damaged archive: {error}", EXPECTED) from error
 

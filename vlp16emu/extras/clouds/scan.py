@@ -31,9 +31,6 @@ from vlp16emu.units import seconds_to_ns
 
 _LABELS = ("semantic", "part", "instance", "species")
 
-LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
-"""Returns the arrays of `Labels` for the n points of packets; empty if there are none."""
-
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
@@ -133,16 +130,11 @@ def decode(
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
     reader = CaptureReader(path, chosen, PointFrame(frame), clock=packet_clock(path, chosen, clock))
-    return scans_in(reader, lambda _: {})
-
-
-def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
-    """Read the scans of a capture that is open; errors as `decode`."""
-    return cut_scans(chunk_of(chunk, labels_of(chunk)) for chunk in reader.points())
+    return cut_scans(chunk_of(chunk, {}) for chunk in reader.points())
 
 
 def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
-    """Sort the points of data packets by azimuth readings."""
+    """Sort the points of data packets by azimuth readings; labels are arrays of `Labels`, empty if there are none."""
     points, blocks = chunk.points, chunk.fields["blocks"]
     dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
     block = np.arange(BLOCKS_PER_PACKET)

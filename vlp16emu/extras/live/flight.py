@@ -17,7 +17,7 @@ import numpy as np
 from vlp16emu.engine.engine import make_receiver
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, OutputError
-from vlp16emu.extras.bench.options import PosesIn
+from vlp16emu.extras.bench.options import PosesIn, host_and_port
 from vlp16emu.extras.live.flown import FLOWN_HEADER, LiveWindows, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
@@ -34,33 +34,24 @@ _MOST = 1000  # datagrams that are looked at before a pose is handed on
 _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 
-def pose_port(text: str) -> tuple[str, int]:
-    """Read where poses come in; `InputError` if it is no address and port."""
-    scheme, _, rest = text.partition("://")
-    host, _, port = rest.rpartition(":")
-    if scheme != "udp" or not host or not port.isascii() or not port.isdecimal() or int(port) > 65_535:
-        raise InputError("--pose-in", f"found {text}", _EXPECTED)
-    return host, int(port)
-
-
 class PoseReceiver:
     """Reads datagrams of poses in a thread of its own, and hands them on at once; a context manager.
 
     Parameters
     ----------
-    where : as `pose_port` takes it; port 0 is any free one
+    where : udp://HOST:PORT; port 0 is any free one
     put : takes position, quaternion and time of a pose, and raises `InputError` if they are none
 
     Raises InputError if `where` is no address and port; OutputError if the port cannot be listened to.
     """
 
     def __init__(self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]) -> None:
-        host, port = pose_port(where)
+        place = host_and_port(where, "--pose-in", _EXPECTED, "udp://")
         self._put, self._over = put, threading.Event()
         self.malformed = 0  # datagrams that are no pose packet
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((host, port))
+            self._socket.bind(place)
         except (OSError, UnicodeError) as error:
             self._socket.close()
             found = getattr(error, "strerror", None) or str(error)

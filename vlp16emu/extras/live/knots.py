@@ -153,7 +153,7 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
     if (value[3:] * wanted[3:]).sum() < 0.0:
         value[3:], rate[3:] = -value[3:], -rate[3:]
     error, change = value - wanted, rate - wanted_rate
-    off_m, off_rad = math.sqrt((error[:3] ** 2).sum()), 2.0 * math.sqrt((error[3:] ** 2).sum())
+    off_m, off_rad = math.sqrt((error[:3] * error[:3]).sum()), 2.0 * math.sqrt((error[3:] * error[3:]).sum())
     per_s = np.empty(7)
     per_s[:3] = 1.0 / (smoothing_s * max(1.0, off_m / GAP_M))
     per_s[3:] = 1.0 / (smoothing_s * max(1.0, off_rad / GAP_RAD))
@@ -163,7 +163,7 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
         fade = exp(-per_s[a] * step_s)
         target[a] += (error[a] + push[a] * step_s) * fade
         target_rate[a] += (change[a] - per_s[a] * push[a] * step_s) * fade
-    length = math.sqrt((target[3:] ** 2).sum())
+    length = math.sqrt((target[3:] * target[3:]).sum())
     out = np.empty(STATE)
     out[:3], out[3:7], out[7:10] = target[:3], target[3:] / length, target_rate[:3]
     # The rate of the unit quaternion in body axes; what changes the length alone is its last number.

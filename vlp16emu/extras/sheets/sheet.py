@@ -289,8 +289,8 @@ def _draw_path(axes: "Axes", path_xy_m: F8) -> None:
     gone_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path_xy_m, axis=0).T))])
     arrow = {"arrowstyle": "-|>", "color": WALK, "lw": 0, "mutation_scale": 13}
     for head_m in gone_m[-1] * np.linspace(_FIRST_ARROW, 1.0, _ARROWS):
-        tail, head = ([np.interp(at_m, gone_m, axis) for axis in path_xy_m.T] for at_m in (head_m - 1.0, head_m))
-        axes.annotate("", head, tail, arrowprops=arrow, zorder=8)
+        (tail_x, x), (tail_y, y) = (np.interp([head_m - 1.0, head_m], gone_m, axis) for axis in path_xy_m.T)
+        axes.annotate("", (x, y), (tail_x, tail_y), arrowprops=arrow, zorder=8)
 
 
 def _draw_strip(axes: "Axes", section: StandSection) -> None:

@@ -1,4 +1,4 @@
-"""What is in a bag, whoever recorded it; whether it is fit for a SLAM program, and which parameter to set where it is not."""
+"""Contents of a bag from any recorder; whether it is fit for a SLAM program, and which parameter to set where it is not."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping

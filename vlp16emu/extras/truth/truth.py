@@ -30,14 +30,14 @@ from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import TruthPlace, TruthTo
 from vlp16emu.run.stream import PacketFeed
 from vlp16emu.scenario import Scenario, named_files
-from vlp16emu.sensor.settings import Sensor, on_the_wire
+from vlp16emu.sensor.settings import Sensor, require_packets
 from vlp16emu.types import F8, Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Happening:
-    """An event, and the packets of one kind that are due while it lasts; or one packet that an event befalls."""
+    """An event, and the packets of one kind that are due while it lasts; or one packet that an event hits."""
 
     begin_ns: int  # UTC, as the next
     end_ns: int
@@ -61,7 +61,7 @@ def happenings(
 ) -> list[Happening]:
     """List what begins to happen in a span of time since the first pulse.
 
-    Events that befall each packet with a probability are listed packet by packet, as these are due.
+    Events that hit each packet with a probability are listed packet by packet, as these are due.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _single(
             number = numbers[packet.unit]
             numbers[packet.unit] += 1
         for fault in faults:
-            if fault.unit.number == packet.unit and fault.befalls(packet, number):
+            if fault.unit.number == packet.unit and fault.hits(packet, number):
                 times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
                 first = number - number_at(scenario, fault.unit, packet.kind, 0)
                 yield Happening(*times, *of, fault.event.kind, packet.kind, first, 1)
@@ -144,9 +144,9 @@ _GNSS_COLUMNS = (
     *("true_east_m_s", "true_north_m_s", "latitude_deg", "longitude_deg", "speed_m_s", "course_deg"),
 )
 _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
-_IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
-_IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
+_IMU_COLUMNS = ("t_utc_s", *IMU_AXES, *(f"true_{axis}" for axis in IMU_AXES), *(f"bias_{axis}" for axis in IMU_AXES))
 _OF_UNITS = ("name", "model", "serial_number", "address", "data_port", "position_port")  # keys of a unit in `rig.json`
 ATTITUDE = ("qx", "qy", "qz", "qw")  # columns behind them of a unit that reports its attitude: world_R_imu
 STAMP = "stamp_utc_s"  # column behind all others of a unit whose time stamps are late
@@ -179,7 +179,7 @@ class Truth:
         self._units, self._to, self._scenario, self._span_s = parts.units, to, scenario, span_s
         wanted = self._units if to.per_packet else ()
         for unit in self._units if to.per_packet or to.per_return else ():
-            on_the_wire(unit.section)
+            require_packets(unit.section)
         self._step_ns = -(-S_NS // to.rate_hz)
         self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
         self._is_whole = False

@@ -18,7 +18,7 @@ from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.images import species_of
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
-from vlp16emu.extras.plots import BACK, plotted, scale_bar
+from vlp16emu.extras.plots import BACK, INK, plotted
 from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
@@ -329,9 +329,10 @@ def _still(file: Any, drawing: Drawing, entries: Entries) -> None:
         axes.imshow(drawing.image(), extent=(0, width, 0, height), interpolation="none")
         axes.set(xlim=(0, width), ylim=(0, height))
         axes.axis("off")
-        if view.px_per_m is not None:
-            scale_bar(axes, view.px_per_m, 10.0, (30, 30))
         text = partial(axes.text, fontsize=10, bbox={"facecolor": BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0})
+        if view.px_per_m is not None:
+            axes.plot([30, 30 + 10 * view.px_per_m], [30, 30], color=INK, lw=2.5, solid_capstyle="butt")
+            text(30, 38, "10 m")
         for column, up, words in view.labels:
             text(column, up, words)
         text(30, height - 18, f"{points} points{which}, {shown_by}", va="top")

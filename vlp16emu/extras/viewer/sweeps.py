@@ -1,7 +1,7 @@
 """Sweeps by time: of a scene, computed on demand, and of a capture, with the faults of its packets."""
 
 from collections import defaultdict
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_clock
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
-from vlp16emu.extras.clouds.scan import LabelsOf, scans_in
+from vlp16emu.extras.clouds.scan import chunk_of, cut_scans
 from vlp16emu.extras.options import TrajectoryErrors
-from vlp16emu.extras.verify import Rule, verify_units
+from vlp16emu.extras.verify.frames import Rule
+from vlp16emu.extras.verify.run import verify_units
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import load
@@ -161,9 +162,9 @@ class CaptureSweeps:
             self._reading.close()
             self._reading = None
 
-    def _scans(self, labels_of: LabelsOf) -> Generator[Scan]:
+    def _scans(self, labels_of: Callable[[PacketChunk], Mapping[str, NDArray[Any]]]) -> Generator[Scan]:
         clock = packet_clock(self._path, self._unit)
         reader = CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
-        for scan in scans_in(reader, labels_of):
+        for scan in cut_scans(chunk_of(chunk, labels_of(chunk)) for chunk in reader.points()):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan

@@ -8,17 +8,13 @@ import numpy as np
 
 from vlp16emu.extras.walk.gait import AXES, Trunk
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, NODES_PER_KNOT, Pack
-from vlp16emu.extras.walk.path import path_over
 from vlp16emu.extras.walk.route import Route
 from vlp16emu.extras.walk.settings import Gait, Mast, Walk
-from vlp16emu.extras.walk.way_points import around, way_points
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.motion.pose import Kinematics, fill_rotation, rotate
-from vlp16emu.motion.settings import Gps
 from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
-from vlp16emu.world.settings import Site
 
 _log = logging.getLogger(__name__)
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
@@ -117,20 +113,7 @@ class WalkMotion:
         return _hermite(nodes)
 
 
-def walk_over(walk: Walk, site: Site, gps: Gps, *, start_ns: int, seed: int) -> tuple[WalkMotion, F8]:
-    """Return the motion of a walk and points (n, 2) of its path, around what is in the way; other parameters as of `Walk.carrier`.
-
-    Raises TrajectoryError if a person cannot walk so.
-    """
-    _check_gait(walk.gait, walk.sensor_height_m)
-    points = way_points(walk, gps, site.origin_m[:2])
-    if site.obstacles is not None:
-        points = around(points, *site.obstacles)
-    path = path_over(points.xy_m, site.height_m, site.name)
-    return WalkMotion(walk, Route(path, walk, points.pause_s), start_ns=start_ns, seed=seed), path.xy_m
-
-
-def _check_gait(gait: Gait, sensor_height_m: float) -> None:
+def check_gait(gait: Gait, sensor_height_m: float) -> None:
     """Warn of a gait that lowers the sensor below the ground, from where nothing of the world is seen."""
     # The lowest point of a step that is one sigma deeper than others.
     dip_m = (1.0 + gait.variation) * (gait.vertical_m + gait.second_harmonic_m + gait.heel_strike_m)

@@ -216,10 +216,21 @@ class Walk(MotionSection):
         return self
 
     def carrier(self, site: "Site", *, gps: Gps, start_ns: int, seed: int, **_: object) -> "tuple[WalkMotion, F8]":
-        """Return the motion of the pack, and points (n, 2) of its path on the map; errors as of `WalkMotion` and `way_points`."""
-        from vlp16emu.extras.walk.motion import walk_over
+        """Return the motion of the pack, and points (n, 2) of its path, which leads around what is in the way.
 
-        return walk_over(self, site, gps, start_ns=start_ns, seed=seed)
+        Raises TrajectoryError if a person cannot walk so.
+        """
+        from vlp16emu.extras.walk.motion import WalkMotion, check_gait
+        from vlp16emu.extras.walk.path import path_over
+        from vlp16emu.extras.walk.route import Route
+        from vlp16emu.extras.walk.way_points import around, way_points
+
+        check_gait(self.gait, self.sensor_height_m)
+        points = way_points(self, gps, site.origin_m[:2])
+        if site.obstacles is not None:
+            points = around(points, *site.obstacles)
+        path = path_over(points.xy_m, site.height_m, site.name)
+        return WalkMotion(self, Route(path, self, points.pause_s), start_ns=start_ns, seed=seed), path.xy_m
 
     def under_sensors(self, carrier: "Motion") -> "Motion":
         """Return the motion of the top of the mast; the carrier's without one."""

@@ -53,11 +53,12 @@ def read_stem_list(
 
     Cells from `height_m` on may be empty. Then heights follow the species' height curve through the
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
-    species' own equations, neighbours and residual spread, drawn by the seed as the taper is; a stem without lean is upright.
+    species' own equations, neighbours and residual spread, drawn by the seed as taper, reflectance and the azimuth of each crown
+    about its stem are; a stem without lean is upright.
 
-    Returns trees (n,) `TREE` in the order of the list, whose id, z, crown azimuth, prototype and reflectance, by chance or by the
-    ground, are still 0; easting, northing and height of the origin become (0, 0, 0) in the scene. Raises GeometryError naming
-    file, line and column of what is missing, no number, out of its limits, no species, or listed twice.
+    Returns trees (n,) `TREE` in the order of the list, whose id, z and form are still 0; easting, northing and height of the origin
+    become (0, 0, 0) in the scene. Raises GeometryError naming file, line and column of what is missing, no number, out of its
+    limits, no species, or listed twice.
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():
@@ -71,7 +72,9 @@ def read_stem_list(
     trees["x_m"], trees["y_m"] = table.numbers("x_m") - origin_m[0], table.numbers("y_m") - origin_m[1]
     trees["dbh_m"] = table.numbers("dbh_m")
     trees["height_m"] = _with_heights(table, species)
-    _set_crowns(trees, table, species, seed)
+    kinds = [one for one in all_species.values() if one.number in set(trees["species"].tolist())]
+    _set_crowns(trees, table, kinds, seed)
+    _set_looks(trees, kinds, seed)
     trees["lean_deg"] = np.nan_to_num(table.numbers("lean_deg"))
     towards, azimuth = table.numbers("lean_towards_deg"), table.numbers("lean_azimuth_deg")
     trees["lean_towards_deg"] = np.nan_to_num(np.where(np.isnan(towards), 90.0 - azimuth, towards)) % 360
@@ -94,7 +97,7 @@ def _with_heights(table: Table, species: list[Species]) -> F8:
     return height_m
 
 
-def _set_crowns(trees: Trees, table: Table, species: list[Species], seed: int) -> None:
+def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> None:
     """Set taper, and of crowns what the list gives and else what their species, size and neighbours make of them."""
     from scipy.spatial import cKDTree  # here: it takes a while to load
 
@@ -104,7 +107,6 @@ def _set_crowns(trees: Trees, table: Table, species: list[Species], seed: int) -
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
     _, ratio, wide, taper = residuals(generator(seed, Growth.GIVEN_TREE, 1).standard_normal((len(trees), 4))).T
     rival_m2 = np.zeros((len(trees), 2))
-    kinds = {one.number: one for one in species}.values()
     for one in kinds:
         own = trees["species"] == one.number
         rival_m2[own] = one.rival_m2(dbh_cm[own])
@@ -164,7 +166,6 @@ class GivenStand:
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
         self.species = [one.name for one in self._species]
         self._season, self._dead_branches = section.season, section.dead_branches
-        trees = _completed(land.seed, trees, self._species)
         if section.crooked_stems:
             trees["form"] = generator(land.seed, Growth.STEM_FORM).integers(1, 2**63, len(trees))
         trees = _clear_of_path(section, trees, plants.trees, land.path)
@@ -198,21 +199,19 @@ class GivenStand:
         return CrownKey(own.name, variant, *sizes, self._season, self._dead_branches)
 
 
-def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
-    trees = trees.copy()
+def _set_looks(trees: Trees, kinds: list[Species], seed: int) -> None:
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
     uniform = generator(seed, Growth.GIVEN_TREE).random((len(trees), 3))
     trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
     trees["crown_variant"] = np.digitize(1 - trees["crown_base_m"] / trees["height_m"], _CROWN_RATIOS)
     trees["crown_class"] = np.round(log(trees["dbh_m"] / _CLASS_BASE_M) / log(_CLASS_RATIO))
-    for cohort, one in enumerate(species):
+    for cohort, one in enumerate(kinds):
         own = trees["species"] == one.number
         trees["cohort"][own] = cohort
         trees["bark_reflectance"][own] = one.bark_reflectance
         trees["leaf_reflectance"][own] = one.leaf_reflectance
     trees["bark_reflectance"] += BARK_SPREAD * (2 * uniform[:, 1] - 1)
     trees["leaf_reflectance"] += LEAF_SPREAD * (2 * uniform[:, 2] - 1)
-    return trees
 
 
 def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:

@@ -188,6 +188,7 @@ class _Pieces:
     wide_m: F8
     high_m: F8
     sunk: F8  # share of the half height
+    plate_m: F8  # diameter of the root plate at the butt; 0 where there is none
 
     def along_m(self) -> F8:
         """Places (n, 9, 2) along them."""
@@ -201,7 +202,6 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
     is_uprooted, is_broken = fate[:, 0] < own.uprooted, fate[:, 1] < own.broken
     # Where a root plate still stands, the log is young.
     decay = np.where((fate[:, 2] < own.decayed) & ~is_uprooted, between(_DECAY, fate[:, 3]), 0.0)
-    plate_m = np.where(is_uprooted, _PLATE_M + _PLATE_PER_DIAMETER * diameter_m, 0.0)
     whole = _Pieces(
         log=np.arange(len(xy_m)),
         is_top=np.zeros(len(xy_m), np.bool_),
@@ -211,19 +211,22 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
         wide_m=diameter_m * (1 + _DECAYED_WIDER * decay),
         high_m=diameter_m * (1 - _DECAYED_LOWER * decay),
         sunk=_SUNK + _DECAYED_SUNK * decay,
+        plate_m=np.where(is_uprooted, _PLATE_M + _PLATE_PER_DIAMETER * diameter_m, 0.0),
     )
     pieces = _broken(whole, is_broken, fate[:, 4:])
-    world_T = _laid_down(pieces, layer.land.height_m, plate_m)
-    keep = _are_clear(layer, trunks, pieces.along_m(), pieces.wide_m / 2)
-    keep &= _are_plates_clear(layer, trunks, pieces, plate_m)
+    world_T = _laid_down(pieces, layer.land.height_m)
+    along_m, sideways = pieces.along_m(), pieces.towards + np.pi / 2
+    across_m = _line_m(along_m[:, 0], sideways, pieces.plate_m[:, None] * _PLATE_STATIONS)
+    keep = _are_clear(layer, trunks, along_m, pieces.wide_m / 2)
+    keep &= _are_clear(layer, trunks, across_m, _PLATE_THICKNESS * pieces.plate_m)
     keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
     species, looks = _sampled_species(layer, draws)[pieces.log], draws[pieces.log]
     log_looks = np.where(pieces.is_top[:, None], looks[:, [6, 5]], looks[:, 4:6])
-    in_two, has_plate = is_broken[pieces.log], (plate_m[pieces.log] > 0) & ~pieces.is_top
+    in_two, has_plate = is_broken[pieces.log], pieces.plate_m > 0
     # Plates stand at the butts, across the logs.
     along = world_T[:, :, 0] / pieces.length_m[:, None]
     across = laid(pieces.towards, along[:, 2] / hypot(along[:, 0], along[:, 1]))
-    size = plate_m[pieces.log, None] * [_PLATE_THICKNESS, 1.0, 1.0]
+    size = pieces.plate_m[:, None] * [_PLATE_THICKNESS, 1.0, 1.0]
     butt_T = placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, across, size)
     return together(
         [
@@ -266,18 +269,18 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
     towards = towards + np.where(is_top, _BREAK_TURN * (2 * draws[log, 2] - 1), 0.0)
     xy_m[is_top] = _line_m(xy_m[is_top], towards[is_top], length_m[is_top, None] / 2)[:, 0]
     wide_m, high_m = thick * whole.wide_m[log], thick * whole.high_m[log]
-    return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log])
+    plate_m = np.where(is_top, 0.0, whole.plate_m[log])
+    return _Pieces(log, is_top, xy_m, towards, length_m, wide_m, high_m, whole.sunk[log], plate_m)
 
 
-def _laid_down(pieces: _Pieces, height_m: HeightField, plate_m: F8) -> F8:
-    """`world_T_shape` (n, 3, 4) of pieces on the ground; the butts of those with plates of diameters (logs,) are raised."""
+def _laid_down(pieces: _Pieces, height_m: HeightField) -> F8:
+    """`world_T_shape` (n, 3, 4) of pieces on the ground; the butts of those with root plates are raised."""
     station_m = pieces.length_m[:, None] * _STATIONS
     ground_m = height_m(*np.moveaxis(pieces.along_m(), -1, 0))
     # Straight line of least squares through the ground at evenly spaced stations.
     slope = (ground_m * station_m).sum(axis=1) / (np.square(station_m)).sum(axis=1)
     rest_m = (1 - pieces.sunk) * pieces.high_m / 2
-    butt_m = np.where(pieces.is_top, 0.0, _PLATE_AXIS * plate_m[pieces.log])
-    lift_m = np.maximum(butt_m - rest_m, 0.0)
+    lift_m = np.maximum(_PLATE_AXIS * pieces.plate_m - rest_m, 0.0)
     z_m = ground_m.mean(axis=1) + rest_m + lift_m / 2
     world_R_log = laid(pieces.towards, slope - lift_m / pieces.length_m)
     size = np.column_stack([pieces.length_m, pieces.wide_m, pieces.high_m])
@@ -289,17 +292,6 @@ def _are_clear(layer: Layer, trunks: F8, line_m: F8, radius_m: F8) -> Mask:
     reach_m = np.repeat(radius_m, line_m.shape[1])
     clear = layer.are_clear(trunks, line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
-
-
-def _are_plates_clear(layer: Layer, trunks: F8, pieces: _Pieces, plate_m: F8) -> Mask:
-    """Return a mask (n,) of pieces whose root plate keeps clear of the path and of trunks, or that have none."""
-    clear = np.ones(len(pieces.log), np.bool_)
-    own = np.flatnonzero(~pieces.is_top & (plate_m[pieces.log] > 0))
-    wide_m = plate_m[pieces.log[own]]
-    butt_m = _line_m(pieces.xy_m[own], pieces.towards[own], -pieces.length_m[own, None] / 2)[:, 0]
-    across_m = _line_m(butt_m, pieces.towards[own] + np.pi / 2, wide_m[:, None] * _PLATE_STATIONS)
-    clear[own] = _are_clear(layer, trunks, across_m, _PLATE_THICKNESS * wide_m)
-    return clear
 
 
 def _line_m(xy_m: F8, towards: F8, along_m: F8) -> F8:

@@ -35,7 +35,7 @@ from vlp16emu.output import OutputFile, lock
 from vlp16emu.random import Purpose, generator
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, find, load
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import require_packets
 from vlp16emu.settings import Fraction, Section, toml
 from vlp16emu.types import U4
 from vlp16emu.units import S_NS
@@ -152,7 +152,7 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
         own = scene == Path(stand.scene)  # a path, not a name
         scenario = load(folder / scene if own else scene, settings)
         if spec.layout == "pcap+truth":
-            on_the_wire(scenario.sensor)
+            require_packets(scenario.sensor)
         names = stand.name, path.name, sensor.name
         walks.append(DatasetWalk(len(walks), *names, split_of[stand.name], spec.layout, scenario))
     return walks
@@ -182,11 +182,10 @@ def finished(out: Path, walk: DatasetWalk) -> Entry | None:
 
     OutputError if its place holds a file that is not listed, or not so: it is somebody else's.
     """
-    entry = _listed(out / walk.folder)
-    ours = _ours(out / walk.folder)
+    folder = out / walk.folder
+    entry, ours = _listed(folder), _ours(folder)
     if entry.items() >= identity(walk).items() and len(ours) == len(entry["files"]) + 1:
         return entry
-    folder = out / walk.folder
     if strange := {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()} - ours:
         found = f"{min(strange).relative_to(out)} is there, and no {_LIST} lists it so"
         raise OutputError(str(out), found, "a new folder, or one of an earlier run")

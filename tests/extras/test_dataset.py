@@ -169,7 +169,7 @@ def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
     monkeypatch.setattr(emulator_module.Emulator, "__init__", made)
     shared = make_dataset(walks, tmp_path / "shared", workers=0)
     assert len(set(map(id, worlds))) == 2 < len(worlds)
-    monkeypatch.setattr("vlp16emu.extras.dataset.run.in_one_world", lambda *_: False)
+    monkeypatch.setattr("vlp16emu.extras.dataset.in_one_world", lambda *_: False)
     assert make_dataset(walks, tmp_path / "alone", workers=0).sha256 == shared.sha256
 
 
@@ -227,7 +227,7 @@ def test_shares_of_machines_are_the_dataset(made, tmp_path):
 
 def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
     """The file that `scenes/OUTPUTS.md` shows is one."""
-    root = Path(__file__).resolve().parents[3]
+    root = Path(__file__).resolve().parents[2]
     (text,) = re.findall(r"```toml\n(schema.*?)```", (root / "scenes" / "OUTPUTS.md").read_text(), re.DOTALL)
     assert len(walks_in(tmp_path, text)) == 24
 
