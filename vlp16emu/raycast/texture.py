@@ -15,6 +15,9 @@ from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart
 _GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.2, 0.1, 0.15
 """Sizes of patches, of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are equal as
 often, and differ as much, as on real sensors, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
+_RELIEF_FROM_M, _FINEST = 6.0, 32.0
+"""Range from which on relief has patches of that size, which halves with the range, and how much finer it is at most: real surfaces are rough at
+all scales, and what a pulse shows of them is as large as its footprint, at 1 m (mrpt) as at 10 m (2014)."""
 _SAME_M = 0.1  # sub-rays of a pulse that end within this of each other end on one patch
 _SPREAD = math.sqrt(3.0)  # half-width of an even distribution of variance one
 _CELL_BITS = 3  # eight patches across have a contrast of their own: a wall, a floor or bark is made of such surfaces
@@ -91,7 +94,10 @@ def _texture(
                     bright = 1.0 + more if more >= 0.0 else 1.0 / (1.0 - more)
                     cosine[ray] *= np.float32(min(bright, max(1.0, 1.0 / reflectance[row])))
                 if relief_m[row] > 0.0:
-                    drawn, strength = _of_patch(seed, 1.0 / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known)
+                    finer = 1.0
+                    while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:
+                        finer *= 2.0
+                    drawn, strength = _of_patch(seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known)
                     even = 2.0 * drawn - 1.0
                     square = even * even
                     out_m[ray] += (

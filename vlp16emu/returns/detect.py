@@ -45,6 +45,8 @@ _CODES_PER_M = 500.0  # of the distance on the wire, 2 mm
 _MOST_SILENT = 100.0  # where wandering no-returns end on einride
 _DARKENED = 40.0  # code at which reflectivity moves no range
 _Pair = tuple[float, float]
+_Own = tuple[float, float, float, U1]
+"""Of a laser: error of range in metres, share of the white noise of range, gain, and codes as in `sent_codes`."""
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
 
 
@@ -86,6 +88,7 @@ def detect(
     rays = SubRays(hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     errors = _Errors(
         detector.range_bias_m,
+        detector.range_noise_share,
         detector.range_beat_m,
         detector.drift_m(firings.t_ns[:, 0]),
         detector.gain,
@@ -118,6 +121,7 @@ class _Errors(NamedTuple):
     """Properties of a unit, as in `UnitDetector`; `drift_m` and `sector` (k,) at each firing sequence, `sheet` (m,) of surfaces."""
 
     bias_m: F8
+    noise_share: F8
     beat_m: F8
     drift_m: F8
     gain: F8
@@ -163,7 +167,8 @@ def _detect(
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
-            error_m, gain = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5], errors.gain[sector, j]
+            error_m = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5]
+            own = error_m, errors.noise_share[j], errors.gain[sector, j], errors.codes[j]
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)
@@ -172,14 +177,13 @@ def _detect(
                     lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
-                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, error_m, gain, errors.codes[j])
+                measured = _measure(constants, (noise[0, j], noise[1, j]), at_m, light, own)
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
                     if keeps_exact:
                         exact_m[i, j, column] = at_m
             elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
-                own = error_m, gain, errors.codes[j]
                 _write(constants, n, j, own, peaks, chosen, distance_m[i, j], reflectivity[i, j])
                 for column in range(3 if keeps_exact else 0):
                     if chosen[column] >= 0:
@@ -298,10 +302,10 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _measure(
-    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, error_m: float, gain: float, codes: U1
+    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Own
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity; distance 0 below the least range, and nothing beyond the greatest."""
-    range_noise, other_noise = noise
+    (range_noise, other_noise), (error_m, share, gain, codes) = noise, own
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _DARKENED)
@@ -310,7 +314,7 @@ def _measure(
         range_noise, other_noise = heavier(range_noise, RANGE_TAIL), heavier(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
-        measured_m += range_noise * range_sigma_m(constants, reflectance, amplitude)
+        measured_m += range_noise * share * range_sigma_m(constants, reflectance, amplitude)
     if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
@@ -361,23 +365,16 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _write(
-    constants: DetectorConstants,
-    n: int,
-    j: int,
-    errors: tuple[float, float, U1],
-    peaks: F8,
-    chosen: I8,
-    distance_m: F4,
-    reflectivity: U1,
+    constants: DetectorConstants, n: int, j: int, own: _Own, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
 ) -> None:
     """Fill the returns (3,) of a pulse, each chosen peak measured once; none counts that is measured beyond `max_range_m`."""
-    error_m, gain, codes = errors
+    error_m, share = own[0], own[1]
     for column in range(3):
         peak = chosen[column]
         if peak < 0:
             continue
         at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-        sigma_m = range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
+        sigma_m = share * range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:  # noise may put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             drawn = heavier(drawn, RANGE_TAIL) if constants.heavy_tails else drawn
@@ -390,4 +387,4 @@ def _write(
         elif peak >= 0:
             pair = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, error_m, gain, codes)
+            distance_m[column], reflectivity[column] = _measure(constants, pair, at_m, light, own)

@@ -28,6 +28,9 @@ _MOST_PARITY, _BALANCED = 0.4, 0.6
 _RANGE_WALK_MM = 0.13
 """How much longer ranges are by one code of reflectivity, one sigma over units: 0.08, 0.16, -0.03 and -0.16 on four real units
 (protocol/README.md, "The character of a unit"), as the next."""
+_LASER_NOISE_SPREAD = 0.08
+"""Spread of the logarithm of the white noise of range over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and nebula, less what chance gives,
+where which laser is noisier correlates by 0.44, 0.37 and 0.37 between sectors of 45 deg."""
 _SECTOR_GAIN_SPREAD = 0.04  # half the difference of gains between even and odd sectors of 45 deg, one sigma
 _WARM_UP_S = 900.0  # time constant (assumption)
 
@@ -38,10 +41,11 @@ class UnitDetector:
 
     constants: DetectorConstants
     range_bias_m: F8  # (L,)
+    range_noise_share: F8  # (L,) white noise of range of each laser over that of the unit
     gain: F8  # (2, L) factor on reflectivity, in even and odd sectors of 45 deg
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
     parity: F8 | None  # (L,) by how much the share of odd distance codes is above one half; None where it is one half
-    codes: U1  # (L, 101) code that is sent for each whole reflectivity
+    codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, as `sent_codes` has it
     no_return: F8 | None  # (L,) reflectivity of records without a return, cut to whole numbers when sent; None for 0
     multiples: F8  # (m, L) multiples of it by azimuth, as in `no_return_multiples`; empty where it is sent as it is
     noise: Noise
@@ -102,6 +106,7 @@ class UnitDetector:
         return cls(
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
+            range_noise_share=exp(_LASER_NOISE_SPREAD * noise.is_real * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)),
             gain=gain(seed, lasers, noise.gain_spread, _SECTOR_GAIN_SPREAD * noise.is_real),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
@@ -125,7 +130,9 @@ class UnitDetector:
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
         codes = sent_codes(0, len(none), 0.0)
         nothing_more = None, codes, None, self.multiples[:0]
-        return type(self)(constants, none, one, np.zeros(5), *nothing_more, Noise(preset="ideal"), self.power_up_ns)
+        return type(self)(
+            constants, none, one[0], one, np.zeros(5), *nothing_more, Noise(preset="ideal"), self.power_up_ns
+        )
 
     def drift_m(self, t_ns: I8) -> F8:
         """Return the warm-up error of ranges at instants, same shape; fades exponentially from power-up on."""

@@ -16,6 +16,10 @@ _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
 _COARSE, _TOP = 30.0, 90.0  # codes from which on some are never sent, and at which the spacing is that of the settings
 _SEGMENT, _SLOPES = (7.0, 18.0), (0.75, 1.3)  # codes of a laser at one spacing, and spacings over that of the settings
+CODE_PARTS = 24  # of one code, in the table of what is sent
+_NARROW, _MISSED = (0.05, 0.16), 1.0
+"""How much narrower codes are that are 2 modulo 3, and how much more often bright ones are left out: 0.11, 0.06, 0.22 and 0.05 at codes 4 to 45
+of mrpt, einride, nebula and 2014; 0.25, 0.14 and 0.26 at 45 to 98 of the first three."""
 NO_RETURN_KNOTS = 56
 """Places around a unit between which what no-returns carry changes; assumption, after einride: 78 % of neighbours are equal."""
 _ALIKE = 0.8, 0.98
@@ -85,33 +89,46 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
 
 
 def sent_codes(seed: int, lasers: int, step: float) -> U1:
-    """Return the code that a laser sends for each whole reflectivity of a diffuse target, (lasers, 101).
+    """Return the code that a laser sends for each reflectivity of a diffuse target, (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
 
     Bright codes of a real laser are 1.2 to 2.2 apart, the farther the brighter: at 45 to 95 of each ten in a row 8.5, 7, 8, 7, 6.5 and 5 are
     sent by mrpt, einride and nebula. Those of einride are the same at all ranges and in both kinds of sectors, at one spacing for a dozen
     codes (laser 7: two of three from 47 to 65, then every second), and have nothing to do with those of another laser: a table of
     calibration between whole numbers of the receiver and codes.
 
+    Behind it all lasers of all units have one more step in common, whose whole numbers do not meet those of the codes: what is 2 modulo 3 is
+    rarer than its neighbours, at all levels and on each of four units (`_NARROW`), most of all 44, 53, 62 and 71.
+
     Parameters
     ----------
     step : spacing at code 90, on average; below 2 at most, and 1 for all codes
     """
-    out = np.tile(np.arange(101, dtype=np.uint8), (lasers, 1))
+    fine = (np.arange(100 * CODE_PARTS + 1) + 0.5) / CODE_PARTS
+    whole = np.floor(fine + 0.5).astype(np.int64)
+    out = np.tile(whole.astype(np.uint8), (lasers, 1))
+    low, high = _NARROW
+    narrow = low * power(high / low, float(uniform(seed, Purpose.REFLECTIVITY, 0, 1, 2 + 2 * lasers)[0]))
     for laser in range(lasers if step > 1.0 else 0):
         drawn = iter(uniform(seed, Purpose.REFLECTIVITY, 0, 64, 2 + laser).tolist())
+        of_code = uniform(seed, Purpose.REFLECTIVITY, 0, 101, 2 + lasers + laser)
         at = _COARSE + next(drawn)  # each laser leaves out codes of its own from about there on
-        edges = [0.0]
+        sent = [*range(int(_COARSE))]
         stop = slope = 0.0
         while at < 100.0:
             if at >= stop:
                 (short, long), (low, high) = _SEGMENT, _SLOPES
                 stop = at + short + (long - short) * next(drawn)
                 slope = (1.0 + (step - 1.0) * (at - _COARSE) / (_TOP - _COARSE)) * (low + (high - low) * next(drawn))
-            edges.append(math.floor(at))
+            code = math.floor(at)
+            sent.append(code + (code % 3 == 2 and of_code[code] < _MISSED * narrow))
             at += max(slope, 1.0)
-        sent = np.array([*range(int(_COARSE)), *edges[1:], 100.0])
-        nearest = np.abs(np.arange(101)[:, None] - sent).argmin(axis=1)
-        out[laser] = sent[nearest]
+        own = np.array([*sent, 100])
+        nearest = own[np.abs(np.arange(101)[:, None] - own).argmin(axis=1)]
+        away = fine - whole
+        edge = 0.5 - np.floor(0.5 * narrow * CODE_PARTS + of_code[whole]) / CODE_PARTS
+        moved = whole + np.sign(away).astype(np.int64) * ((whole % 3 == 2) & (np.abs(away) > edge))
+        # What is a whole number passes by the table of its laser: some of those between are seen on real units.
+        out[laser] = np.where(np.arange(len(fine)) % CODE_PARTS == 0, whole, nearest[moved])
     return out
 
 
@@ -126,7 +143,7 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     phase_deg : of a unit of exactly this amplitude; None to draw both
     """
     one, two, three = uniform(seed, Purpose.RANGE_BEAT, 0, 3)
-    own_m = amplitude_m * (0.75 + 0.5 * one) if phase_deg is None else amplitude_m
+    own_m = amplitude_m * (0.62 + 0.62 * one) if phase_deg is None else amplitude_m
     overtone = 0.17 + 0.19 * three if phase_deg is None else 0.25
     angle = 2.0 * math.pi * (np.arange(5) / 5.0 + (two if phase_deg is None else phase_deg / 360.0))
     return np.asarray(own_m * (cos(angle) + overtone * cos(2.0 * angle + _OVERTONE_RAD)))
@@ -152,7 +169,7 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     return math.sqrt(constants.range_noise_m * constants.range_noise_m * math.sqrt(_AT / shown) + far_m * far_m)
 
 
-RANGE_TAIL, REFLECTIVITY_TAIL = 0.012, 0.1
+RANGE_TAIL, REFLECTIVITY_TAIL = 0.008, 0.1
 """Parts of the cube. Residuals of range in stretches of 15 pulses have a kurtosis of 2.62 to 2.68 on four real units, Gaussian ones beside our
 beat 2.58; those of reflectivity change between revolutions as with a kurtosis of 6.6."""
 
@@ -166,8 +183,6 @@ def heavier(z: float, tail: float) -> float:
     return z * (1.0 + tail * z * z) / math.sqrt(1.0 + 6.0 * tail + 15.0 * tail * tail)
 
 
-_UNCORRECTED = 0.02
-"""Least distance from a whole number at which a code goes through the table of its laser: some of those between are seen on real units."""
 RETROREFLECTIVE = 100.5  # percent from which a target is no white wall any more; what rounds to 100 still is
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
 """Counts per factor e of reflectance. 255 stands for 1000 times that of a white Lambertian surface. A coefficient of retroreflection
@@ -187,11 +202,9 @@ def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> n
     percent : brightness, corrected for range, of a white Lambertian surface at right angles
     gain : of the laser
     noise : in counts
-    codes : (101,) what the laser sends, as `sent_codes` has it
+    codes : (100 * CODE_PARTS + 1,) what the laser sends, as `sent_codes` has it
     """
     if percent <= RETROREFLECTIVE:
-        counts = min(max(gain * percent + noise, 0.0), 100.0)
-        whole = np.rint(counts)
-        return np.uint8(whole) if abs(counts - whole) < _UNCORRECTED else codes[np.int64(whole)]
+        return codes[np.int64(CODE_PARTS * min(max(gain * percent + noise, 0.0), 100.0))]
     code = 101.0 + _COUNTS_PER_E_FOLD * log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

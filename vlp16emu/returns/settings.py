@@ -26,7 +26,7 @@ _PRESETS: dict[str, dict[str, object]] = {
     "datasheet": {"range_noise_m": 0.011, "range_bias_m": 0.010},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "range_noise_m": 0.0058,
+        "range_noise_m": 0.0049,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
         "reflectivity_noise_share": 0.029,
@@ -69,7 +69,7 @@ class Noise(Preset):
     """White, one sigma, at a reflectivity of 20; it falls with the fourth root of the reflectivity, as on four real units."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
     """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges; 4 to 7 mm on
-    real units. Units differ by a quarter, and in phase. 0 switches it off."""
+    real units. Units differ by a third, and in phase. 0 switches it off."""
     range_beat_phase_deg: Annotated[float, Field(ge=0, lt=360)] | None = None
     """Phase of that error at the first pulse, of a unit whose amplitude is exactly `range_beat_m`; drawn unless given."""
     range_bias_m: _Metres = 0.010
