@@ -75,7 +75,7 @@ class _Broadcast(_Both):
         arrays = [np.asarray(x, np.float64) for x in numbers]
         if self.function.__name__ in _LOOPS:
             value = np.empty(np.broadcast(*arrays).shape)
-            whole = (x if x.shape == value.shape else np.broadcast_to(x, value.shape) for x in arrays)
+            whole = (x if x.shape == value.shape else np.broadcast_to(x, value.shape).copy() for x in arrays)
             flat = [np.ascontiguousarray(x).reshape(-1) for x in whole]
             _fill(_LOOPS.index(self.function.__name__), flat[0], flat[-1], value.reshape(-1))
         else:
