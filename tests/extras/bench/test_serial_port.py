@@ -106,7 +106,7 @@ def test_a_device_that_comes_back_is_found(device, monkeypatch):
 
 
 def test_a_port_that_takes_no_more_holds_up_nobody_and_takes_no_core(device):
-    """Where nobody reads, sending goes on at once, memory stays bounded, all that is lost is counted, and waiting costs next to nothing."""
+    """Without a reader sending goes on at once, memory stays bounded, every lost packet is counted, and waiting costs next to nothing."""
     with SerialSink(SerialPort(str(device.path), 9600, "--gps-out")) as sink:
         begun_s = time.monotonic()
         for _ in range(10_000):  # 0.8 MB, into a buffer of 4 KB

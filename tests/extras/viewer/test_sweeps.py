@@ -112,7 +112,7 @@ def test_sweeps_of_a_capture_are_found_back_and_forth(emulator, tmp_path):
 
 
 def test_fewer_leaves_have_the_area_of_all():
-    """Of a thousand equal leaves a hundred are left, whose area is that of all; of others the largest are left as they are."""
+    """A thousand equal leaves become a hundred of the same total area; unequal ones keep the largest as they are."""
     corner_m = np.random.default_rng(1).random((1000, 1, 3))
     leaf_m = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
     faces = np.arange(3000, dtype=np.uint32).reshape(-1, 3)
@@ -151,7 +151,7 @@ def test_a_slim_stem_stands_where_the_stem_stands():
 
 
 def test_stems_are_drawn_with_their_crowns_only():
-    """Of what is drawn around a path nothing stands farther off than the radius and the width of a crown: no bare stems beyond."""
+    """Nothing is drawn farther from a path than the radius and the width of a crown: no bare stems beyond."""
     dense = ["world.stems_per_ha=900", "sensor.max_range_m=15.0", "duration_s=5.0"]
     seen = survey(load("birch_walk", dense), 10.0)
     path = Polyline(seen.path_m[:, :2])

@@ -200,7 +200,7 @@ AT_MOST = "expected at most 1209600 s, with its stops"
     ],
 )  # fmt: skip
 def test_impossible_wishes_are_refused(wish, line):
-    """What no limit admits is named with what would do; no memory is taken for a walk of more than two weeks."""
+    """A walk outside the limits is refused with what would do; no memory is taken for one of more than two weeks."""
     with pytest.raises(TrajectoryError) as caught:
         timed(**wish)
     assert str(caught.value) == line

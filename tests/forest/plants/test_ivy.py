@@ -56,7 +56,7 @@ def test_leaves_hang_on_the_bark(trees):
 
 
 def test_ivy_is_leaf_of_its_tree_and_in_the_medium(make_forest, forest, track_m):
-    """Its surfaces have class tree, part leaf and the number of a tree, from afar too; all else stands as without ivy, the default."""
+    """Surfaces of ivy have class tree, part leaf and the number of a tree, in the far medium too; all else stands as without ivy, the default."""
     bare, forest = forest.window(track_m), make_forest(ivy=SECTION)
     window = forest.window(track_m)
     is_ivy = np.array([isinstance(window.shapes[i], IvyKey) for i in window.shape])

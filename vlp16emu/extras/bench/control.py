@@ -86,7 +86,7 @@ class Control:
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
         self._set, self._wanted = list[Event](), list[Event]()
-        """What the web interface has set, and other events, that the next change brings; `at_s` counts from that change."""
+        """Settings of the web interface, and other events, that the next change brings; `at_s` counts from that change."""
         self._at_ns = 0  # UTC, ns, from which on packets follow the latest change
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
         self._taking_up = threading.Lock()

@@ -141,7 +141,7 @@ def capture_comments(frame: PointFrame, clock: str) -> tuple[str, ...]:
 _ROWS = {name: tuple(Column(*row) for row in rows) for name, rows in _table("columns.toml").items()}
 CAPTURE_COLUMNS, SCENE_COLUMNS = _ROWS["capture"], _ROWS["scene"]
 TRUTH_COLUMNS, LABEL_COLUMNS = _ROWS["truth"], _ROWS["labels"]
-"""What points of a scene, and of a capture with truth, may have besides: the surface behind each, and labels by a scheme."""
+"""Optional columns of points of a scene, and of a capture with truth: the surface behind each, and labels by a scheme."""
 DESKEWED_COLUMNS = (
     *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
     *_ROWS["placed"],

@@ -29,7 +29,7 @@ TilePoints = Callable[[int, int], F8]
 
 @dataclass(frozen=True, slots=True)
 class Land:
-    """What a forest grows on."""
+    """Ground, path and plants on which a forest grows."""
 
     seed: int
     height_m: HeightField  # ground
