@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _IMU = 1000  # device whose mount is that of the inertial unit, beyond all sensors
 _STRAY_M = 1.0  # how far the carrier may be from its path over the ground: sway, and lasers off the centre
-_LEFT_PPM = 1.0  # rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt
+_LEFT_PPM = 0.3  # rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt
 
 
 @dataclass(frozen=True)
