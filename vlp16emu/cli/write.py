@@ -205,10 +205,7 @@ def dataset(
 
 def picture(
     scene: args.SceneOrCapture,
-    out: Annotated[
-        Path,
-        Option("File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.", name="OUT"),
-    ],
+    out: Annotated[Path, Option("File to write; overwritten if it exists.", name="OUT.png")],
     look: PictureLook,
     span: Span,
     changes: args.SceneOptions,
@@ -219,7 +216,7 @@ def picture(
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
-    revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
+    revolution. Needs the extra 'picture'.
     """
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
@@ -233,8 +230,7 @@ def picture(
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(0.0, "drawing"))
         if is_capture:
-            is_film = out.suffix.lower() != ".png"
-            source = source_of_capture(Path(scene), trajectory, span, whole=is_film or trajectory is not None)
+            source = source_of_capture(Path(scene), trajectory, span)
         else:
             emulator = make_emulator(scene, changes)
             source = source_of_scene(emulator, span)

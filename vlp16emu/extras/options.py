@@ -19,9 +19,9 @@ def _pixels(text: str) -> tuple[int, int]:
     return int(words[0]), int(words[1])
 
 
-def _film_pixels(text: str) -> tuple[int, int]:
+def _picture_pixels(text: str) -> tuple[int, int]:
     size = _pixels(text)
-    if not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in size):
+    if not all(64 <= n <= _LARGEST_PX for n in size):
         raise ValueError(text)
     return size
 
@@ -147,17 +147,16 @@ class PictureLook(Options):
         Option(
             "Of the picture, in pixels.",
             "WxH",
-            parse=_film_pixels,
-            expected=f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}",
+            parse=_picture_pixels,
+            expected=f"WIDTHxHEIGHT, from 64 to {_LARGEST_PX}",
             shown="1280x720",
         ),
     ] = (1280, 720)
     view: Annotated[
         str,
         Option(
-            "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
-            " revolution as rows of lasers over azimuth.",
-            words=("slant", "sweep", "image"),
+            "slant, of points that add up; or sweep, a revolution from straight above with circles of range.",
+            words=("slant", "sweep"),
         ),
     ] = "slant"
 
