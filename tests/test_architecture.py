@@ -50,11 +50,9 @@ NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 FOREST = ("settings", "purpose", "ground", "tiles", "plants", "stand", "make")  # rooms of `forest/` from the bottom
 
 EXTRAS_TAKE = {
-    "accuracy": {"plots"},
     "bag": {"imu", "slam", "truth"},
     "bench": {"imu"},
     "clouds": {"displace", "options", "recorded", "truth"},
-    "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},
     "plan": {"keep_up", "meshes", "walk"},
@@ -62,7 +60,7 @@ EXTRAS_TAKE = {
     "replay": {"bench", "free_ports"},
     "images": {"camera", "meshes", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
-    "score": {"clouds", "options", "plots", "recorded"},
+    "score": {"clouds", "options", "recorded"},
     "sheets": {"camera", "meshes", "plots", "truth"},
     "slam": {"truth"},
     "truth": {"bench", "imu", "outputs"},

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.extras.outputs import OutputFolder, report
+from vlp16emu.extras.outputs import OutputFolder
 from vlp16emu.output import OutputFile
 
 CHILD = """
@@ -236,21 +236,3 @@ def test_a_folder_that_became_somebody_elses_stays(tmp_path):
         meanwhile()
     (left,) = tmp_path.glob("x.*.part")
     assert ([*map(str, place.iterdir())], [path.name for path in left.iterdir()]) == ([f"{place}/mine"], ["a"])
-
-
-def written(folder, *texts):
-    """Write the files of a report."""
-    with report(folder, ("x.json", "x.html")) as files:
-        for file, text in zip(files, texts, strict=True):
-            file.write(text.encode())
-
-
-def test_a_report_replaces_reports_and_nothing_else(tmp_path):
-    """Files of an earlier report are replaced; one that does not name vlp16emu as its writer stays, and so do the others."""
-    folder = tmp_path / "new" / "report"
-    written(folder, "vlp16emu 1", "of vlp16emu")
-    written(folder, "vlp16emu 2", "of vlp16emu")
-    (folder / "x.html").write_text("mine")
-    with pytest.raises(OutputError, match=r"report: x\.html is there, and no earlier report; expected another folder"):
-        written(folder, "vlp16emu 3", "of vlp16emu")
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {"x.json": "vlp16emu 2", "x.html": "mine"}

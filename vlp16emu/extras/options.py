@@ -6,8 +6,6 @@ from typing import Annotated, Any
 
 from vlp16emu.run.options import Option, Options, Span, TruthPlace, WhichUnit
 
-_LONGEST_S = 7 * 86_400
-_FARTHEST = 1e6
 _SHORTEST_S = 0.001
 _LARGEST_PX = 8_192
 
@@ -24,18 +22,6 @@ def _picture_pixels(text: str) -> tuple[int, int]:
     if not all(64 <= n <= _LARGEST_PX for n in size):
         raise ValueError(text)
     return size
-
-
-def _numbers(text: str, names: str) -> Option:
-    """Return an option of as many numbers as there are names."""
-
-    def parse(given: str) -> tuple[float, ...]:
-        numbers = tuple(map(float, given.split(",")))
-        if len(numbers) != len(names.split(",")) or not all(abs(one) <= _FARTHEST for one in numbers):
-            raise ValueError(given)
-        return numbers
-
-    return Option(text, names, parse=parse, expected=f"the numbers {names}", shown=False)
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -71,37 +57,6 @@ class PointOptions(Span):
             parse=Path,
         ),
     ] = None
-
-
-@dataclass(frozen=True)
-class TrajectoryErrors(Options):
-    """Errors between a trajectory and a sensor, known or on purpose."""
-
-    time_offset_s: Annotated[
-        float,
-        Option(
-            "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
-            "S",
-            ge=-_LONGEST_S,
-            le=_LONGEST_S,
-            shown=False,
-        ),
-    ] = 0.0
-    mount: Annotated[
-        Any,
-        _numbers(
-            "Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
-            "boresight and lever arm.",
-            "X,Y,Z,ROLL,PITCH,YAW",
-        ),
-    ] = (0.0,) * 6  # place in m and turn in degrees, as `[motion.mount]`
-    drift: Annotated[
-        Any,
-        _numbers(
-            "Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
-            "EAST,NORTH,UP,YAW",
-        ),
-    ] = (0.0,) * 4  # to the east, north and up, and counter-clockwise about the first pose
 
 
 @dataclass(frozen=True)

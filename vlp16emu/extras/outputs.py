@@ -1,20 +1,18 @@
-"""Folders and reports as outputs: written beside their names, which they take when they are whole, by one run at a time."""
+"""Folders as outputs: written beside their names, which they take when they are whole, by one run at a time."""
 
 import ctypes
 import os
 import shutil
 import weakref
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import Self
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.output import OutputFile, claim, final_name, opening, part_beside, spare, take_rights
+from vlp16emu.output import claim, final_name, opening, part_beside, spare, take_rights
 
-_MARK, _MARK_WITHIN = b"vlp16emu", 4096
-"""What the files of a report name as their writer, and in how many of their first bytes."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
 _NAME_OF = attrgetter("name")
@@ -105,36 +103,6 @@ class OutputFolder:
     def _check(self) -> None:
         if self._final.exists() and (found := self._stranger(self._final)) is not None:
             raise OutputError(self._where, f"holds {found}", self._expected)
-
-
-@contextmanager
-def report(folder: Path, names: Iterable[str]) -> Iterator[list[BinaryIO]]:
-    """Open the files of a report in a folder, which is made; they take their names together at the end of the block.
-
-    Each file says within its first 4096 bytes that vlp16emu has written it, and replaces none that does not say so.
-
-    Raises OutputError if the folder or a file cannot be made, or a file that no report has is in its place;
-    RunError if a file cannot be written to its end.
-    """
-    where = f"--out {folder}"
-    with ExitStack() as stack:
-        with opening(where, "a folder that can be written"):
-            folder.mkdir(parents=True, exist_ok=True)
-            for path in (folder / name for name in names):
-                if path.is_file():
-                    with path.open("rb") as file:
-                        is_report = _MARK in file.read(_MARK_WITHIN)
-                    if not is_report:
-                        raise OutputError(where, f"{path.name} is there, and no earlier report", "another folder")
-        outputs = [stack.enter_context(OutputFile(folder / name, where=f"{where}/{name}")) for name in names]
-        try:
-            yield [output.file for output in outputs]
-            for output in outputs:
-                output.file.flush()
-        except OSError as error:
-            raise RunError(f"{where}: {error.strerror or error}; no file is written") from error
-        for output in outputs:
-            output.keep()
 
 
 def _exchange(one: Path, other: Path) -> None:

@@ -15,7 +15,7 @@ from vlp16emu.extras.camera import Orthographic
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.images import species_of
-from vlp16emu.extras.options import PictureLook, TrajectoryErrors
+from vlp16emu.extras.options import PictureLook
 from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
@@ -108,7 +108,7 @@ def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Sou
     """
     way, way_m, inputs = None, None, [capture]
     if trajectory is not None:
-        way, inputs = Trajectory(trajectory, 1, TrajectoryErrors()), [capture, trajectory]
+        way, inputs = Trajectory(trajectory, 1), [capture, trajectory]
         begin_s, end_s = way.span_s
         way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
 
