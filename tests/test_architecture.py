@@ -60,13 +60,12 @@ EXTRAS_TAKE = {
     "plan": {"keep_up", "meshes", "walk"},
     "recorded": {"splines"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "meshes", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "plots", "recorded"},
-    "sheets": {"camera", "meshes", "plots", "truth"},
     "slam": {"truth"},
+    "survey": {"meshes", "plots"},
     "truth": {"bench", "imu", "outputs"},
-    "viewer": {"camera", "clouds", "images", "options", "plots", "sheets", "verify"},
+    "viewer": {"camera", "clouds", "options", "plots", "survey", "verify"},
     "walk": {"splines"},
 }
 """Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""

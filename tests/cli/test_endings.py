@@ -174,9 +174,7 @@ def test_a_file_does_not_take_the_place_of_a_closed_output(cli, tmp_path):
     assert cli("verify", path, "--json").tree["clean"]
 
 
-@pytest.mark.parametrize(
-    "line", ["picture birch_walk {}/x.png", "forest birch_walk --picture {}/x.png", "accuracy birch_walk --out {}"]
-)
+@pytest.mark.parametrize("line", ["picture birch_walk {}/x.png", "accuracy birch_walk --out {}"])
 def test_a_missing_matplotlib_is_named_before_the_work(cli, monkeypatch, tmp_path, line):
     """Verbs that draw name the missing extra before a world is made."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)

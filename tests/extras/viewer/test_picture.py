@@ -26,16 +26,6 @@ HALL = (
 BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
 
 
-def test_rays_begin_at_the_pixels_that_they_are_of():
-    """A ray of an oblique view begins at a place whose pixel is its own, and goes away from the eye."""
-    view = Orthographic.around(BOX_M, 30.0, 40.0, (64, 48))
-    origin_m, direction = view.rays(range(3, 5))
-    column, row, near_m = view.pixels(origin_m + 2.0 * direction)
-    assert (column.reshape(2, 64) == np.arange(64)).all()
-    assert (row.reshape(2, 64) == [[3], [4]]).all()
-    np.testing.assert_allclose(near_m, -2.0, atol=1e-9)
-
-
 def test_lengths_are_the_same_all_over_an_oblique_view():
     """From the south, 10 m to the east are as many pixels wherever they lie, and what is nearer to the eye is so by its height and place."""
     view = Orthographic.around(BOX_M, 180.0, 30.0, (640, 400))

@@ -16,9 +16,9 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.camera import Orthographic, Pixels
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
-from vlp16emu.extras.images import species_of
 from vlp16emu.extras.options import PictureLook, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, INK, plotted
+from vlp16emu.extras.survey import species_of
 from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
