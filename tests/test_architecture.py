@@ -58,16 +58,15 @@ EXTRAS_TAKE = {
     "plan": {"keep_up", "meshes", "walk"},
     "recorded": {"splines"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "meshes", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
     "score": {"clouds", "options", "recorded"},
-    "sheets": {"camera", "meshes", "plots", "truth"},
     "slam": {"truth"},
+    "survey": {"colours", "meshes"},
     "truth": {"bench", "imu", "outputs"},
-    "viewer": {"camera", "clouds", "images", "options", "plots", "sheets", "verify"},
+    "viewer": {"clouds", "colours", "options", "survey", "verify"},
     "walk": {"splines"},
 }
-"""Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
+"""Which extras each extra may import beside the core: options, trajectories, colours, ground truth, clouds, and the stand that the page shows."""
 
 FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
 

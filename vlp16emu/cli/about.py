@@ -167,7 +167,7 @@ def cache(
         print_rows("removed" if clear else "kept on disk", rows)
 
 
-_SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
+_SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb"}
 
 
 def forest(
@@ -175,17 +175,9 @@ def forest(
     *,
     settings: Settings = None,
     radius_m: Annotated[
-        float, Option("How far from the path things count, are drawn and go into the twin.", "M", ge=1, le=300)
+        float, Option("How far from the path things count and go into the twin.", "M", ge=1, le=300)
     ] = 30.0,
     inventory: Annotated[Path | None, Option("Write all trees in the sensor's reach, one per line.", "OUT.csv")] = None,
-    seen: Annotated[
-        Path | None,
-        Option(
-            "With --inventory, for each tree the returns from its stem in a run with this truth"
-            " (`record --truth DIR --truth-returns`), the share of the stem that has any, and the arc at breast height.",
-            "DIR",
-        ),
-    ] = None,
     stems: Annotated[
         Path | None,
         Option(
@@ -198,7 +190,6 @@ def forest(
         Path | None, Option("Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc")
     ] = None,
     glb: Annotated[Path | None, Option("Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")] = None,
-    picture: Annotated[Path | None, Option("Draw a plan and a section; needs the extra 'picture'.", "OUT.png")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Report what stands along the path of the sensor.
@@ -209,24 +200,18 @@ def forest(
     from vlp16emu.output import spare
     from vlp16emu.scenario import find, load, named_files
 
-    if seen and not inventory:
-        raise InputError("--seen", "found no --inventory", "both")
-    given = zip(_SUFFIXES, (inventory, stems, ground, glb, picture), strict=True)
+    given = zip(_SUFFIXES, (inventory, stems, ground, glb), strict=True)
     wanted = {name: path for name, path in given if path is not None}
     scenario = load(scene, settings or ())
     for name, path in wanted.items():  # before anything heavy
         spare([find(scene), *named_files(scenario)], path)
         if path.suffix != (suffix := _SUFFIXES[name]):
             raise InputError(f"{name} {path}", f"found suffix '{path.suffix}'", suffix)
-    if picture is not None:
-        from vlp16emu.extras.plots import check_matplotlib
-
-        check_matplotlib()
     compile_first(scenario.world.kind)
-    from vlp16emu.extras.sheets.sheet import write_sheets
+    from vlp16emu.extras.survey import write_survey
 
     with Progress(0.0):
-        summary = write_sheets(scene, scenario, radius_m, wanted, truth=seen)
+        summary = write_survey(scene, scenario, radius_m, wanted)
     if as_json:
         written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})

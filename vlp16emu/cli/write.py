@@ -1,4 +1,4 @@
-"""Verbs that write or show a run, a scene or a capture: truth, points, bag, images, dataset, picture and view."""
+"""Verbs that write or show a run, a scene or a capture: truth, points, bag, dataset, picture and view."""
 
 import time
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, size
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions
+from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions
 from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
 
 
@@ -156,28 +156,6 @@ def bag(
     with stop_on_ctrl_c() as stop:
         result = write_bag(file, out, truth, unit=unit, clock=clock, options=options, stop=stop)
     finish(result, as_json=as_json)
-
-
-def images(
-    scene: args.SceneName,
-    folder: Annotated[Path, Option("Folder, new or empty.", name="OUT")],
-    options: ImageOptions,
-    *,
-    settings: args.Settings = None,
-    threads: args.Threads = 0,
-    as_json: args.AsJson = False,
-) -> None:
-    """Write depth, labels and colours of a scene as images, from the place of the sensor.
-
-    They lie on the points of `vlp16emu points` and `record` at the same instant: cameras.json and poses.tum
-    say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
-    """
-    emulator = make_emulator(scene, args.EmulatorOptions(settings, threads=threads))
-    from vlp16emu.extras.images import write_images
-
-    with running(emulator, "casting", options) as hooks:
-        run = write_images(emulator, folder, **vars(options), **hooks)
-    finish(run, as_json=as_json)
 
 
 def dataset(

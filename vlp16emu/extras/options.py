@@ -6,20 +6,13 @@ from typing import Annotated, Any
 
 from vlp16emu.run.options import Option, Options, Span, TruthPlace, WhichUnit
 
-_SHORTEST_S = 0.001
 _LARGEST_PX = 8_192
 
 
-def _pixels(text: str) -> tuple[int, int]:
+def _pixels(text: str) -> tuple[int, ...]:
     words = text.lower().split("x")
-    if len(words) != 2 or not all(word.isascii() and word.isdecimal() for word in words):
-        raise ValueError(text)
-    return int(words[0]), int(words[1])
-
-
-def _picture_pixels(text: str) -> tuple[int, int]:
-    size = _pixels(text)
-    if not all(64 <= n <= _LARGEST_PX for n in size):
+    size = tuple(int(word) for word in words if word.isascii() and word.isdecimal())
+    if len(words) != 2 or len(size) != 2 or not all(64 <= n <= _LARGEST_PX for n in size):
         raise ValueError(text)
     return size
 
@@ -60,28 +53,6 @@ class PointOptions(Span):
 
 
 @dataclass(frozen=True)
-class ImageOptions(Span):
-    """Images of a scene from the place of a sensor."""
-
-    kind: Annotated[str, Option("panorama, all around; or pinhole, towards azimuth 0.", "KIND")] = "panorama"
-    size: Annotated[
-        Any,
-        Option(
-            "Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out.",
-            "WxH",
-            parse=_pixels,
-            expected="width and height in pixels, such as 2048x512",
-        ),
-    ] = None
-    fov_deg: Annotated[
-        float | None,
-        Option("Field of view of a pinhole camera, from left to right; 90 if left out.", "DEG", ge=1, le=360),
-    ] = None
-    every_s: Annotated[float, Option("Simulated seconds from image to image.", "S", ge=_SHORTEST_S)] = 1.0
-    unit: WhichUnit = 1
-
-
-@dataclass(frozen=True)
 class PictureLook(Options):
     """Look of a picture."""
 
@@ -102,7 +73,7 @@ class PictureLook(Options):
         Option(
             "Of the picture, in pixels.",
             "WxH",
-            parse=_picture_pixels,
+            parse=_pixels,
             expected=f"WIDTHxHEIGHT, from 64 to {_LARGEST_PX}",
             shown="1280x720",
         ),

@@ -8,9 +8,8 @@ import pytest
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
-from vlp16emu.extras.camera import Orthographic
 from vlp16emu.extras.clouds.scan import decode
-from vlp16emu.extras.viewer.picture import Canvas
+from vlp16emu.extras.viewer.picture import Canvas, Orthographic
 
 Image = pytest.importorskip("PIL.Image", reason="the extra picture is not installed")
 
@@ -23,16 +22,6 @@ HALL = (
     f'{{ kind = "hall", length_m = 24.0, width_m = 24.0, height_m = 6.0, wall_reflectance = 0.05, boxes = [{BOXES}] }}'
 )
 BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
-
-
-def test_rays_begin_at_the_pixels_that_they_are_of():
-    """A ray of an oblique view begins at a place whose pixel is its own, and goes away from the eye."""
-    view = Orthographic.around(BOX_M, 30.0, 40.0, (64, 48))
-    origin_m, direction = view.rays(range(3, 5))
-    column, row, near_m = view.pixels(origin_m + 2.0 * direction)
-    assert (column.reshape(2, 64) == np.arange(64)).all()
-    assert (row.reshape(2, 64) == [[3], [4]]).all()
-    np.testing.assert_allclose(near_m, -2.0, atol=1e-9)
 
 
 def test_lengths_are_the_same_all_over_an_oblique_view():

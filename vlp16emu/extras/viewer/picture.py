@@ -2,26 +2,26 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import chain, islice
+from itertools import chain, islice, product
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
-from vlp16emu.extras.camera import Orthographic
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
-from vlp16emu.extras.images import species_of
 from vlp16emu.extras.options import PictureLook
+from vlp16emu.extras.survey import species_of
 from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
-from vlp16emu.types import F8, U1
+from vlp16emu.types import F8, I8, U1
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -42,6 +42,34 @@ _MILLIONS = 100_000  # points from which on they are counted in millions
 _FROM_DEG = 205.0  # bearing of the eye, unless another is wanted: light falls from the south
 _STATIONS = 200  # number of places along a path
 _LEAST_EM_PX, _LINES = 11, 45  # letters are as high as this, or as a picture of so many lines has them
+
+
+@dataclass(frozen=True, slots=True)
+class Orthographic:
+    """A camera of parallel rays: lengths across the view have one scale everywhere."""
+
+    axes: F8  # (3, 3) unit vectors to the right, upwards in the image, and towards the eye
+    centre_m: F8  # (3,) place at the middle of the image, along these axes
+    px_per_m: float
+    size: tuple[int, int]  # width and height in pixels
+
+    @classmethod
+    def around(cls, box_m: F8, from_deg: float, elevation_deg: float, size: tuple[int, int]) -> Self:
+        """Look at a box with corners (2, 3) from a bearing, clockwise from north, and an elevation; the box fills the image."""
+        a, e = math.radians(from_deg), math.radians(elevation_deg)
+        right = np.array([-math.cos(a), math.sin(a), 0.0])
+        back = np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
+        axes = np.stack([right, np.cross(back, right), back])
+        seen_m = np.array(list(product(*box_m.T))) @ axes.T
+        low_m, high_m = seen_m.min(axis=0), seen_m.max(axis=0)
+        scale = min(size[0] / (high_m[0] - low_m[0]), size[1] / (high_m[1] - low_m[1]))
+        return cls(axes, (low_m + high_m) / 2, float(scale), size)
+
+    def pixels(self, places_m: F8) -> tuple[I8, I8, F8]:
+        """Return columns, rows and nearness in metres (n,) of places (n, 3); the nearest of several at a pixel hides the others."""
+        right, up, near = ((places_m @ self.axes.T) - self.centre_m).T
+        column = np.floor(self.size[0] / 2 + right * self.px_per_m).astype(np.int64)
+        return column, np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64), near
 
 
 class Canvas:

@@ -4,7 +4,6 @@ glTF has y up (glTF 2.0 specification, section 3.4), so one node above all turns
 programs that have z up themselves, such as Blender, turn it back.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -14,11 +13,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import matvec, norm
+from vlp16emu.elementary import norm
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
-from vlp16emu.forest.stand.inventory import hull_m
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, Mesh, PlantPart, Semantic, ShapeKey, Window
 
@@ -26,34 +24,14 @@ Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
 
 
 @dataclass(frozen=True, slots=True)
-class AllNear:
-    """World of one window without a far medium."""
-
-    inside: Window
-    shape: Grow
-    near_m: float = math.inf
-    seed: int = 0
-
-    def window(self, _track_m: F8) -> Window:
-        """Return the window for any track."""
-        return self.inside
-
-    def shape_name(self, _key: ShapeKey) -> str:
-        """Return no name: no shape is kept on disk."""
-        return ""
-
-
-@dataclass(frozen=True, slots=True)
 class Thing:
     """A thing that stands or lies there and is no tree of the stand."""
 
-    placement: int  # in the window
     instance: int
     species: int
     kind: str
     """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
     place_m: F8  # (3,) origin of its shape in the world
-    outline_m: F8  # (k, 2) convex outline seen from above, counter-clockwise, in the world
     size_m: tuple[float, float, float]
     """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
     stumps the diameter at the top and the height; of anything else its extent."""
@@ -69,20 +47,17 @@ def things_near(
     is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
     near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
-    # What spans the convex hull of a shape is all that outlines need, in any placement.
-    corners = cache(lambda key: hull_m(np.concatenate([mesh.vertices_m for mesh in shape(key)]).astype(np.float64)))
+    # Shapes of the floor have unit size by what they are, not by their outermost corner.
+    unit_m = cache(lambda key: np.ptp(np.concatenate([mesh.vertices_m for mesh in shape(key)]), axis=0))
     found = []
     for i in np.flatnonzero(is_thing & no_tree & near).tolist():
         key, world_T_shape = window.shapes[window.shape[i]], window.world_T_shape[i]
-        row, corners_m = window.surfaces[window.first_surface[i]], corners(key)
-        seen_m = (matvec(world_T_shape[:, :3], corners_m) + world_T_shape[:, 3])[:, :2]
-        # Shapes of the floor have unit size by what they are, not by their outermost corner.
-        unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
-        size_m = tuple((unit_m * norm(world_T_shape[:, :3].T)).tolist())
+        row = window.surfaces[window.first_surface[i]]
+        scale = norm(world_T_shape[:, :3].T)
+        size_m = tuple((scale if isinstance(key, FloorKey) else unit_m(key) * scale).tolist())
         kind = key.kind.value if isinstance(key, FloorKey) else Semantic(row["semantic"]).name.lower()
         kind = "sapling" if isinstance(key, SaplingKey) else kind
-        numbers, place_m = (int(row["instance"]), int(row["species"])), world_T_shape[:, 3].copy()
-        found.append(Thing(i, *numbers, kind, place_m, hull_m(seen_m), size_m))
+        found.append(Thing(int(row["instance"]), int(row["species"]), kind, world_T_shape[:, 3].copy(), size_m))
     return found
 
 
@@ -157,8 +132,8 @@ def write_glb(
     places_m: Mapping[int, F8],
     species: Mapping[int, str],
     colours: NDArray[np.uint8],
-) -> int:
-    """Write all that is in a window; what is placed often is stored once. Returns the number of instances.
+) -> None:
+    """Write all that is in a window; what is placed often is stored once.
 
     Parameters
     ----------
@@ -175,7 +150,6 @@ def write_glb(
                 if len(mesh.faces):
                     twin.add(placement, number, mesh)
     file.write(twin.trimesh.exchange.gltf.export_glb(twin.scene, include_normals=False))
-    return len(twin.instances)
 
 
 class _Twin:
@@ -188,7 +162,6 @@ class _Twin:
         self._window, self._species, self._colours, self._places_m = window, species, colours, places_m
         self._materials: dict[str, Any] = {}
         self._nodes: dict[str, int] = {}  # how often each name is taken
-        self.instances: set[int] = set()
         self.scene = trimesh.Scene(metadata={"unit": "m"})
         self.scene.graph.update(frame_to=_ROOT, matrix=_YUP_R_WORLD)
 
@@ -197,8 +170,6 @@ class _Twin:
         window = self._window
         surface = int(window.first_surface[placement]) + number
         row = window.surfaces[surface]
-        if row["instance"]:
-            self.instances.add(int(row["instance"]))
         which, parent = int(window.shape[placement]), _ROOT
         vertices_m, world_T_shape = mesh.vertices_m, np.eye(4)
         world_T_shape[:3] = window.world_T_shape[placement]
