@@ -62,7 +62,7 @@ EXTRAS_TAKE = {
     "score": {"clouds", "options", "recorded"},
     "slam": {"truth"},
     "survey": {"colours", "meshes"},
-    "truth": {"bench", "imu", "outputs"},
+    "truth": {"bench", "imu"},
     "viewer": {"clouds", "colours", "options", "survey", "verify"},
     "walk": {"splines"},
 }
@@ -72,7 +72,7 @@ FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floo
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("extras/outputs.py", "raycast/embree", "sinks/pacing.py"),
+    "ctypes": ("extras/truth/folder.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),
