@@ -2,7 +2,6 @@
 
 import os
 import time
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -259,13 +258,16 @@ def accuracy(
         show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
         measured = measure_accuracy(scenario, Path(scene).stem, pulses=pulses, done=show)
         show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
-        measured = replace(measured, foliage=measure_foliage(scenario, pulses=_TIMES * pulses, done=show))
+        foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show)
     best = choices(measured.rows)
     if as_json:
         taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in best.items()]
-        print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **tree_of(measured), "choices": taken})
+        found = {**tree_of(measured), "foliage": foliage, "choices": taken}
+        print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **found})
         return
     _print_accuracy(measured)
+    if foliage:
+        _print_foliage(foliage)
     words = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in best.items())
     print(f"For a mean error of {words}" if words else "No setting has a mean error below 0.5 m")
 
@@ -288,8 +290,6 @@ def _print_accuracy(measured: "Accuracy") -> None:
         cells += [f"{100 * share:.2f}" for share in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)]
         lines.append([_starred(row.name, in_use=row.in_use), *cells, f"{e.reflectivity_rmse:.2f}"])
     print_table(lines)
-    if measured.foliage:
-        _print_foliage(measured.foliage)
 
 
 def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:

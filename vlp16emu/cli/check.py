@@ -198,6 +198,7 @@ def score(
         print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **tree_of(card), "missed": missed})
     else:
         print_rows("scores", {name: f"{value:.6g}" for name, value in card.scores.items()})
+        print_rows("measured", card.notes)
         for line in missed:
             print(f"missed: {line}")
     if missed:
