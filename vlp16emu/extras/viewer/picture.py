@@ -165,15 +165,15 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
     """Draw the points of all revolutions, or those of the first one from above, as PNG; return what is in the picture.
 
-    InputError if there is no revolution, or none with such a layer; OutputError, MissingExtraError as `check_suffix`.
+    InputError if there is no revolution, or none with such a layer; OutputError if the file cannot be written.
 
     Parameters
     ----------
+    path : one that `check_suffix` lets pass
     stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
     """
     sweeps, way_m, species, inputs = source
     spare(inputs, path)
-    check_suffix(path)
     first = next(sweeps, None)
     if first is None:
         if stop.is_set():
@@ -186,15 +186,16 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
     from_above = look.view == "sweep"
     canvas = _above(look.size, first) if from_above else _slant(look, first, way_m)
     labels = _circles(canvas) if from_above else []
-    _, entries = coloured(first.scan, colour, species)
+    entries: Entries = None
     revolutions = points = 0
     with OutputFile(path) as output, output.writing() as file:
         for sweep in chain([first], () if from_above else sweeps):
             rgb, more = coloured(sweep.scan, colour, species)
             points += canvas.add(_in_sensor(sweep) if from_above else sweep.world_m, rgb)
             revolutions += 1
-            if isinstance(entries, dict) and isinstance(more, dict):
-                entries |= more
+            if isinstance(entries, Mapping) and isinstance(more, Mapping):
+                more = {**entries, **more}
+            entries = more
             if stop.is_set():
                 break
         number = f"{points / 1e6:.2f} million" if points >= _MILLIONS else f"{points:,}".replace(",", " ")
