@@ -1,9 +1,7 @@
 """Verbs about scenes and this machine: scenes, schema, plan, doctor, cache, forest and accuracy."""
 
-import json
 import os
 import time
-from contextlib import nullcontext
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -242,9 +240,6 @@ def accuracy(
     *,
     settings: Settings = None,
     pulses: Annotated[int, Option("How many pulses to look at.", "N", ge=128, le=1_000_000)] = 8192,
-    out: Annotated[
-        Path | None, Option("Write the report as JSON and a picture into a folder; needs the extra 'picture'.", "DIR")
-    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the error and the cost of settings of the beam and of foliage.
@@ -254,39 +249,25 @@ def accuracy(
     against the explicit one by means, with 8 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
-    from vlp16emu.extras.outputs import report
     from vlp16emu.scenario import load
 
     scenario = load(scene, settings or [])
-    if out is not None:
-        from vlp16emu.extras.plots import check_matplotlib
-
-        check_matplotlib()
-    name = Path(scene).stem
-    names = [f"accuracy_{name}.json", f"accuracy_{name}.png"]
     compile_first(scenario.world.kind)
-    from vlp16emu.extras.accuracy.sweep import choices, draw_accuracy, measure_accuracy, measure_foliage
+    from vlp16emu.extras.accuracy.sweep import choices, measure_accuracy, measure_foliage
 
-    with report(out, names) if out else nullcontext() as files:
-        with Progress(whole_s := scenario.duration_s) as bar:
-            show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
-            measured = measure_accuracy(scenario, name, pulses=pulses, done=show)
-            show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
-            measured = replace(measured, foliage=measure_foliage(scenario, pulses=_TIMES * pulses, done=show))
-        taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in choices(measured.rows).items()]
-        tree = {"written_by": f"vlp16emu {version('vlp16emu')}"} | tree_of(measured)
-        tree["choices"] = taken
-        if files:
-            files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
-            draw_accuracy(files[1], measured)
-    paths = [out / name for name in names] if out else []
+    with Progress(whole_s := scenario.duration_s) as bar:
+        show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
+        measured = measure_accuracy(scenario, Path(scene).stem, pulses=pulses, done=show)
+        show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
+        measured = replace(measured, foliage=measure_foliage(scenario, pulses=_TIMES * pulses, done=show))
+    best = choices(measured.rows)
     if as_json:
-        print_json(tree | {"files": [str(path) for path in paths]})
+        taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in best.items()]
+        print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **tree_of(measured), "choices": taken})
         return
     _print_accuracy(measured)
-    words = "; ".join(f"{one['wanted_m']:g} m: {one['take']}" for one in taken)
+    words = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in best.items())
     print(f"For a mean error of {words}" if words else "No setting has a mean error below 0.5 m")
-    print_files(paths)
 
 
 def _print_accuracy(measured: "Accuracy") -> None:

@@ -6,29 +6,15 @@ from typing import Annotated, Any
 
 from vlp16emu.run.options import Option, Options, Span, TruthPlace, WhichUnit
 
-_LONGEST_S = 7 * 86_400
-_FARTHEST = 1e6
 _LARGEST_PX = 8_192
 
 
 def _pixels(text: str) -> tuple[int, ...]:
     words = text.lower().split("x")
     size = tuple(int(word) for word in words if word.isascii() and word.isdecimal())
-    if len(words) != 2 or len(size) != 2 or not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in size):
+    if len(words) != 2 or len(size) != 2 or not all(64 <= n <= _LARGEST_PX for n in size):
         raise ValueError(text)
     return size
-
-
-def _numbers(text: str, names: str) -> Option:
-    """Return an option of as many numbers as there are names."""
-
-    def parse(given: str) -> tuple[float, ...]:
-        numbers = tuple(map(float, given.split(",")))
-        if len(numbers) != len(names.split(",")) or not all(abs(one) <= _FARTHEST for one in numbers):
-            raise ValueError(given)
-        return numbers
-
-    return Option(text, names, parse=parse, expected=f"the numbers {names}", shown=False)
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -67,37 +53,6 @@ class PointOptions(Span):
 
 
 @dataclass(frozen=True)
-class TrajectoryErrors(Options):
-    """Errors between a trajectory and a sensor, known or on purpose."""
-
-    time_offset_s: Annotated[
-        float,
-        Option(
-            "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
-            "S",
-            ge=-_LONGEST_S,
-            le=_LONGEST_S,
-            shown=False,
-        ),
-    ] = 0.0
-    mount: Annotated[
-        Any,
-        _numbers(
-            "Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
-            "boresight and lever arm.",
-            "X,Y,Z,ROLL,PITCH,YAW",
-        ),
-    ] = (0.0,) * 6  # place in m and turn in degrees, as `[motion.mount]`
-    drift: Annotated[
-        Any,
-        _numbers(
-            "Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
-            "EAST,NORTH,UP,YAW",
-        ),
-    ] = (0.0,) * 4  # to the east, north and up, and counter-clockwise about the first pose
-
-
-@dataclass(frozen=True)
 class PictureLook(Options):
     """Look of a picture."""
 
@@ -119,16 +74,15 @@ class PictureLook(Options):
             "Of the picture, in pixels.",
             "WxH",
             parse=_pixels,
-            expected=f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}",
+            expected=f"WIDTHxHEIGHT, from 64 to {_LARGEST_PX}",
             shown="1280x720",
         ),
     ] = (1280, 720)
     view: Annotated[
         str,
         Option(
-            "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
-            " revolution as rows of lasers over azimuth.",
-            words=("slant", "sweep", "image"),
+            "slant, of points that add up; or sweep, a revolution from straight above with circles of range.",
+            words=("slant", "sweep"),
         ),
     ] = "slant"
 

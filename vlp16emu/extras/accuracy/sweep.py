@@ -1,4 +1,4 @@
-"""Error against run time: settings of the beam and near_m, on pulses from all over a run; the picture.
+"""Error against run time: settings of the beam and near_m, on pulses from all over a run.
 
 Settings are judged by the converged answer: the same pulses with many more sub-rays, by a receiver without noise. Beyond
 `near_m` single leaves differ from those of the explicit world, so there means over the same pulses are compared, not pulses.
@@ -13,7 +13,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from vlp16emu.engine import Parts, Unit, assemble, beam_of, window_of
 from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.audit import Detections, Errors, answer_beam, apart_m, compare, detections_of, errors_of
-from vlp16emu.extras.plots import CYCLE, INK, SOFT, plotted
 from vlp16emu.forest.settings import Woods
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import Footprint
@@ -108,43 +107,6 @@ def choices(rows: Sequence[Row]) -> dict[str, float]:
     return found
 
 
-_SIZE_PX = 1100, 480
-_STYLES = {
-    Kind.ONE_RAY: (INK, "s", ""),
-    Kind.BEAM_ERROR: (CYCLE[4], "x", ""),
-    Kind.FIXED: (CYCLE[0], "o", "-"),
-    Kind.ADAPTIVE: (CYCLE[2], "D", "-"),
-}  # colour, mark and line
-_PANELS = {
-    "mean_error_m": ("All returns: wrong and lost ones count as the resolution", "mean error, m"),
-    "range_rmse_m": ("Returns of the right echo", "range RMSE, m"),
-}  # title and axis by the field of `Errors`
-
-
-def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
-    """Draw mean error and RMSE of each setting of the beam against its run time, as PNG."""
-    with plotted(file, _SIZE_PX) as figure:
-        for axes, (name, (title, label)) in zip(figure.subplots(1, 2), _PANELS.items(), strict=True):
-            for row in accuracy.rows:
-                place, colour = (row.us_per_pulse, getattr(row.errors, name)), _STYLES[row.kind][0]
-                words: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour, "rotation": 45}
-                axes.annotate(row.name.rpartition("=")[2], place, (4, 5), **words)
-                if row.in_use:
-                    axes.plot(*place, "o", ms=15, mfc="none", mec=CYCLE[3], mew=2, label="in use")
-            for kind, (colour, marker, line) in _STYLES.items():
-                own = [row for row in accuracy.rows if row.kind is kind]
-                us, spread_us = ([getattr(row, of) for row in own] for of in ("us_per_pulse", "us_spread"))
-                look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "label": kind.value}
-                axes.errorbar(us, [getattr(row.errors, name) for row in own], xerr=np.array(spread_us) / 2, **look)
-            if name == "range_rmse_m":
-                axes.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
-            axes.set(title=title, ylabel=label, xscale="log", yscale="log", xlabel="us per pulse, one core")
-            axes.grid(which="both", alpha=0.5)
-            axes.xaxis.set_minor_formatter("")
-            axes.legend(loc="upper right")
-        figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
-
-
 GROUP = 8
 """Firing sequences of a group, from a multiple of eight on: an adaptive beam is judged among so many, and no others."""
 TIMED_SEQUENCES = 96
@@ -154,8 +116,7 @@ _MOST_SEGMENTS = 8  # most segments of a long walk: each needs a window of the w
 
 def joined(parts: Sequence[Detections]) -> Detections:
     """Join the detections of several batches."""
-    distances, reflectivities = zip(*((part.distance_m, part.reflectivity) for part in parts), strict=True)
-    return Detections(np.concatenate(distances), np.concatenate(reflectivities))
+    return Detections(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def draw_groups(

@@ -15,7 +15,6 @@ from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_cl
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import chunk_of, cut_scans
-from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.verify.frames import Rule
 from vlp16emu.extras.verify.run import verify_units
 from vlp16emu.forest.plants.species import flora
@@ -102,7 +101,7 @@ class CaptureSweeps:
 
     def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:
         self._path, self._folder, self._number = path, truth, unit
-        self._way = None if truth is None else Trajectory(truth, unit, TrajectoryErrors())
+        self._way = None if truth is None else Trajectory(truth, unit)
         self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
         found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
