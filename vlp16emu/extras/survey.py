@@ -24,7 +24,7 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory, write_csv
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.forest.stand.tree_models import TreeModels
-from vlp16emu.forest.stand.twin import Thing, cut_out, things_near, write_glb
+from vlp16emu.forest.stand.twin import Thing, things_near, write_glb
 from vlp16emu.motion.pose import Motion
 from vlp16emu.output import OutputFile
 from vlp16emu.scenario import Scenario
@@ -311,8 +311,6 @@ def _write(name: str, file: BinaryIO, seen: Survey) -> None:
     else:  # everything within the radius, or the whole hall, as a twin
         at_m = {thing.instance: thing.place_m for thing in seen.things}
         at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
-        window, shape = seen.window, seen.world.shape
-        if seen.hall is None:
-            window, shape = cut_out(window, shape, instances=np.array(list(at_m), np.uint32), inside=seen.inside)
-        colours = surface_colours(seen.window.surfaces, seen.species)
-        write_glb(file, window, shape, places_m=at_m, species=seen.species, colours=colours)
+        look: dict[str, Any] = {"species": seen.species, "colours": surface_colours(seen.window.surfaces, seen.species)}
+        inside = None if seen.hall else seen.inside
+        write_glb(file, seen.window, seen.world.shape, places_m=at_m, inside=inside, **look)
