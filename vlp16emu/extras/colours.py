@@ -23,17 +23,17 @@ PART_RGB: dict[str, Rgb] = {name: tuple(rgb) for name, rgb in _TABLES["parts"].i
 
 
 def colour_of_species(name: str) -> Rgb:
-    """Colour of a species' foliage; of a species that a user has added, a plain green."""
+    """Return the colour of a species' foliage; a plain green for a species that a user has added."""
     return _PLANTS.get(name, _PLANTS[""])[0]
 
 
 def colour_of_kind(kind: str) -> Rgb:
-    """Colour of a kind of thing, or of a semantic class in small letters."""
+    """Return the colour of a kind of thing, or of a semantic class in small letters."""
     return _KIND.get(kind, _KIND["other"])
 
 
 def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> U1:
-    """Colours (m, 3) of a table of surfaces (m,) `SURFACE`, by the names of species by number."""
+    """Return colours (m, 3) of a table of surfaces (m,) `SURFACE`; `species` are names by number."""
     looks = np.column_stack([surfaces[name].astype(np.int64) for name in ("semantic", "part", "species")])
     different, which = np.unique(looks, axis=0, return_inverse=True)
 

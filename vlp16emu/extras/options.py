@@ -71,7 +71,7 @@ class PictureLook(Options):
     size: Annotated[
         Any,
         Option(
-            "Of the picture, in pixels.",
+            "Width and height in pixels.",
             "WxH",
             parse=_pixels,
             expected=f"WIDTHxHEIGHT, from 64 to {_LARGEST_PX}",

@@ -145,7 +145,7 @@ def opened_windows(
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Casts and detects pulses of a unit."""
+    """Ray casts and detections of the pulses of a unit."""
 
     unit: Unit
     rays: int  # sub-rays of an answer

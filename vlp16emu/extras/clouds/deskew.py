@@ -33,8 +33,8 @@ class Trajectory:
 
     Parameters
     ----------
-    path : a TUM file, or a folder with the truth of a run, whose trajectory of a unit is taken
-    unit : of the run, from 1; InputError if the folder has no such truth or unit
+    path : a TUM file, or a folder with the ground truth of a run
+    unit : number of the sensor in the run, from 1; InputError if the folder has no such trajectory
     offset_s : added to the time of a pulse before its pose is looked up
     """
 
@@ -55,12 +55,12 @@ class Trajectory:
         return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
 
     def has(self, t_ns: I8) -> NDArray[np.bool_]:
-        """(n,) whether instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
+        """Return which instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
         at_ns = t_ns + self._offset_ns
         return np.asarray((at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS))
 
     def poses_at(self, t_ns: I8) -> tuple[F8, F8]:
-        """Rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
+        """Return rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
         poses = self._motion.poses_at(np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns))
         return poses.world_R_body, poses.world_p_body_m
 
@@ -70,9 +70,9 @@ class CaptureTruth:
 
     Parameters
     ----------
-    folder : that `record --truth --truth-returns` has written; InputError where it does not hold the returns
-    unit : of the run, from 1
-    scheme : by which points are labelled besides; needs the scene
+    folder : written by `record --truth --truth-returns`; InputError if it has no returns
+    unit : number of the sensor in the run, from 1
+    scheme : names further labels; needs the scene of the run
     """
 
     def __init__(self, folder: Path, unit: int, scheme: cloud.LabelScheme | None) -> None:
@@ -90,7 +90,7 @@ class CaptureTruth:
         return tuple(column for column in wanted if column.name not in known)
 
     def of(self, chunk: PacketChunk, packets: slice, points: I8) -> dict[str, NDArray[Any]]:
-        """Arrays (n,) of points, which are those of a slice of the chunk's packets; height is that of the true place."""
+        """Return labels and true values (n,) of points in a slice of the chunk's packets; heights are those of the true places."""
         stamps_us = chunk.fields["timestamp_us"][packets]
         packet = chunk.points.packet[points] - packets.start
         rows = self._rows.rows(stamps_us, packet, chunk.points.slot[points])

@@ -49,7 +49,7 @@ class TreeRow:
 
     @property
     def kind(self) -> str:
-        """False, found or missed."""
+        """Whether the tree is `found`, `missed`, or `false`: found where none is."""
         return "false" if not self.true_id else "found" if self.found_number else "missed"
 
 
