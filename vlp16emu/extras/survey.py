@@ -157,12 +157,6 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     )
 
 
-def species_of(world: World) -> dict[int, str]:
-    """Return the names of a forest's species by number, and none of another world."""
-    bare = _bare(world)
-    return dict(bare.plants.names) if isinstance(bare, ForestWorld) else {}
-
-
 def _bare(world: World) -> World:
     return world.bare if isinstance(world, Furnished) else world
 

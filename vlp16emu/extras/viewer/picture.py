@@ -15,9 +15,8 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.clouds.deskew import Trajectory
 from vlp16emu.extras.clouds.scan import decode
 from vlp16emu.extras.options import PictureLook
-from vlp16emu.extras.survey import species_of
 from vlp16emu.extras.viewer.layers import Entries, coloured, colours_of_scale, layers_of_scan
-from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, sweeps_of_scene
+from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory, species_of, sweeps_of_scene
 from vlp16emu.output import OutputFile, spare
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.run.options import Span
@@ -159,7 +158,7 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
     ends_s = scenario.span_s(span.start_s, span.duration_s, where="--start")
     t_ns = scenario.start_ns + (np.linspace(*ends_s, _STATIONS) * 1e9).astype(np.int64)
     sweeps = sweeps_of_scene(emulator, span.start_s, span.duration_s)
-    return Source(sweeps, parts.motion.poses_at(t_ns).world_p_body_m, species_of(parts.world), emulator.files)
+    return Source(sweeps, parts.motion.poses_at(t_ns).world_p_body_m, species_of(scenario), emulator.files)
 
 
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
@@ -202,7 +201,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
         shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
         caption = f"{number} points{' of a revolution' if from_above else ''}, {shown_by}"
         bar_px = None if from_above else 10 * canvas.camera.px_per_m
-        _annotated(canvas.image(), caption, entries, labels, bar_px).save(file, "PNG", optimize=True)
+        _annotated(canvas.image(), caption, entries, labels, bar_px).save(file, "PNG")
     made = {"file": str(path), "revolutions": revolutions, "points": points, "colour": colour}
     return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
 
