@@ -270,7 +270,7 @@ def _annotated(
         write(edge, height - edge - 2 - em // 2, "10 m", "ls")
     write(edge, edge, caption, "ls")
     if isinstance(entries, Mapping) and entries:
-        rows = [(name.replace("_", " "), rgb) for name, rgb in islice(entries.items(), _MOST_ENTRIES)]
+        rows = list(islice(entries.items(), _MOST_ENTRIES))
         left = width - edge - 3 * em - max(draw.textlength(name, font) for name, _ in rows)
         box = left - em, em, width - em, 1.5 * em * (len(rows) + 1)
         draw.rounded_rectangle(box, em // 3, _BACKGROUND, _FRAME)
