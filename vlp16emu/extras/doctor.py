@@ -55,10 +55,9 @@ _EXTRAS = {
     "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
-    "images": (("OpenEXR", "PIL"), "images"),
-    "picture": (("matplotlib", "PIL", "imageio_ffmpeg"), "picture, forest --picture"),
+    "picture": (("PIL",), "picture"),
     "ros": (("rosbags",), "bag, record into bags"),
-    "score": (("evo", "matplotlib"), "score"),
+    "score": (("evo",), "score"),
     "viewer": (("viser", "websockets"), "view"),
 }  # libraries of each extra in pyproject.toml, and what needs them
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
