@@ -24,9 +24,8 @@ _LEVEL = 80.0  # reflectivity in the middle of those whose neighbours are compar
 _EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
 """Step of bright codes over their scatter and the share of equal neighbours, from our own packets; its limit; where it is one, and set."""
 _ELSE_MM = 2.6  # white error that the detector and the 2 mm of a code add to that of the settings, from our own packets
-_HALF_GAIN = (
-    0.04  # of the gain, what even and odd sectors of 45 deg do not share, and so is missing in what they have in common
-)
+_HALF_GAIN = 0.04
+"""Of the gain, what even and odd sectors of 45 deg do not share: it is missing in what they have in common."""
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of what a rotor of 600 rpm turns in a microsecond
