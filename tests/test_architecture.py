@@ -27,6 +27,7 @@ FLOORS = (
     {"packets"},
     {"motion", "sensor", "world"},
     {
+        "cores",
         "doors",
         "elementary",
         "errors",

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vlp16emu.cores import usable_cores
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.kernels.cache import kernel_names, user_kernels
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
@@ -67,7 +68,7 @@ _CASTER = "raycast."  # begin of the names of compiled kernels of that room
 
 def all_checks() -> Iterator[Check]:
     """Yield the results of all checks, one after the other; takes half a second."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     few = "stream --prepare: the engine then has it before the sender" if cores < _FEWEST_CORES else ""
     yield _check("cores", f"{cores}", few)
     yield _kernels()
