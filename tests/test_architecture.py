@@ -27,6 +27,7 @@ FLOORS = (
     {"packets"},
     {"motion", "sensor", "world"},
     {
+        "cores",
         "doors",
         "elementary",
         "errors",
@@ -50,32 +51,29 @@ NO_CORE = {"__main__", "cli", "extras", "forest", "foliage", "pytest"}
 FOREST = ("settings", "purpose", "ground", "tiles", "plants", "stand", "make")  # rooms of `forest/` from the bottom
 
 EXTRAS_TAKE = {
-    "accuracy": {"plots"},
     "bag": {"imu", "slam", "truth"},
     "bench": {"imu"},
     "clouds": {"displace", "options", "recorded", "truth"},
-    "compare": {"plots"},
     "dataset": {"clouds", "options"},
     "handle": {"bench", "clouds", "truth"},
     "plan": {"keep_up", "meshes", "walk"},
     "recorded": {"splines"},
     "replay": {"bench", "free_ports"},
-    "images": {"camera", "meshes", "options", "outputs", "plots", "truth"},
     "live": {"bench", "recorded"},
-    "score": {"clouds", "options", "plots", "recorded"},
-    "sheets": {"camera", "meshes", "plots", "truth"},
+    "score": {"clouds", "options", "recorded"},
     "slam": {"truth"},
-    "truth": {"bench", "imu", "outputs"},
-    "viewer": {"camera", "clouds", "images", "options", "plots", "sheets", "verify"},
+    "survey": {"colours", "meshes"},
+    "truth": {"bench", "imu"},
+    "viewer": {"clouds", "colours", "options", "survey", "verify"},
     "walk": {"splines"},
 }
-"""Which extras each extra may import beside the core: options, trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
+"""Which extras each extra may import beside the core: options, trajectories, colours, ground truth, clouds, and the stand that the page shows."""
 
 FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("extras/outputs.py", "raycast/embree", "sinks/pacing.py"),
+    "ctypes": ("extras/truth/folder.py", "raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
     "pytest": ("pytest.py",),
     "serial": ("extras/bench/",),

@@ -23,6 +23,7 @@ COMMANDS = sorted(
         for text in DOCUMENTS.values()
         for command in re.findall(r"(?m)(?:`|^    )(vlp16emu [a-z]+\b[^`\n]*)", text)
     }
+    | {f"vlp16emu {line}" for line in (ROOT / "vlp16emu/cli/examples.txt").read_text(encoding="utf-8").splitlines()}
 )
 TABLES = re.findall(r"```toml\n(.*?)```", DOCUMENTS["scenes/README.md"], re.DOTALL)
 HEAD = "schema", "title", "seed", "duration_s"
@@ -63,7 +64,7 @@ def test_the_python_of_the_readme_runs(capsys, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_commands_of_the_documents_are_understood(command, capsys):
-    """Verbs and options in the documents exist: with --help behind them they are accepted."""
+    """Verbs and options in the documents and in the help's examples exist: with --help behind them they are accepted."""
     assert run([*shlex.split(command)[1:], "--help"]) == 0
     assert capsys.readouterr().err == ""
 

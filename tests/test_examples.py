@@ -194,7 +194,14 @@ def said(outside):
     lines = [
         f"record dune_walk {outside}/dunes.pcap --duration=0.2",
         f"points static_bench {outside}/d.ply --duration=0.1 --set=sensor.model=dense-32",
-        *("scenes", "schema", "greet you", "record static_bench - --set=world={kind='ruins'}", "moan"),
+        *(
+            "scenes",
+            "schema",
+            "greet you",
+            "forest dune_walk",
+            "record static_bench - --set=world={kind='ruins'}",
+            "moan",
+        ),
     ]
     return run_python(outside, "-c", LINES, *lines, code=2)
 
@@ -212,6 +219,11 @@ def test_another_package_adds_a_sensor_and_a_verb(outside, said):
     """A scene names the sensor by its word, and the command line has the verb."""
     assert said[0].endswith("hello you\n")
     assert b"element vertex" in (outside / "d.ply").read_bytes()[:2000]
+
+
+def test_a_world_of_another_package_has_no_trees_to_report(said):
+    """`forest` refuses it by one line, as only worlds of ours say what stands in them."""
+    assert "error: world.kind: found dunes; expected forest, plot or hall\n" in said[1]
 
 
 @pytest.mark.parametrize("entry", ["ruins of vlp16emu.worlds", "moan of vlp16emu.verbs"])

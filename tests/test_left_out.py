@@ -195,7 +195,7 @@ def test_commands_load_no_library_they_do_not_need(tmp_path, monkeypatch):
     walk = "stream", "birch_walk", "--duration", "0.05", "--no-audit", *words, *ports, json_
     scipy = [f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "spatial", "special")]
     heavy = ["trimesh", "rich.progress", "vlp16emu.extras.verify", *scipy]
-    talks = ["matplotlib", "rasterio", "PIL", "networkx", "serial", "pynmea2", "velodyne_decoder"]
+    talks = ["rasterio", "PIL", "networkx", "serial", "pynmea2", "velodyne_decoder"]
     own = ["vlp16emu.extras.truth.truth", "vlp16emu.extras.accuracy.sweep"]
     steps = [
         ([("schema",), ("record", *wrong, "x.pcap"), ("stream", *wrong)], ["numba", "scipy", "dpkt"]),

@@ -1,6 +1,5 @@
 """Files that runs write."""
 
-import ctypes
 import errno
 import fcntl
 import logging
@@ -12,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.errors import OutputError, RunError
-from vlp16emu.extras.outputs import OutputFolder, report
+from vlp16emu.errors import OutputError
+from vlp16emu.extras.truth.folder import TruthFolder
 from vlp16emu.output import OutputFile
 
 CHILD = """
@@ -162,7 +161,7 @@ def test_links_in_a_circle_are_refused(tmp_path):
     """A link that leads to itself is one line of the system's words (ELOOP of POSIX)."""
     (tmp_path / "x").symlink_to("y")
     (tmp_path / "y").symlink_to("x")
-    for output in (OutputFile, OutputFolder):
+    for output in (OutputFile, TruthFolder):
         with pytest.raises(OutputError, match="Too many levels of symbolic links"):
             output(tmp_path / "x")
 
@@ -181,76 +180,3 @@ def test_a_file_that_is_left_has_no_final_name(tmp_path):
         output.leave()
     assert (tmp_path / "x").read_bytes() == b"earlier"
     assert Path(output.place).read_bytes() == b"half"
-
-
-def fill(place, content, **options):
-    """Write a folder with one file."""
-    with OutputFolder(place, **options) as folder:
-        (folder.path / "a").write_text(content)
-
-
-@pytest.mark.parametrize("swap", [True, False])
-def test_a_folder_replaces_what_is_ours(tmp_path, monkeypatch, swap):
-    """It takes its name at the end, with renameat2(2) and without it; a folder that is not ours is refused and stays."""
-    if not swap:
-        monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: None)
-    place = tmp_path / "new" / "x"
-    ours = {"stranger": lambda folder: next((path.name for path in folder.iterdir() if path.name != "a"), None)}
-    for content in ("first", "second"):
-        fill(place, content, **ours)
-        assert [(path.name, path.read_text()) for path in place.iterdir()] == [("a", content)]
-    (place / "mine").touch()
-    for options, found in ((ours, "mine"), ({}, "a")):
-        with pytest.raises(OutputError, match=f"holds {found}"):
-            fill(place, "third", **options)
-    assert sorted(path.name for path in place.iterdir()) == ["a", "mine"]
-    assert [path.name for path in place.parent.iterdir()] == ["x"]
-
-
-@pytest.mark.parametrize("place", ["/proc", "."])
-def test_a_folder_that_cannot_be_renamed_is_refused(place):
-    """A mount point, and the folder in which the program runs, are refused before anything is written."""
-    with pytest.raises(OutputError, match="is a mount point or the working folder; expected a folder in it"):
-        OutputFolder(Path(place))
-
-
-def test_a_folder_keeps_its_rights(tmp_path):
-    """An empty folder that only its owner may enter stays so when it is replaced."""
-    (tmp_path / "x").mkdir(mode=0o700)
-    fill(tmp_path / "x", "new")
-    assert (tmp_path / "x").stat().st_mode & 0o777 == 0o700
-    assert (tmp_path / "x" / "a").read_text() == "new"
-
-
-def test_a_folder_that_became_somebody_elses_stays(tmp_path):
-    """What others put there while the run lasts is not replaced; the new folder is left beside it."""
-    place = tmp_path / "x"
-
-    def meanwhile():
-        with OutputFolder(place) as folder:
-            (folder.path / "a").touch()
-            place.mkdir()
-            (place / "mine").touch()
-
-    with pytest.raises(RunError, match=r"x: holds mine; it is left as .*x\.[0-9a-f]{8}\.part"):
-        meanwhile()
-    (left,) = tmp_path.glob("x.*.part")
-    assert ([*map(str, place.iterdir())], [path.name for path in left.iterdir()]) == ([f"{place}/mine"], ["a"])
-
-
-def written(folder, *texts):
-    """Write the files of a report."""
-    with report(folder, ("x.json", "x.html")) as files:
-        for file, text in zip(files, texts, strict=True):
-            file.write(text.encode())
-
-
-def test_a_report_replaces_reports_and_nothing_else(tmp_path):
-    """Files of an earlier report are replaced; one that does not name vlp16emu as its writer stays, and so do the others."""
-    folder = tmp_path / "new" / "report"
-    written(folder, "vlp16emu 1", "of vlp16emu")
-    written(folder, "vlp16emu 2", "of vlp16emu")
-    (folder / "x.html").write_text("mine")
-    with pytest.raises(OutputError, match=r"report: x\.html is there, and no earlier report; expected another folder"):
-        written(folder, "vlp16emu 3", "of vlp16emu")
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {"x.json": "vlp16emu 2", "x.html": "mine"}

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from vlp16emu.extras.clouds.points import write_points
     from vlp16emu.extras.clouds.scan import decode
     from vlp16emu.extras.handle import Live, stream
-    from vlp16emu.extras.images import write_images
     from vlp16emu.extras.replay import Replayed, replay
     from vlp16emu.extras.truth.truth import write_truth
     from vlp16emu.extras.verify.frames import Finding
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from vlp16emu.scenario import Scenario, load
     from vlp16emu.types import Labels, Scan
 
-__all__ = ["Emulator", "decode", "load", "replay", "stream", "verify", "write_images", "write_points", "write_truth"]
+__all__ = ["Emulator", "decode", "load", "replay", "stream", "verify", "write_points", "write_truth"]
 __all__ += ["GpsIn", "Http", "Outlets", "PosesIn", "TruthTo"]  # options
 __all__ += ["Finding", "Labels", "Live", "Recording", "Replayed", "Scan", "Scenario", "Verification"]
 
@@ -33,7 +32,6 @@ _MODULES = {
     "extras.clouds.points": "write_points",
     "extras.clouds.scan": "decode",
     "extras.handle": "Live stream",
-    "extras.images": "write_images",
     "extras.replay": "Replayed replay",
     "extras.truth.truth": "write_truth",
     "extras.verify.frames": "Finding",

@@ -59,7 +59,6 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
         "truth": "vlp16emu.cli.write:truth",
         "points": "vlp16emu.cli.write:points",
         "bag": "vlp16emu.cli.write:bag",
-        "images": "vlp16emu.cli.write:images",
         "picture": "vlp16emu.cli.write:picture",
         "view": "vlp16emu.cli.write:view",
         "dataset": "vlp16emu.cli.write:dataset",

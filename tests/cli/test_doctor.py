@@ -11,7 +11,7 @@ from vlp16emu.raycast import embree
 NAMES = [
     *("cores", "kernel cache", "Embree", "data port", "position port", "sensor address", "interface right"),
     *("clock resolution", "wake-ups", "receive buffer"),
-    *(f"extra {name}" for name in ("cloud", "data", "dem", "images", "picture", "ros", "score", "viewer")),
+    *(f"extra {name}" for name in ("cloud", "data", "dem", "picture", "ros", "score", "viewer")),
     "world cache",
 ]
 
@@ -53,7 +53,7 @@ def test_what_makes_runs_fail_is_a_problem(cli, monkeypatch):
     assert (outcome.code, rows(outcome)["Embree"]["finding"]) == (1, "problem")
 
 
-@pytest.mark.parametrize("extra", ["data", "dem", "images", "picture", "ros"])
+@pytest.mark.parametrize("extra", ["data", "dem", "picture", "ros"])
 def test_a_missing_extra_names_what_needs_it(cli, monkeypatch, extra):
     """An extra that is not installed is a warning with the command that installs it."""
     monkeypatch.setattr("vlp16emu.extras.doctor.find_spec", lambda _: None)

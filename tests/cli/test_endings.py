@@ -174,19 +174,6 @@ def test_a_file_does_not_take_the_place_of_a_closed_output(cli, tmp_path):
     assert cli("verify", path, "--json").tree["clean"]
 
 
-@pytest.mark.parametrize(
-    "line", ["picture birch_walk {}/x.png", "forest birch_walk --picture {}/x.png", "accuracy birch_walk --out {}"]
-)
-def test_a_missing_matplotlib_is_named_before_the_work(cli, monkeypatch, tmp_path, line):
-    """Verbs that draw name the missing extra before a world is made."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setattr("vlp16emu.engine.Engine.of", lambda *_, **__: 1 / 0)
-    outcome = cli(*line.format(tmp_path).split())
-    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
-    assert "pip install 'vlp16emu[picture]'" in outcome.err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_signal_that_meets_a_library_is_not_printed(monkeypatch, capsys):
     """Where a signal meets a `__del__`, Python prints a traceback, but not once the command is interrupted."""
 

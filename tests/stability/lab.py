@@ -5,9 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
+from raycast.lab import world
 
 from vlp16emu.engine import Unit, assemble
-from vlp16emu.forest.stand.twin import AllNear
 from vlp16emu.packets import LASERS
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry, caster
@@ -63,7 +63,7 @@ def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) 
         first_surface=np.zeros(times, np.uint32),
         surfaces=surfaces,
     )
-    return caster(AllNear(window, lambda _key: tuple(meshes)), _WORKERS).open(window)
+    return caster(world(lambda _key: tuple(meshes)), _WORKERS).open(window)
 
 
 def pulses(origin_m: F8, direction: F8, *, lasers: int = LASERS) -> Firings:

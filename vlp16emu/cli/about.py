@@ -1,10 +1,7 @@
 """Verbs about scenes and this machine: scenes, schema, plan, doctor, cache, forest and accuracy."""
 
-import json
 import os
 import time
-from contextlib import nullcontext
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -169,7 +166,7 @@ def cache(
         print_rows("removed" if clear else "kept on disk", rows)
 
 
-_SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
+_SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb"}
 
 
 def forest(
@@ -177,17 +174,9 @@ def forest(
     *,
     settings: Settings = None,
     radius_m: Annotated[
-        float, Option("How far from the path things count, are drawn and go into the twin.", "M", ge=1, le=300)
+        float, Option("How far from the path things count and go into the twin.", "M", ge=1, le=300)
     ] = 30.0,
     inventory: Annotated[Path | None, Option("Write all trees in the sensor's reach, one per line.", "OUT.csv")] = None,
-    seen: Annotated[
-        Path | None,
-        Option(
-            "With --inventory, for each tree the returns from its stem in a run with this truth"
-            " (`record --truth DIR --truth-returns`), the share of the stem that has any, and the arc at breast height.",
-            "DIR",
-        ),
-    ] = None,
     stems: Annotated[
         Path | None,
         Option(
@@ -200,7 +189,6 @@ def forest(
         Path | None, Option("Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc")
     ] = None,
     glb: Annotated[Path | None, Option("Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")] = None,
-    picture: Annotated[Path | None, Option("Draw a plan and a section; needs the extra 'picture'.", "OUT.png")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Report what stands along the path of the sensor.
@@ -211,24 +199,18 @@ def forest(
     from vlp16emu.output import spare
     from vlp16emu.scenario import find, load, named_files
 
-    if seen and not inventory:
-        raise InputError("--seen", "found no --inventory", "both")
-    given = zip(_SUFFIXES, (inventory, stems, ground, glb, picture), strict=True)
+    given = zip(_SUFFIXES, (inventory, stems, ground, glb), strict=True)
     wanted = {name: path for name, path in given if path is not None}
     scenario = load(scene, settings or ())
     for name, path in wanted.items():  # before anything heavy
         spare([find(scene), *named_files(scenario)], path)
         if path.suffix != (suffix := _SUFFIXES[name]):
             raise InputError(f"{name} {path}", f"found suffix '{path.suffix}'", suffix)
-    if picture is not None:
-        from vlp16emu.extras.plots import check_matplotlib
-
-        check_matplotlib()
     compile_first(scenario.world.kind)
-    from vlp16emu.extras.sheets.sheet import write_sheets
+    from vlp16emu.extras.survey import write_survey
 
     with Progress(0.0):
-        summary = write_sheets(scene, scenario, radius_m, wanted, truth=seen)
+        summary = write_survey(scene, scenario, radius_m, wanted)
     if as_json:
         written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})
@@ -257,9 +239,6 @@ def accuracy(
     *,
     settings: Settings = None,
     pulses: Annotated[int, Option("How many pulses to look at.", "N", ge=128, le=1_000_000)] = 8192,
-    out: Annotated[
-        Path | None, Option("Write the report as JSON and a picture into a folder; needs the extra 'picture'.", "DIR")
-    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the error and the cost of settings of the beam and of foliage.
@@ -269,39 +248,28 @@ def accuracy(
     against the explicit one by means, with 8 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
-    from vlp16emu.extras.outputs import report
     from vlp16emu.scenario import load
 
     scenario = load(scene, settings or [])
-    if out is not None:
-        from vlp16emu.extras.plots import check_matplotlib
-
-        check_matplotlib()
-    name = Path(scene).stem
-    names = [f"accuracy_{name}.json", f"accuracy_{name}.png"]
     compile_first(scenario.world.kind)
-    from vlp16emu.extras.accuracy.sweep import choices, draw_accuracy, measure_accuracy, measure_foliage
+    from vlp16emu.extras.accuracy.sweep import choices, measure_accuracy, measure_foliage
 
-    with report(out, names) if out else nullcontext() as files:
-        with Progress(whole_s := scenario.duration_s) as bar:
-            show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
-            measured = measure_accuracy(scenario, name, pulses=pulses, done=show)
-            show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
-            measured = replace(measured, foliage=measure_foliage(scenario, pulses=_TIMES * pulses, done=show))
-        taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in choices(measured.rows).items()]
-        tree = {"written_by": f"vlp16emu {version('vlp16emu')}"} | tree_of(measured)
-        tree["choices"] = taken
-        if files:
-            files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
-            draw_accuracy(files[1], measured)
-    paths = [out / name for name in names] if out else []
+    with Progress(whole_s := scenario.duration_s) as bar:
+        show = lambda share: bar.show("measuring", share * whole_s)  # noqa: E731
+        measured = measure_accuracy(scenario, Path(scene).stem, pulses=pulses, done=show)
+        show = lambda share: bar.show("comparing worlds", share * whole_s)  # noqa: E731
+        foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show)
+    best = choices(measured.rows)
     if as_json:
-        print_json(tree | {"files": [str(path) for path in paths]})
+        taken = [{"wanted_m": wanted_m, "take": name} for name, wanted_m in best.items()]
+        found = {**tree_of(measured), "foliage": foliage, "choices": taken}
+        print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **found})
         return
     _print_accuracy(measured)
-    words = "; ".join(f"{one['wanted_m']:g} m: {one['take']}" for one in taken)
+    if foliage:
+        _print_foliage(foliage)
+    words = "; ".join(f"{wanted_m:g} m: {name}" for name, wanted_m in best.items())
     print(f"For a mean error of {words}" if words else "No setting has a mean error below 0.5 m")
-    print_files(paths)
 
 
 def _print_accuracy(measured: "Accuracy") -> None:
@@ -322,8 +290,6 @@ def _print_accuracy(measured: "Accuracy") -> None:
         cells += [f"{100 * share:.2f}" for share in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)]
         lines.append([_starred(row.name, in_use=row.in_use), *cells, f"{e.reflectivity_rmse:.2f}"])
     print_table(lines)
-    if measured.foliage:
-        _print_foliage(measured.foliage)
 
 
 def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:

@@ -1,7 +1,6 @@
 """Verbs that check and compare: verify, compare, fit and score."""
 
 import json
-from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -125,9 +124,6 @@ def compare(
     file: CaptureFile,
     other: Annotated[Path, Option("The capture to compare it with.", name="OTHER.pcap")],
     *,
-    picture: Annotated[
-        Path | None, Option("Draw spectra and histograms; needs the extra 'picture'.", "OUT.png")
-    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare two captures, ours or real ones, by what distinguishes units.
@@ -136,18 +132,9 @@ def compare(
     minute of each capture is read at most. Scatter of ranges and of reflectivity also depends on what a capture shows:
     walls compare with walls, foliage with foliage.
     """
-    from vlp16emu.extras.compare import compared, draw, read_sequences
-    from vlp16emu.extras.plots import check_matplotlib
-    from vlp16emu.output import OutputFile, spare
+    from vlp16emu.extras.compare import compared, read_sequences
 
-    if picture is not None:
-        check_matplotlib()
-        spare((file, other), picture)
-    sequences = read_sequences(file), read_sequences(other)
-    rows = compared(*sequences)
-    if picture is not None:
-        with OutputFile(picture, where=f"--picture {picture}") as output, output.writing() as opened:
-            draw(opened, *sequences, (file.name, other.name))
+    rows = compared(read_sequences(file), read_sequences(other))
     apart = [row.name for row in rows if row.apart]
     if as_json:
         found = [row._asdict() for row in rows]
@@ -193,7 +180,6 @@ def fit(
 def score(
     inputs: ScoreInputs,
     *,
-    out: Annotated[Path | None, Option("Write score.json and score.html; needs the extra 'score'.", "DIR")] = None,
     require: Annotated[
         list[str] | None, Option("A threshold; exit code 1 if it is missed. Repeatable.", "SCORE<NUMBER")
     ] = None,
@@ -203,25 +189,16 @@ def score(
 
     Scores what is given, from files of any tool. Exit code 1 if a threshold is missed.
     """
-    from vlp16emu.extras.outputs import report
-    from vlp16emu.extras.plots import check_matplotlib
-    from vlp16emu.extras.score.card import limits_of, make_card, page
+    from vlp16emu.extras.score.card import limits_of, make_card
 
     limits = limits_of(require or ())
-    if out is not None:
-        check_matplotlib()
-    with report(out, ("score.json", "score.html")) if out else nullcontext() as files:
-        card = make_card(inputs)
-        missed = card.missed(limits)
-        tree = {"written_by": f"vlp16emu {version('vlp16emu')}", "inputs": card.inputs, "scores": card.scores}
-        tree = tree_of({**tree, "notes": card.notes, "trees": card.trees, "missed": missed})
-        if files:
-            files[0].write(f"{json.dumps(tree, indent=2)}\n".encode())
-            files[1].write(page(card, missed).encode())
+    card = make_card(inputs)
+    missed = card.missed(limits)
     if as_json:
-        print_json(tree)
+        print_json({"written_by": f"vlp16emu {version('vlp16emu')}", **tree_of(card), "missed": missed})
     else:
         print_rows("scores", {name: f"{value:.6g}" for name, value in card.scores.items()})
+        print_rows("measured", card.notes)
         for line in missed:
             print(f"missed: {line}")
     if missed:

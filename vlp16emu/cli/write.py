@@ -1,4 +1,4 @@
-"""Verbs that write or show a run, a scene or a capture: truth, points, bag, images, dataset, picture and view."""
+"""Verbs that write or show a run, a scene or a capture: truth, points, bag, dataset, picture and view."""
 
 import time
 from collections.abc import Mapping
@@ -12,18 +12,8 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile, UnitName, WhichClock
 from vlp16emu.cli.printer import finish, size
 from vlp16emu.cli.terminal import Progress, make_emulator, running, stop_on_ctrl_c
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.extras.options import DatasetOptions, ImageOptions, PictureLook, PointOptions, TrajectoryErrors
-from vlp16emu.run.options import (
-    BagOptions,
-    Option,
-    Span,
-    TruthPackets,
-    TruthRate,
-    TruthReturns,
-    TruthTo,
-    WhichUnit,
-    options_of,
-)
+from vlp16emu.extras.options import DatasetOptions, PictureLook, PointOptions
+from vlp16emu.run.options import BagOptions, Option, Span, TruthPackets, TruthRate, TruthReturns, TruthTo, WhichUnit
 
 
 def truth(
@@ -60,10 +50,19 @@ def points(
         ),
     ],
     options: PointOptions,
-    errors: TrajectoryErrors,
     making: args.EmulatorOptions,
     *,
     trajectory: args.TrajectoryFile = None,
+    time_offset_s: Annotated[
+        float,
+        Option(
+            "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
+            "S",
+            ge=-7 * 86_400,
+            le=7 * 86_400,
+            shown=False,
+        ),
+    ] = 0.0,
     clock: args.WhichClock = None,
     as_json: args.AsJson = False,
 ) -> None:
@@ -71,18 +70,17 @@ def points(
 
     Each point is in the world and in the sensor's frame at the instant of its pulse, as a user would
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
-    A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
+    A capture is put into the world by a trajectory: the true one, or an estimate.
     """
     from vlp16emu.captures.capture import is_capture_name
 
-    of_capture = {one.name: getattr(errors, one.field) != one.default for one in options_of(TrajectoryErrors)}
     if trajectory is not None or is_capture_name(scene):
         spans = {"--duration": options.duration_s, "--start": options.start_s}
         made = {"--set": making.settings, "--ideal": making.ideal, "--threads": making.threads}
         _refuse({**spans, **made}, f"the capture {scene}", "a scene")
-        _deskew(Path(scene), out, trajectory, errors, options, clock=clock, as_json=as_json)
+        _deskew(Path(scene), out, trajectory, time_offset_s, options, clock=clock, as_json=as_json)
         return
-    _refuse(of_capture | {"--clock": clock}, "a scene", "a capture and its --trajectory")
+    _refuse({"--time-offset": time_offset_s, "--clock": clock}, "a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
     from vlp16emu.extras.clouds.points import write_points
@@ -103,7 +101,7 @@ def _deskew(
     capture: Path,
     out: Path,
     trajectory: Path | None,
-    errors: TrajectoryErrors,
+    time_offset_s: float,
     options: PointOptions,
     *,
     clock: str | None,
@@ -115,7 +113,7 @@ def _deskew(
     from vlp16emu.extras.clouds.cloud import label_scheme
     from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed
 
-    way, truth, labels = Trajectory(trajectory, options.unit, errors), None, options.labels
+    way, truth, labels = Trajectory(trajectory, options.unit, time_offset_s), None, options.labels
     if options.truth or labels:
         place = TruthTo.of(options.truth_to)
         folder = place.folder if place else trajectory
@@ -160,28 +158,6 @@ def bag(
     finish(result, as_json=as_json)
 
 
-def images(
-    scene: args.SceneName,
-    folder: Annotated[Path, Option("Folder, new or empty.", name="OUT")],
-    options: ImageOptions,
-    *,
-    settings: args.Settings = None,
-    threads: args.Threads = 0,
-    as_json: args.AsJson = False,
-) -> None:
-    """Write depth, labels and colours of a scene as images, from the place of the sensor.
-
-    They lie on the points of `vlp16emu points` and `record` at the same instant: cameras.json and poses.tum
-    say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
-    """
-    emulator = make_emulator(scene, args.EmulatorOptions(settings, threads=threads))
-    from vlp16emu.extras.images import write_images
-
-    with running(emulator, "casting", options) as hooks:
-        run = write_images(emulator, folder, **vars(options), **hooks)
-    finish(run, as_json=as_json)
-
-
 def dataset(
     spec: Annotated[Path, Option("File that describes the dataset.", name="SPEC.toml")],
     out: Annotated[Path, Option("Folder: new, or of an earlier run.", name="OUT")],
@@ -205,10 +181,7 @@ def dataset(
 
 def picture(
     scene: args.SceneOrCapture,
-    out: Annotated[
-        Path,
-        Option("File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.", name="OUT"),
-    ],
+    out: Annotated[Path, Option("File to write; overwritten if it exists.", name="OUT.png")],
     look: PictureLook,
     span: Span,
     changes: args.SceneOptions,
@@ -219,7 +192,7 @@ def picture(
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
-    revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
+    revolution. Needs the extra 'picture'.
     """
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
@@ -233,8 +206,7 @@ def picture(
     with ExitStack() as stack:
         stop, _ = stack.enter_context(stop_on_ctrl_c()), stack.enter_context(Progress(0.0, "drawing"))
         if is_capture:
-            is_film = out.suffix.lower() != ".png"
-            source = source_of_capture(Path(scene), trajectory, span, whole=is_film or trajectory is not None)
+            source = source_of_capture(Path(scene), trajectory, span)
         else:
             emulator = make_emulator(scene, changes)
             source = source_of_scene(emulator, span)

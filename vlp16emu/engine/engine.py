@@ -5,7 +5,6 @@ span that is asked for can change a byte.
 """
 
 import heapq
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from typing import Self
 
 import numpy as np
 
+from vlp16emu.cores import usable_cores
 from vlp16emu.doors import door
 from vlp16emu.engine.build import Parts, Unit, assemble, with_events
 from vlp16emu.engine.timeline import Packer, TruthOf
@@ -89,7 +89,7 @@ class Engine:
 
         The world of `like` is used again if it is the same. Raises InputError if a part of the scenario cannot be made.
         """
-        parts, threads = assemble(scenario, like), threads or os.cpu_count() or 1
+        parts, threads = assemble(scenario, like), threads or usable_cores()
         batching = Batching.of(parts.head.beams)
         windows = windows_of(parts, scenario.start_ns, batching, threads)
         receiver = make_receiver(scenario, parts, windows)

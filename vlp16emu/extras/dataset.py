@@ -25,6 +25,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
+from vlp16emu.cores import usable_cores
 from vlp16emu.engine import in_one_world
 from vlp16emu.errors import OutputError, RunError, ScenarioError, readable
 from vlp16emu.explain import explain
@@ -406,7 +407,7 @@ def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Ite
     if workers == 0:
         yield from (make_walk(walk, parts, threads=0) for walk in walks)
         return
-    cores = os.cpu_count() or 1
+    cores = usable_cores()
     workers = max(min(workers or cores, len(walks)), 1)
     job = partial(make_walk, parts=parts, threads=max(cores // workers, 1))
     while left:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vlp16emu.cores import usable_cores
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.kernels.cache import kernel_names, user_kernels
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
@@ -54,10 +55,9 @@ _EXTRAS = {
     "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
-    "images": (("OpenEXR", "PIL"), "images"),
-    "picture": (("matplotlib", "PIL", "imageio_ffmpeg"), "picture, forest --picture"),
+    "picture": (("PIL",), "picture"),
     "ros": (("rosbags",), "bag, record into bags"),
-    "score": (("evo", "matplotlib"), "score"),
+    "score": (("evo",), "score"),
     "viewer": (("viser", "websockets"), "view"),
 }  # libraries of each extra in pyproject.toml, and what needs them
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
@@ -68,7 +68,7 @@ _CASTER = "raycast."  # begin of the names of compiled kernels of that room
 
 def all_checks() -> Iterator[Check]:
     """Yield the results of all checks, one after the other; takes half a second."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     few = "stream --prepare: the engine then has it before the sender" if cores < _FEWEST_CORES else ""
     yield _check("cores", f"{cores}", few)
     yield _kernels()

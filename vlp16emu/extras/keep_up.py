@@ -1,12 +1,12 @@
 """Settings with which a stream keeps up: a ladder of beams and reaches, and the rung that this machine is fast enough for."""
 
 import math
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from vlp16emu.cores import usable_cores
 from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import FellBehind
@@ -155,7 +155,7 @@ def keep_up(emulator: Emulator, speed: float) -> tuple[Emulator, KeptUp]:
     emulator : with the settings of the user
     speed : simulated seconds per second asked for
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     on: dict[Rung | None, Emulator] = {}
 
     def measured(rung: Rung | None) -> float:

@@ -6,36 +6,15 @@ from typing import Annotated, Any
 
 from vlp16emu.run.options import Option, Options, Span, TruthPlace, WhichUnit
 
-_LONGEST_S = 7 * 86_400
-_FARTHEST = 1e6
-_SHORTEST_S = 0.001
 _LARGEST_PX = 8_192
 
 
-def _pixels(text: str) -> tuple[int, int]:
+def _pixels(text: str) -> tuple[int, ...]:
     words = text.lower().split("x")
-    if len(words) != 2 or not all(word.isascii() and word.isdecimal() for word in words):
-        raise ValueError(text)
-    return int(words[0]), int(words[1])
-
-
-def _film_pixels(text: str) -> tuple[int, int]:
-    size = _pixels(text)
-    if not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in size):
+    size = tuple(int(word) for word in words if word.isascii() and word.isdecimal())
+    if len(words) != 2 or len(size) != 2 or not all(64 <= n <= _LARGEST_PX for n in size):
         raise ValueError(text)
     return size
-
-
-def _numbers(text: str, names: str) -> Option:
-    """Return an option of as many numbers as there are names."""
-
-    def parse(given: str) -> tuple[float, ...]:
-        numbers = tuple(map(float, given.split(",")))
-        if len(numbers) != len(names.split(",")) or not all(abs(one) <= _FARTHEST for one in numbers):
-            raise ValueError(given)
-        return numbers
-
-    return Option(text, names, parse=parse, expected=f"the numbers {names}", shown=False)
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -74,59 +53,6 @@ class PointOptions(Span):
 
 
 @dataclass(frozen=True)
-class TrajectoryErrors(Options):
-    """Errors between a trajectory and a sensor, known or on purpose."""
-
-    time_offset_s: Annotated[
-        float,
-        Option(
-            "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
-            "S",
-            ge=-_LONGEST_S,
-            le=_LONGEST_S,
-            shown=False,
-        ),
-    ] = 0.0
-    mount: Annotated[
-        Any,
-        _numbers(
-            "Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
-            "boresight and lever arm.",
-            "X,Y,Z,ROLL,PITCH,YAW",
-        ),
-    ] = (0.0,) * 6  # place in m and turn in degrees, as `[motion.mount]`
-    drift: Annotated[
-        Any,
-        _numbers(
-            "Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
-            "EAST,NORTH,UP,YAW",
-        ),
-    ] = (0.0,) * 4  # to the east, north and up, and counter-clockwise about the first pose
-
-
-@dataclass(frozen=True)
-class ImageOptions(Span):
-    """Images of a scene from the place of a sensor."""
-
-    kind: Annotated[str, Option("panorama, all around; or pinhole, towards azimuth 0.", "KIND")] = "panorama"
-    size: Annotated[
-        Any,
-        Option(
-            "Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out.",
-            "WxH",
-            parse=_pixels,
-            expected="width and height in pixels, such as 2048x512",
-        ),
-    ] = None
-    fov_deg: Annotated[
-        float | None,
-        Option("Field of view of a pinhole camera, from left to right; 90 if left out.", "DEG", ge=1, le=360),
-    ] = None
-    every_s: Annotated[float, Option("Simulated seconds from image to image.", "S", ge=_SHORTEST_S)] = 1.0
-    unit: WhichUnit = 1
-
-
-@dataclass(frozen=True)
 class PictureLook(Options):
     """Look of a picture."""
 
@@ -145,19 +71,18 @@ class PictureLook(Options):
     size: Annotated[
         Any,
         Option(
-            "Of the picture, in pixels.",
+            "Width and height in pixels.",
             "WxH",
-            parse=_film_pixels,
-            expected=f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}",
+            parse=_pixels,
+            expected=f"WIDTHxHEIGHT, from 64 to {_LARGEST_PX}",
             shown="1280x720",
         ),
     ] = (1280, 720)
     view: Annotated[
         str,
         Option(
-            "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
-            " revolution as rows of lasers over azimuth.",
-            words=("slant", "sweep", "image"),
+            "slant, of points that add up; or sweep, a revolution from straight above with circles of range.",
+            words=("slant", "sweep"),
         ),
     ] = "slant"
 

@@ -29,7 +29,7 @@ _KINDS = {
     StemKey: "stems",
     MeshKey: "meshes",
 }
-_LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "matplotlib", "rich", "serial")
+_LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "PIL", "rich", "serial")
 _SCARCE = 1.2  # speed below which other programs, a driver on the same machine for instance, may make a stream late
 
 

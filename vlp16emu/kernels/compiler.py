@@ -31,6 +31,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 
+from vlp16emu.cores import usable_cores
 from vlp16emu.kernels.cache import KernelCache, user_kernels
 
 _TARGETS = {  # targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first
@@ -178,11 +179,10 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     files: dict[str, list[dict[str, Any]]] = {}
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     # A child that a signal meets before `_leave_signals` would end as this process does.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
     try:
-        pool = get_context("fork").Pool(min(cores, len(files)), _leave_signals)
+        pool = get_context("fork").Pool(min(usable_cores(), len(files)), _leave_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     with pool:

@@ -1,7 +1,9 @@
 """A folder of truth."""
 
+import ctypes
 import resource
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -97,8 +99,11 @@ def test_a_folder_with_something_else_is_kept_as_a_whole(tmp_path, entry):
     assert sorted(path.name for path in place.iterdir()) == sorted(["rig.json", "scenario.json", entry])
 
 
-def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(tmp_path):
-    """A run that fails leaves the folder of the one before as it was; one that ends replaces all its files."""
+@pytest.mark.parametrize("swap", [True, False])
+def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch, swap):
+    """A run that fails leaves the folder of the one before as it was; one that ends replaces all its files, with renameat2(2) and without it."""
+    if not swap:
+        monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: None)
     place = tmp_path / "t"
     with TruthFolder(place) as folder:
         write_json(folder.path / "scenario.json", {"written_by": "vlp16emu"})
@@ -112,3 +117,35 @@ def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(tmp_path):
     with TruthFolder(place) as folder:
         folder.append("gnss.csv", "new\n")
     assert [path.name for path in place.iterdir()] == ["gnss.csv"]
+
+
+@pytest.mark.parametrize("place", ["/proc", "."])
+def test_a_folder_that_cannot_be_renamed_is_refused(place):
+    """A mount point, and the folder in which the program runs, are refused before anything is written."""
+    with pytest.raises(OutputError, match="is a mount point or the working folder; expected a folder in it"):
+        TruthFolder(Path(place))
+
+
+def test_a_folder_keeps_its_rights(tmp_path):
+    """An empty folder that only its owner may enter stays so when it is replaced."""
+    (tmp_path / "x").mkdir(mode=0o700)
+    with TruthFolder(tmp_path / "x") as folder:
+        folder.append("imu.csv", "new\n")
+    assert (tmp_path / "x").stat().st_mode & 0o777 == 0o700
+    assert (tmp_path / "x" / "imu.csv").read_text() == "new\n"
+
+
+def test_a_folder_that_became_somebody_elses_stays(tmp_path):
+    """What others put there while the run lasts is not replaced; the new folder is left beside it."""
+    place = tmp_path / "x"
+
+    def meanwhile():
+        with TruthFolder(place) as folder:
+            folder.append("imu.csv", "one\n")
+            place.mkdir()
+            (place / "mine").touch()
+
+    with pytest.raises(RunError, match=r"x: holds mine; it is left as .*x\.[0-9a-f]{8}\.part"):
+        meanwhile()
+    (left,) = tmp_path.glob("x.*.part")
+    assert ([*map(str, place.iterdir())], [path.name for path in left.iterdir()]) == ([f"{place}/mine"], ["imu.csv"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.extras.sheets.survey import survey
+from vlp16emu.extras.survey import survey
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import load

@@ -1,19 +1,22 @@
-"""What stands near a way, pieces cut out of a window, and the digital twin, read back by trimesh."""
+"""What stands near a path, and the digital twin, read back by trimesh."""
 
 import io
 import json
 import struct
+from collections import Counter
 
 import numpy as np
 import pytest
+import trimesh
 from forest.kit import feet_m
+from scipy.spatial.distance import pdist
 
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.forest.stand.stand import REGENERATION
-from vlp16emu.forest.stand.twin import cut_out, things_near, write_glb
+from vlp16emu.forest.stand.twin import things_near, write_glb
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
+from vlp16emu.types import PlantPart, Semantic
 
 RADIUS_M = 9.0
 
@@ -48,67 +51,15 @@ def test_things_are_all_that_is_near_and_no_tree(window, things, trees, way):
     assert {one.kind for one in things} >= {"sapling", "shrub", "stone", "log", "stump", "tuft"}
 
 
-def test_an_outline_holds_the_whole_thing(full_forest, window, things):
-    """No vertex of a placed thing lies outside its outline by more than rounding."""
-    for kind in ("log", "stone", "sapling", "shrub"):
-        thing = next(one for one in things if one.kind == kind)
-        meshes = full_forest.shape(window.shapes[window.shape[thing.placement]])
-        T = window.world_T_shape[thing.placement]
-        xy_m = (np.concatenate([m.vertices_m for m in meshes]) @ T[:, :3].T + T[:, 3])[:, :2]
-        edge = np.roll(thing.outline_m, -1, axis=0) - thing.outline_m
-        to = xy_m[:, None] - thing.outline_m
-        left = edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0]
-        assert (left / np.linalg.norm(edge, axis=1)).min() > -1e-6
-
-
-def test_sizes_are_those_of_the_thing(things):
-    """A log is as long as its outline, and no stone is longer than stones can be."""
-    logs = [one for one in things if one.kind == "log"]
-    for log in logs:
-        spans_m = np.linalg.norm(log.outline_m[:, None] - log.outline_m, axis=-1)
-        assert spans_m.max() == pytest.approx(log.size_m[0], rel=0.15)
+def test_sizes_are_those_of_the_thing(full_forest, window, things):
+    """A log is as long as its mesh reaches, and no stone is longer than stones can be."""
+    for log in (one for one in things if one.kind == "log"):
+        (i,) = np.flatnonzero(window.surfaces["instance"][window.first_surface] == log.instance)
+        (mesh,) = full_forest.shape(window.shapes[window.shape[i]])
+        corners_m = mesh.vertices_m @ window.world_T_shape[i, :, :3].T
+        assert pdist(corners_m).max() == pytest.approx(log.size_m[0], rel=0.15)
         assert 0.2 <= log.size_m[1] <= 0.5
     assert all(0.1 <= one.size_m[0] <= 1.5 for one in things if one.kind == "stone")
-
-
-def test_a_piece_holds_what_is_wanted_and_ground_inside(full_forest, window, trees):
-    """In a cut-out every face belongs to a wanted instance, or to ground inside the place; all else is as before."""
-    wanted = trees["id"][:5]
-
-    def inside(xy_m):
-        return np.hypot(*(xy_m - [5.0, 1.0]).T) < 9.0
-
-    piece, grow = cut_out(window, full_forest.shape, instances=wanted, inside=inside)
-    assert piece.surfaces is window.surfaces
-    seen, parts = set(), set()
-    ground_m2 = 0.0
-    for which, first, T in zip(piece.shape, piece.first_surface, piece.world_T_shape, strict=True):
-        key, shape = piece.shapes[which], full_forest.shape(piece.shapes[which])
-        for number, mesh in enumerate(grow(key)):
-            row = piece.surfaces[int(first) + number]
-            if not len(mesh.faces):
-                continue
-            if isinstance(key, TileKey) and row["semantic"] == Semantic.GROUND:
-                corners = mesh.vertices_m[mesh.faces].astype(np.float64)
-                assert inside(corners.mean(axis=1)[:, :2] + T[:2, 3]).all()
-                ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-                ground_m2 += abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum() / 2
-            else:
-                seen.add(int(row["instance"]))
-                parts.add(int(row["part"]))
-                assert mesh.faces.tobytes() == shape[number].faces.tobytes()
-    assert ground_m2 == pytest.approx(np.pi * 81, rel=0.02)
-    assert seen == {int(i) for i in wanted if np.isin(i, window.surfaces["instance"][window.first_surface])}
-    assert PlantPart.STEM in parts
-
-
-def test_a_piece_can_be_without_any_thing(full_forest, window):
-    """With nothing wanted only ground is left, and no surface number is the one that means nothing."""
-    place = {"instances": np.zeros(0, np.uint32), "inside": lambda xy_m: np.ones(len(xy_m), np.bool_)}
-    piece, grow = cut_out(window, full_forest.shape, **place)
-    assert all(isinstance(key, TileKey) for key in piece.shapes)
-    assert (piece.first_surface != NO_SURFACE).all()
-    assert all(not len(mesh.faces) for mesh in grow(piece.shapes[0])[1:])
 
 
 SPECIES = flora().names
@@ -122,23 +73,22 @@ def near(trees, way):
 
 @pytest.fixture(scope="module")
 def glb(full_forest, window, near, things, way):
-    """The bytes of a twin, and how many instances it says that it holds."""
+    """The bytes of a twin."""
     places_m = {one.instance: one.place_m for one in things}
     places_m |= dict(zip(near["id"].tolist(), feet_m(near), strict=True))
-    place = {"instances": np.array(list(places_m), np.uint32), "inside": lambda xy_m: way.distance_m(xy_m) <= RADIUS_M}
-    piece, grow = cut_out(window, full_forest.shape, **place)
-    file, colours = io.BytesIO(), np.full((len(window.surfaces), 3), 128, np.uint8)
-    count = write_glb(file, piece, grow, places_m=places_m, species=SPECIES, colours=colours)
-    return file.getvalue(), count
+    file, look = io.BytesIO(), {"species": SPECIES, "colours": np.full((len(window.surfaces), 3), 128, np.uint8)}
+    inside = lambda xy_m: way.distance_m(xy_m) <= RADIUS_M  # noqa: E731
+    write_glb(file, window, full_forest.shape, places_m=places_m, inside=inside, **look)
+    return file.getvalue()
 
 
 @pytest.fixture(scope="module")
 def header(glb):
-    length = struct.unpack_from("<I", glb[0], 12)[0]
-    return json.loads(glb[0][20 : 20 + length])
+    length = struct.unpack_from("<I", glb, 12)[0]
+    return json.loads(glb[20 : 20 + length])
 
 
-def test_every_instance_is_one_node_with_its_labels(glb, header, near, things):
+def test_every_instance_is_one_node_with_its_labels(header, near, things):
     """There is one node for each tree and thing, named by class, number and species, and no other instance."""
     names = {node["name"] for node in header["nodes"]}
     wanted = {f"tree_{t['id']:06d}/{SPECIES[int(t['species'])]}" for t in near}
@@ -148,7 +98,6 @@ def test_every_instance_is_one_node_with_its_labels(glb, header, near, things):
         kind = {"sapling": "tree", **dead, **grass}.get(one.kind, one.kind)
         wanted.add(f"{kind}_{one.instance:06d}" + (f"/{SPECIES[one.species]}" if one.species else ""))
     assert wanted <= names
-    assert glb[1] == len(wanted)
     children = {name.split("/")[0] for name in names if "_" in name}
     assert children == {name.split("/")[0] for name in wanted}
 
@@ -179,3 +128,23 @@ def test_materials_are_few_and_seen_from_both_sides(header):
         assert material["doubleSided"]
         red = material["pbrMetallicRoughness"]["baseColorFactor"][0]
         assert red == pytest.approx(((128 / 255 + 0.055) / 1.055) ** 2.4, abs=1 / 255)
+
+
+def test_ground_is_that_of_the_place_and_stems_are_whole(glb, full_forest, window, near):
+    """The area of the ground is that of two half discs and a rectangle along the path; stems of near trees have all their faces."""
+    scene, wanted = trimesh.load_scene(io.BytesIO(glb), file_type="glb"), Counter()
+    shown_m2, faces = 0.0, Counter()
+    for node in scene.graph.nodes_geometry:
+        mesh, labels = scene.geometry[scene.graph[node][1]], node.split("/")
+        faces[labels[0]] += len(mesh.faces) if labels[-1] == "stem" else 0
+        if labels[0].startswith("ground"):
+            ab, ac = (mesh.triangles[:, i, :2] - mesh.triangles[:, 0, :2] for i in (1, 2))  # z is still up in meshes
+            shown_m2 += np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum() / 2
+    assert shown_m2 == pytest.approx(np.pi * RADIUS_M**2 + 2 * RADIUS_M * np.hypot(4, 0.9), rel=0.02)
+    for key, first in zip((window.shapes[i] for i in window.shape), window.first_surface.tolist(), strict=True):
+        meshes = full_forest.shape(key) if isinstance(key, TileKey) else ()
+        for mesh, row in zip(meshes, window.surfaces[first:], strict=False):
+            if row["part"] == PlantPart.STEM:
+                wanted[f"tree_{row['instance']:06d}"] += len(mesh.faces) * (mesh.faces.shape[1] - 2)
+    trees = [f"tree_{number:06d}" for number in near["id"]]
+    assert {tree: faces[tree] for tree in trees} == {tree: wanted[tree] for tree in trees}

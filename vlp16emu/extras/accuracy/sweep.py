@@ -1,4 +1,4 @@
-"""Error against run time: settings of the beam and near_m, on pulses from all over a run; the picture.
+"""Error against run time: settings of the beam and near_m, on pulses from all over a run.
 
 Settings are judged by the converged answer: the same pulses with many more sub-rays, by a receiver without noise. Beyond
 `near_m` single leaves differ from those of the explicit world, so there means over the same pulses are compared, not pulses.
@@ -11,9 +11,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import partial
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from vlp16emu.engine import Parts, Unit, assemble, beam_of, window_of
 from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.extras.accuracy.audit import Detections, Errors, answer_beam, apart_m, compare, detections_of, errors_of
-from vlp16emu.extras.plots import CYCLE, INK, SOFT, plotted
 from vlp16emu.forest.settings import Woods
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import Footprint
@@ -32,24 +30,16 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Returns
 from vlp16emu.units import seconds_to_ns
 
-WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
-
-
-class Kind(StrEnum):
-    """Kind of a setting."""
-
-    ONE_RAY = "one ray"
-    FIXED = "fixed"
-    ADAPTIVE = "adaptive"
-    BEAM_ERROR = "beam error"
+_WANTED_M = 0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01
+_ERRANT = "angle", "offset"  # models of the beam errors of the paper: to be compared with, not to be chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """Error and run time of one setting."""
 
-    kind: Kind
-    name: str  # setting of a beam as `--set` takes it
+    model: str  # of the beam
+    name: str  # setting as `--set` takes it
     in_use: bool  # whether it is the scene's own
     errors: Errors
     us_per_pulse: float  # run time of casting and detecting on one core
@@ -90,59 +80,15 @@ class Accuracy:
     answer_rays: int  # sub-rays of the answer
     answer_rmse_m: float  # error of the answer itself, from two answers with different sub-rays
     rows: tuple[Row, ...]
-    foliage: tuple[LevelOfDetail, ...] = ()
-    """Worlds cast leaf by leaf to some distances, the explicit one last; none of a hall."""
 
 
 def choices(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for.
-
-    The paper's beam errors do not count: they are there to be compared with, not to be chosen.
-    """
+    """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for."""
     found = dict[str, float]()
-    for wanted_m in WANTED_M:
-        within = [row for row in rows if row.errors.mean_error_m <= wanted_m]
-        good = [row for row in within if row.kind is not Kind.BEAM_ERROR]
-        if good:
+    for wanted_m in _WANTED_M:
+        if good := [row for row in rows if row.errors.mean_error_m <= wanted_m and row.model not in _ERRANT]:
             found[min(good, key=lambda row: row.us_per_pulse).name] = wanted_m
     return found
-
-
-_SIZE_PX = 1100, 480
-_STYLES = {
-    Kind.ONE_RAY: (INK, "s", ""),
-    Kind.BEAM_ERROR: (CYCLE[4], "x", ""),
-    Kind.FIXED: (CYCLE[0], "o", "-"),
-    Kind.ADAPTIVE: (CYCLE[2], "D", "-"),
-}  # colour, mark and line
-_PANELS = {
-    "mean_error_m": ("All returns: wrong and lost ones count as the resolution", "mean error, m"),
-    "range_rmse_m": ("Returns of the right echo", "range RMSE, m"),
-}  # title and axis by the field of `Errors`
-
-
-def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
-    """Draw mean error and RMSE of each setting of the beam against its run time, as PNG."""
-    with plotted(file, _SIZE_PX) as figure:
-        for axes, (name, (title, label)) in zip(figure.subplots(1, 2), _PANELS.items(), strict=True):
-            for row in accuracy.rows:
-                place, colour = (row.us_per_pulse, getattr(row.errors, name)), _STYLES[row.kind][0]
-                words: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour, "rotation": 45}
-                axes.annotate(row.name.rpartition("=")[2], place, (4, 5), **words)
-                if row.in_use:
-                    axes.plot(*place, "o", ms=15, mfc="none", mec=CYCLE[3], mew=2, label="in use")
-            for kind, (colour, marker, line) in _STYLES.items():
-                own = [row for row in accuracy.rows if row.kind is kind]
-                us, spread_us = ([getattr(row, of) for row in own] for of in ("us_per_pulse", "us_spread"))
-                look: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line, "label": kind.value}
-                axes.errorbar(us, [getattr(row.errors, name) for row in own], xerr=np.array(spread_us) / 2, **look)
-            if name == "range_rmse_m":
-                axes.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
-            axes.set(title=title, ylabel=label, xscale="log", yscale="log", xlabel="us per pulse, one core")
-            axes.grid(which="both", alpha=0.5)
-            axes.xaxis.set_minor_formatter("")
-            axes.legend(loc="upper right")
-        figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
 
 
 GROUP = 8
@@ -154,8 +100,7 @@ _MOST_SEGMENTS = 8  # most segments of a long walk: each needs a window of the w
 
 def joined(parts: Sequence[Detections]) -> Detections:
     """Join the detections of several batches."""
-    distances, reflectivities = zip(*((part.distance_m, part.reflectivity) for part in parts), strict=True)
-    return Detections(np.concatenate(distances), np.concatenate(reflectivities))
+    return Detections(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def draw_groups(
@@ -200,7 +145,7 @@ def opened_windows(
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Casts and detects pulses of a unit."""
+    """Ray casts and detections of the pulses of a unit."""
 
     unit: Unit
     rays: int  # sub-rays of an answer
@@ -240,7 +185,7 @@ _ANSWERED_TWICE = 4  # every fourth group measures the error of the answer itsel
 class BeamSetting(NamedTuple):
     """A setting of the beam."""
 
-    kind: Kind
+    model: str
     name: str  # as `--set` takes it
     in_use: bool
     beam: Footprint
@@ -251,20 +196,18 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     section = scenario.beam
     counts = sorted({*_COUNTS, section.rays} if section.model == "fixed" else _COUNTS)
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
-    ladder: list[tuple[Kind, dict[str, Any]]] = [
-        (Kind.ONE_RAY, {"model": "none"}),
-        (Kind.BEAM_ERROR, {"model": "angle"}),
-        (Kind.BEAM_ERROR, {"model": "offset"}),
-        *((Kind.FIXED, {"model": "fixed", "rays": count}) for count in counts),
-        *((Kind.ADAPTIVE, {"model": "adaptive", "target_m": target_m}) for target_m in targets_m),
+    ladder: list[dict[str, Any]] = [
+        *({"model": model} for model in ("none", *_ERRANT)),
+        *({"model": "fixed", "rays": count} for count in counts),
+        *({"model": "adaptive", "target_m": target_m} for target_m in targets_m),
     ]
     settings = list[BeamSetting]()
-    for kind, own in ladder:
+    for own in ladder:
         changed = section.model_copy(update=own)
         beam = beam_of(scenario.model_copy(update={"beam": changed}), seed)
         words = {key: value if isinstance(value, str) else f"{value:.4g}" for key, value in own.items()}
         name = " ".join(f"beam.{key}={word}" for key, word in words.items())
-        settings.append(BeamSetting(kind, name, changed == section, beam))
+        settings.append(BeamSetting(own["model"], name, changed == section, beam))
     return settings
 
 
@@ -274,7 +217,7 @@ class _Ladder:
     def __init__(self, bench: Bench, scenario: Scenario) -> None:
         self._bench, self._apart_m = bench, apart_m(scenario.detector)
         self._beams = beam_settings(scenario, bench.unit.seed)
-        self._wide = next(setting.beam for setting in self._beams if setting.kind is Kind.FIXED)
+        self._wide = next(setting.beam for setting in self._beams if setting.model == "fixed")
         self._detections = defaultdict[str, list[Detections]](list)
         self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
 
@@ -316,7 +259,7 @@ class _Ladder:
     def _row(self, setting: BeamSetting) -> Row:
         name, us = setting.name, np.array(self._us[setting.name]).reshape(-1, _REPEATS).mean(axis=0)
         errors, rays = self._errors(name, "answer"), float(np.mean(self._rays[name]))
-        return Row(setting.kind, name, setting.in_use, errors, float(np.median(us)), float(np.ptp(us)), rays)
+        return Row(setting.model, name, setting.in_use, errors, float(np.median(us)), float(np.ptp(us)), rays)
 
     def _errors(self, name: str, answer: str) -> Errors:
         compared = compare(joined(self._detections[answer]), joined(self._detections[name]), self._apart_m)
@@ -358,7 +301,7 @@ _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 def measure_foliage(
     scenario: Scenario, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> tuple[LevelOfDetail, ...]:
-    """Measure means and run time of a scene's world cast leaf by leaf to some distances; nothing for a hall.
+    """Measure means and run time of a scene's world cast leaf by leaf to some distances, the explicit one last; nothing for a hall.
 
     Parameters are as in `measure_accuracy`; each world gets so many pulses.
     """

@@ -1,4 +1,4 @@
-"""A capture put into the world, each point with the pose of its own pulse, by the true trajectory or by any other."""
+"""A capture put into the world by a trajectory, each point with the pose of its own pulse."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -14,18 +14,15 @@ from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_cl
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.extras.clouds import cloud
 from vlp16emu.extras.clouds.scan import twins
-from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import read_tum
 from vlp16emu.extras.recorded.motion import RecordedMotion
 from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.folder import read_json
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
-_MINUTE_NS = 60 * S_NS
 _PACKETS = 100  # placed at once: 38 400 points, some 20 MB
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
 """Columns that packets have as they are."""
@@ -36,12 +33,12 @@ class Trajectory:
 
     Parameters
     ----------
-    path : a TUM file, or a folder with the truth of a run, whose trajectory of a unit is taken
-    unit : of the run, from 1; InputError if the folder has no such truth or unit
-    errors : put on its poses
+    path : a TUM file, or a folder with the ground truth of a run
+    unit : number of the sensor in the run, from 1; InputError if the folder has no such trajectory
+    offset_s : added to the time of a pulse before its pose is looked up
     """
 
-    def __init__(self, path: Path, unit: int, errors: TrajectoryErrors) -> None:
+    def __init__(self, path: Path, unit: int, offset_s: float = 0.0) -> None:
         self.path, self.unit, self.origin, self.sensor = path, unit, None, None
         if path.is_dir():
             self.path, self.origin, self.sensor = _of_truth(path, unit)
@@ -49,11 +46,7 @@ class Trajectory:
         self._first_ns, self._last_ns = int(poses.t_ns[0]), int(poses.t_ns[-1])
         recorded = Recorded(kind="recorded", file=str(self.path), format="tum")
         self._motion = RecordedMotion(recorded, poses, start_ns=self._first_ns)
-        self._offset_ns = seconds_to_ns(errors.time_offset_s)
-        x_m, y_m, z_m, roll_deg, pitch_deg, yaw_deg = errors.mount
-        self._body_p_sensor_m = np.array([x_m, y_m, z_m])
-        self._body_R_sensor = rotation(yaw_deg, pitch_deg, roll_deg)
-        self._drift_m, self._drift_deg = np.array(errors.drift[:3]), errors.drift[3]
+        self._offset_ns = seconds_to_ns(offset_s)
         self.first_m = poses.position_m[0]
 
     @property
@@ -62,22 +55,14 @@ class Trajectory:
         return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
 
     def has(self, t_ns: I8) -> NDArray[np.bool_]:
-        """(n,) whether instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
+        """Return which instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
         at_ns = t_ns + self._offset_ns
         return np.asarray((at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS))
 
     def poses_at(self, t_ns: I8) -> tuple[F8, F8]:
-        """Rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
-        at_ns = np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns)
-        body = self._motion.poses_at(at_ns)
-        turn, place_m = body.world_R_body, body.world_p_body_m
-        minutes = (at_ns - self._first_ns) / _MINUTE_NS
-        if self._drift_deg:
-            off = rotations(np.radians(self._drift_deg * minutes), 0.0, 0.0)
-            turn = off @ turn
-            place_m = self.first_m + np.einsum("nij,nj->ni", off, place_m - self.first_m)
-        place_m = place_m + minutes[:, None] * self._drift_m + turn @ self._body_p_sensor_m
-        return turn @ self._body_R_sensor, place_m
+        """Return rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
+        poses = self._motion.poses_at(np.clip(t_ns + self._offset_ns, self._first_ns, self._last_ns))
+        return poses.world_R_body, poses.world_p_body_m
 
 
 class CaptureTruth:
@@ -85,9 +70,9 @@ class CaptureTruth:
 
     Parameters
     ----------
-    folder : that `record --truth --truth-returns` has written; InputError where it does not hold the returns
-    unit : of the run, from 1
-    scheme : by which points are labelled besides; needs the scene
+    folder : written by `record --truth --truth-returns`; InputError if it has no returns
+    unit : number of the sensor in the run, from 1
+    scheme : names further labels; needs the scene of the run
     """
 
     def __init__(self, folder: Path, unit: int, scheme: cloud.LabelScheme | None) -> None:
@@ -105,7 +90,7 @@ class CaptureTruth:
         return tuple(column for column in wanted if column.name not in known)
 
     def of(self, chunk: PacketChunk, packets: slice, points: I8) -> dict[str, NDArray[Any]]:
-        """Arrays (n,) of points, which are those of a slice of the chunk's packets; height is that of the true place."""
+        """Return labels and true values (n,) of points in a slice of the chunk's packets; heights are those of the true places."""
         stamps_us = chunk.fields["timestamp_us"][packets]
         packet = chunk.points.packet[points] - packets.start
         rows = self._rows.rows(stamps_us, packet, chunk.points.slot[points])

@@ -3,6 +3,6 @@
 from vlp16emu.extras.compare.fit import fitted
 from vlp16emu.extras.compare.sequences import Sequences, read_sequences
 from vlp16emu.extras.compare.statistics import statistics_of
-from vlp16emu.extras.compare.table import REAL, Compared, Known, compared, draw
+from vlp16emu.extras.compare.table import Compared, compared
 
-__all__ = ["REAL", "Compared", "Known", "Sequences", "compared", "draw", "fitted", "read_sequences", "statistics_of"]
+__all__ = ["Compared", "Sequences", "compared", "fitted", "read_sequences", "statistics_of"]

@@ -1,21 +1,14 @@
-"""Two captures side by side: each statistic, how far apart they are, and the picture."""
+"""Two captures side by side: each statistic, and how far apart they are."""
 
 import math
 import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from types import MappingProxyType
-from typing import IO, TYPE_CHECKING, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from vlp16emu.extras.compare.sequences import Sequences
-from vlp16emu.extras.compare.statistics import local, statistics_of, stretches_of, turning_of
-from vlp16emu.extras.plots import plotted
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
+from vlp16emu.extras.compare.statistics import statistics_of
 
 _OF_ONE_UNIT = 2.0
 
@@ -45,13 +38,6 @@ class Known(NamedTuple):
 _TABLE = files(__package__).joinpath("real_units.toml").read_text(encoding="utf-8")
 REAL: Mapping[str, Known] = MappingProxyType({name: Known(*row) for name, row in tomllib.loads(_TABLE).items()})
 
-_SIZE_PX = 1100, 750
-_TITLES = (
-    "range error, mm, by pulse modulo 5",
-    "azimuth, cdeg, by cycles per block",
-    "step of the azimuth, cdeg",
-    "reflectivity of returns",
-)
 _LEAST_SPREAD = 0.25
 """Least spread as a share of the greatest value: four units that agree more closely do not show what a fifth does."""
 
@@ -78,27 +64,3 @@ def compared(first: Sequences, second: Sequences) -> list[Compared]:
         unlike = not known.is_like(values[0]), not known.is_like(values[1])
         rows.append(Compared(name, known.text, *values, distance, distance > 1.0, unlike))
     return rows
-
-
-def draw(file: IO[bytes], first: Sequences, second: Sequences, names: tuple[str, str]) -> None:
-    """Draw beat of the ranges, spectrum of the azimuth, its steps, and histogram of reflectivity as a PNG; `names` in its legend."""
-    with plotted(file, _SIZE_PX) as figure:
-        axes = figure.subplots(2, 2).ravel()
-        for sequences, name in zip((first, second), names, strict=True):
-            _draw_one(axes, sequences, name)
-        for axis, title in zip(axes, _TITLES, strict=True):
-            axis.set_title(title)
-            axis.legend(frameon=False)
-
-
-def _draw_one(axes: "list[Axes]", sequences: Sequences, name: str) -> None:
-    beat, spectrum, steps, reflectivity = axes
-    if (stretches := stretches_of(sequences)) is not None:
-        beat.plot(stretches.beat_mm, "o-", label=name)
-    rest = local(turning_of(sequences).rest_cdeg)
-    lines = np.abs(np.fft.rfft(rest))[1:] * 2 / len(rest)
-    spectrum.semilogy(np.fft.rfftfreq(len(rest))[1:], lines, label=name)
-    step, share = np.unique(np.diff(sequences.azimuth_cdeg), return_counts=True)
-    steps.plot(step, share / share.sum(), "o-", label=name)
-    codes = np.bincount(sequences.reflectivity[sequences.distance_lsb > 0], minlength=101)[:101]
-    reflectivity.step(range(101), codes / max(codes.sum(), 1), label=name)

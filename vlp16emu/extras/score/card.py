@@ -1,31 +1,24 @@
-"""Scores of a pipeline from the files it gives, the thresholds that they are compared with, and their page of HTML."""
+"""Scores of a pipeline from the files it gives, and the thresholds that they are compared with."""
 
-import base64
-import io
 import math
 import operator
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, field
-from html import escape
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.deskew import Trajectory
-from vlp16emu.extras.options import ScoreInputs, TrajectoryErrors
-from vlp16emu.extras.plots import INK, SOFT, plotted
+from vlp16emu.extras.options import ScoreInputs
 from vlp16emu.extras.score import measures
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
-from vlp16emu.extras.score.paths import RPE_DELTA_M, PathScore, score_path
+from vlp16emu.extras.score.paths import RPE_DELTA_M, score_path
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.types import PlantPart, Semantic
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Cloud = Mapping[str, NDArray[Any]]
 
@@ -37,14 +30,6 @@ REGION_M = 20.0  # radius around the first true position in which density and un
 _BREAST_M = 0.1  # half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
-_STYLE = (
-    "body{font:15px/1.45 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
-    "table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:left}"
-    "td.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%}.missed{color:#b00020}"
-)
-_HEAD = ["tree", "list line", "own number", "x m", "y m", "position error m", "DBH m", "DBH error m", "hits"]
-_SIZE_PX = 1100, 460
-
 Limit = tuple[str, str, float]  # a threshold: the name of a score, the sign, and the bound, which NaN never keeps
 
 
@@ -64,7 +49,7 @@ class TreeRow:
 
     @property
     def kind(self) -> str:
-        """False, found or missed."""
+        """Whether the tree is `found`, `missed`, or `false`: found where none is."""
         return "false" if not self.true_id else "found" if self.found_number else "missed"
 
 
@@ -74,9 +59,8 @@ class ScoreCard:
 
     inputs: ScoreInputs
     scores: dict[str, float] = field(default_factory=dict)
-    trees: list[TreeRow] = field(default_factory=list)
-    path: PathScore | None = None
     notes: dict[str, str] = field(default_factory=dict)  # how groups of scores are measured
+    trees: list[TreeRow] = field(default_factory=list)
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
         """Return the thresholds that are not kept, with the values, as text; InputError if there is no score of that name."""
@@ -115,15 +99,16 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
     card = ScoreCard(inputs)
     true = read_cloud(inputs.truth_points) if inputs.truth_points else None
     if inputs.trajectory:
-        card.path = score_path(inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment)
-        card.scores |= card.path.scores
+        card.scores, poses, left_out = score_path(
+            inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment
+        )
         card.notes["trajectory"] = (
-            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; {card.path.poses} "
-            f"poses, {card.path.left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
+            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path, drift the mean over longer ones; {poses} "
+            f"poses, {left_out} beyond the truth left out; RMSE by evo; the offset is to be added to the estimate's stamps"
         )
     if inputs.map:
         found = read_cloud(inputs.map)["xyz"]
-        centre_m = Trajectory(inputs.truth, inputs.unit, TrajectoryErrors()).first_m[:2]
+        centre_m = Trajectory(inputs.truth, inputs.unit).first_m[:2]
         card.scores["infra_d_per_m2"] = measures.density_per_m2(found[:, :2], centre_m, REGION_M)
         card.scores["infra_nuc"] = measures.uniformity(found[:, :2], centre_m, REGION_M)
         card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
@@ -205,60 +190,3 @@ def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
     on_stem = (true["part"] == PlantPart.STEM) & at_breast
     of_stem, of_tree = (np.bincount(row[(row >= 0) & of], minlength=len(trees)).tolist() for of in (on_stem, row >= 0))
     return of_stem, of_tree
-
-
-def page(card: ScoreCard, missed: Sequence[str]) -> str:
-    """Return a card and the thresholds that it misses as HTML; matplotlib is needed if there is something to draw."""
-    parts = [
-        "<!doctype html><meta charset=utf-8><meta name=generator content=vlp16emu><title>Score card</title>",
-        f"<style>{_STYLE}</style><h1>Score card</h1>",
-        *(f'<p class="missed">missed: {escape(line)}</p>' for line in missed),
-        _table(("score", "value"), list(card.scores.items())),
-        *(f"<p>{escape(group)}: {escape(note)}</p>" for group, note in card.notes.items()),
-    ]
-    if card.path is not None or card.trees:
-        file = io.BytesIO()
-        with plotted(file, _SIZE_PX) as figure:
-            _draw(figure, card)
-        picture = base64.b64encode(file.getvalue()).decode()
-        parts.append(f'<img alt="plots" src="data:image/png;base64,{picture}">')
-    if card.trees:
-        parts += ["<h2>Trees</h2>", _table(_HEAD, [astuple(row) for row in card.trees])]
-    return "\n".join(parts) + "\n"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    lines = [f"<tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>"]
-    for first, *others in rows:
-        cells = "".join(f'<td class="n">{escape(_text(value))}</td>' for value in others)
-        lines.append(f"<tr><td>{escape(_text(first))}</td>{cells}</tr>")
-    return f"<table>{''.join(lines)}</table>"
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}" if math.isfinite(value) else ""
-    return "" if value is None else str(value)
-
-
-def _draw(figure: "Figure", card: ScoreCard) -> None:
-    plan, errors = figure.subplots(1, 2)
-    plan.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="plan")
-    if (path := card.path) is not None:
-        plan.plot(*path.true_m[:, :2].T, color=INK, label="true path")
-        plan.plot(*path.found_m[:, :2].T, color="C3", lw=1, label="estimate")
-    for name, colour, marker in (("found", "C2", "o"), ("missed", SOFT, "x"), ("false", "C3", "+")):
-        if of := [row for row in card.trees if row.kind == name]:
-            plan.scatter([r.x_m for r in of], [r.y_m for r in of], c=colour, marker=marker, s=18, label=name)
-    plan.legend()
-    measured = [row for row in card.trees if math.isfinite(row.dbh_error_m)]
-    if measured:
-        errors.axhline(0, color=SOFT, lw=1)
-        both_cm = 100 * np.array([(row.true_dbh_m, row.dbh_error_m) for row in measured])
-        errors.scatter(*both_cm.T, c="C2", s=18)
-        errors.set(xlabel="true DBH, cm", ylabel="DBH error, cm", title="diameters")
-    elif path is not None:
-        errors.plot(path.errors_m, color="C3")
-        errors.set(xlabel="pose", ylabel="position error, m", title="trajectory")
-    else:
-        errors.set_axis_off()

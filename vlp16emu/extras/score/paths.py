@@ -1,7 +1,6 @@
 """Error of a trajectory, by evo."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.clouds.deskew import Trajectory
-from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.types import F8
 from vlp16emu.units import MS_NS, S_NS
@@ -20,27 +18,21 @@ _MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS  # three sweeps, and 
 _LEAST_POSES, _FLAT_M = 10, 1e-4  # fewer poses, or a motion this even, say nothing about stamps
 
 
-@dataclass(frozen=True, slots=True)
-class PathScore:
-    """Errors of an estimated trajectory."""
-
-    scores: dict[str, float]
-    """`ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path; `drift_10m_percent` and
-    `drift_100m_percent`, the mean relative error of positions over such stretches, NaN on a shorter path; `stamp_offset_s` to add to
-    the estimate's stamps, NaN where the motion is too even to say."""
-    poses: int
-    left_out: int  # estimated poses outside the time of the truth
-    true_m: F8  # (n, 3)
-    found_m: F8  # (n, 3), aligned
-    errors_m: F8  # (n,)
-
-
-def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScore:
+def score_path(
+    file: Path, times: Path | None, truth: Path, unit: int, alignment: str
+) -> tuple[dict[str, float], int, int]:
     """Compare a trajectory with the truth at its own stamps, between which the truth is interpolated.
 
     TrajectoryError, InputError if one is no trajectory, or they have fewer than three instants in common.
 
     The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`.
+
+    Returns
+    -------
+    scores: `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path; `drift_10m_percent`
+    and `drift_100m_percent`, the mean relative error of positions over such stretches, NaN on a shorter path; `stamp_offset_s`
+    to add to the estimate's stamps, NaN where the motion is too even to say; the number of poses; and how many more are outside
+    the time of the truth
     """
     try:
         from evo.core import metrics
@@ -48,7 +40,7 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
     except ImportError:
         raise MissingExtraError("evo", "score", "scoring a trajectory") from None
     found = read_tum(file) if times is None else read_kitti(file, times)
-    true = Trajectory(truth, unit, TrajectoryErrors())
+    true = Trajectory(truth, unit)
     inside = true.has(found.t_ns)
     if inside.sum() < 3:
         spans = [f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)]
@@ -74,8 +66,7 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
         far = metrics.RPE(metrics.PoseRelation.translation_part, **over | {"delta": length_m})
         scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(score(far)[1])) / length_m
     scores["stamp_offset_s"] = stamp_offset_s(found, true)
-    left_out = int((~inside).sum())
-    return PathScore(scores, int(inside.sum()), left_out, pair[0].positions_xyz, pair[1].positions_xyz, errors_m)
+    return scores, int(inside.sum()), int((~inside).sum())
 
 
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:

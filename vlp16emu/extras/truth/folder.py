@@ -1,18 +1,21 @@
 """Ground truth beside a run: a folder of text files that grow with it and are readable at any time."""
 
+import ctypes
 import json
 import os
 import re
+import shutil
 import stat
+import weakref
 from collections.abc import Collection
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
 from typing import Any, Self
 
-from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
-from vlp16emu.extras.outputs import OutputFolder
+from vlp16emu.errors import InputError, MissingExtraError, OutputError, RunError, readable
 from vlp16emu.motion.pose import Kinematics
+from vlp16emu.output import claim, final_name, opening, part_beside, spare, take_rights
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -20,17 +23,19 @@ _FILES = re.compile(
     r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json|(packets|trajectory)(_\d+)?\.tum"
     r"|returns(_\d+)?\.parquet"
 )  # names of all files that a run may write
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
 
 class TruthFolder:
     """A folder for the truth of one run; a context manager.
 
-    Its files grow in `path`, an `OutputFolder`, which takes its name at the end. After an error the samples so far stay in
-    `path`, without that name.
+    It is made as NAME.xxxxxxxx.part, and its files grow in it, at `path`. At the end it takes its name as `OutputFile` does, in
+    one step: what stood under the name until then is as it was, or all of it is replaced. After an error the samples so far stay
+    in `path`.
 
     Parameters
     ----------
-    path : new, empty, or with nothing in it but the truth of an earlier run, which this one then replaces as a whole
+    path : new, empty, or with nothing in it but the truth of an earlier run; missing parents are made
     inputs : files that the run itself reads
 
     Raises OutputError if the folder cannot be made, holds something else or one of the inputs, or another run writes
@@ -38,9 +43,26 @@ class TruthFolder:
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:
-        expected = "a new or empty folder, or one with the truth of an earlier run"
-        self._folder = OutputFolder(path, stranger=_stranger, expected=expected, inputs=inputs)
-        self.path = self._folder.path
+        self._where = str(path)
+        with opening(self._where, "a folder that can be written"):
+            self._final = final_name(path)
+            if self._final.is_mount() or self._final == Path.cwd():  # which cannot be renamed, or not under our feet
+                raise OutputError(self._where, "is a mount point or the working folder", "a folder in it")
+            self._check()
+            for file in self._final.iterdir() if self._final.exists() else ():
+                spare(inputs, file)
+            self._final.parent.mkdir(parents=True, exist_ok=True)
+            self.path = part_beside(self._final)
+            self.path.mkdir()
+            opened = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            self._close = weakref.finalize(self, os.close, opened)
+            try:
+                claim(opened, self.path, self._final, self._where)
+            except OutputError:
+                self._discard()
+                raise
+            if self._final.exists():
+                take_rights(opened, self._final.stat())
         self._files: dict[str, FileIO] = {}
         self._failed: RunError | None = None
 
@@ -51,10 +73,10 @@ class TruthFolder:
         for file in self._files.values():
             file.close()
         if (error is None and not self._failed) or isinstance(error, KeyboardInterrupt):
-            self._folder.keep()
-        elif not isinstance(error, InputError | MissingExtraError):
-            self._folder.leave()
-        self._folder.discard()
+            self._keep()
+        elif isinstance(error, InputError | MissingExtraError):
+            self._discard()
+        self._close()
 
     def append(self, name: str, text: str) -> None:
         """Add whole lines to a file and hand them to the operating system.
@@ -70,6 +92,32 @@ class TruthFolder:
         except OSError as error:
             self._failed = RunError(f"{self.path / name}: {error.strerror}; it ends with a whole line")
             raise self._failed from error
+
+    def _keep(self) -> None:
+        try:
+            self._check()
+            if self._final.exists():
+                _exchange(self.path, self._final)
+                with suppress(OSError):  # what cannot be removed of the earlier run stays beside the new one
+                    for file in self.path.iterdir():
+                        file.unlink()
+                    self.path.rmdir()
+            else:
+                self.path.rename(self._final)
+        except (OSError, OutputError) as error:
+            found = error.strerror if isinstance(error, OSError) else error.found
+            raise RunError(f"{self._where}: {found}; it is left as {self.path}") from error
+        finally:
+            self._close()
+
+    def _discard(self) -> None:
+        shutil.rmtree(self.path, ignore_errors=True)
+        self._close()
+
+    def _check(self) -> None:
+        if self._final.exists() and (found := _stranger(self._final)) is not None:
+            expected = "a new or empty folder, or one with the truth of an earlier run"
+            raise OutputError(self._where, f"holds {found}", expected)
 
 
 def read_json(path: Path, expected: str) -> Any:
@@ -127,3 +175,18 @@ def _stranger(folder: Path) -> str | None:
     if not strange and not (isinstance(tree, dict) and "written_by" in tree):
         strange = present
     return strange[0].name if strange else None
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Swap two names in one step, or in three on a file system that cannot."""
+    swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if swap and swap(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0:
+        return
+    aside = part_beside(other)
+    other.rename(aside)
+    try:
+        one.rename(other)
+    except OSError:
+        aside.rename(other)
+        raise
+    aside.rename(one)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.plots import PART_RGB, Rgb, colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.extras.colours import PART_RGB, Rgb, colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.types import F8, SURFACE, U1, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
@@ -42,7 +42,8 @@ def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, En
     labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "species"}.get(layer, layer))
     different, which = np.unique(labels, return_inverse=True)
     named, other, of_instance = _named(layer, species), ("", colour_of_kind("ground")), layer == "instance"
-    legend = None if of_instance else dict(named[n] for n in different.tolist() if n in named)
+    shown = (named[n] for n in different.tolist() if n in named)
+    legend = None if of_instance else {name.replace("_", " ").capitalize(): colour for name, colour in shown}
     if layer == "natural":
         surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
         for name in ("semantic", "part", "species"):
@@ -96,10 +97,7 @@ def legend_of(entries: Entries) -> str:
     if entries is None:
         return boxed(["each plant or thing in its own colour, the rest in grey"])
     if isinstance(entries, Mapping):
-        rows = (
-            f'<span style="{_DOT};background:rgb{rgb}"></span>{escape(name.replace("_", " "))}'
-            for name, rgb in entries.items()
-        )
+        rows = (f'<span style="{_DOT};background:rgb{rgb}"></span>{escape(name)}' for name, rgb in entries.items())
         return boxed(rows)
     least, most, unit = entries
     colours = colours_of_scale(np.linspace(least, most, _STOPS), least, most).tolist()

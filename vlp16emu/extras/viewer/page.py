@@ -27,7 +27,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from vlp16emu.errors import OutputError
-from vlp16emu.extras.sheets.survey import Survey, survey
+from vlp16emu.extras.survey import Survey, survey
 from vlp16emu.extras.viewer.layers import boxed, coloured, layers_of_scan, legend_of
 from vlp16emu.extras.viewer.stand import pieces_of
 from vlp16emu.extras.viewer.sweeps import CaptureSweeps, SceneSweeps, Sweep

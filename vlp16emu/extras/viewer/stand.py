@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.extras.plots import Rgb, colour_of_kind, surface_colours
-from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.extras.colours import Rgb, colour_of_kind, surface_colours
+from vlp16emu.extras.survey import Survey
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import FloorKey

@@ -15,12 +15,11 @@ from vlp16emu.captures import CaptureReader, PacketChunk, chosen_unit, packet_cl
 from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory
 from vlp16emu.extras.clouds.scan import chunk_of, cut_scans
-from vlp16emu.extras.options import TrajectoryErrors
 from vlp16emu.extras.verify.frames import Rule
 from vlp16emu.extras.verify.run import verify_units
 from vlp16emu.forest.plants.species import flora
 from vlp16emu.run.emulator import Emulator
-from vlp16emu.scenario import load
+from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import F8, I8, Labels, Scan
 
 _TURNS = 2.2  # span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed
@@ -38,6 +37,11 @@ class Sweep(NamedTuple):
     scan: Scan
     world_m: F8  # (n, 3) points in the world
     faults: tuple[str, ...] = ()  # lines about its broken packets
+
+
+def species_of(scenario: Scenario) -> dict[int, str]:
+    """Return the names of species by number that a scene's labels have."""
+    return dict(flora(getattr(scenario.world, "species_file", None)).names)
 
 
 def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
@@ -102,13 +106,12 @@ class CaptureSweeps:
 
     def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:
         self._path, self._folder, self._number = path, truth, unit
-        self._way = None if truth is None else Trajectory(truth, unit, TrajectoryErrors())
+        self._way = None if truth is None else Trajectory(truth, unit)
         self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
         found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
         """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
-        world = None if truth is None else load(truth / "scenario.json").world
-        self.species = {} if world is None else dict(flora(getattr(world, "species_file", None)).names)
+        self.species = {} if truth is None else species_of(load(truth / "scenario.json"))
         """Names of species by number."""
         packets, self._starts_ns = list[I8](), list[int]()
 

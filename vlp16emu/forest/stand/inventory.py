@@ -94,25 +94,18 @@ def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Tab
     return rows
 
 
-def write_csv(
-    file: BinaryIO, rows: NDArray[np.void], more: NDArray[np.void] | None = None, *, table: Table | None = None
-) -> None:
-    """Write rows (n,) `INVENTORY`, and columns of numbers (n,) if there are more, with their names as header.
-
-    Species are written by name, and nothing where a number is unknown.
-    """
+def write_csv(file: BinaryIO, rows: NDArray[np.void], *, table: Table | None = None) -> None:
+    """Write rows (n,) `INVENTORY` below a header; species by name, and nothing where a number is unknown."""
 
     def text(value: float) -> str:
-        return str(value) if isinstance(value, int) else "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
+        return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
 
     names = {species.number: name for name, species in (table or flora().trees).items()}
     opened = TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(opened, lineterminator="\n")
-    more = np.zeros(len(rows), []) if more is None else more
-    writer.writerow([*(INVENTORY.names or ()), *(more.dtype.names or ())])
-    for row, others in zip(rows.tolist(), more.tolist(), strict=True):
-        number, species, *values, line = row
-        writer.writerow([number, names[species], *map(text, values), line or "", *map(text, others)])
+    writer.writerow(INVENTORY.names or ())
+    for number, species, *values, line in rows.tolist():
+        writer.writerow([number, names[species], *map(text, values), line or ""])
     opened.detach()
 
 
@@ -164,7 +157,7 @@ def _measure_crowns(
 
 
 def hull_m(points_m: F8) -> F8:
-    """Return the points (n, 2 or 3) that span their convex hull; all if they span no area or volume."""
+    """Return the points (n, 3) that span their convex hull; all if they span no volume."""
     from scipy.spatial import ConvexHull, QhullError  # here: it takes a while to load
 
     try:

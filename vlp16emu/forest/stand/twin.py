@@ -1,11 +1,10 @@
-"""Things near a path, a piece cut out of the world, and its digital twin: glTF, every thing a node that carries its labels.
+"""Things near a path, and the digital twin of a piece of the world: glTF, every thing a node that carries its labels.
 
 glTF has y up (glTF 2.0 specification, section 3.4), so one node above all turns the world's z up into it;
 programs that have z up themselves, such as Blender, turn it back.
 """
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
@@ -14,46 +13,26 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import matvec, norm
+from vlp16emu.elementary import norm
 from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.forest.plants.prototypes import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
-from vlp16emu.forest.stand.inventory import hull_m
 from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, Mesh, PlantPart, Semantic, ShapeKey, Window
 
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
-
-
-@dataclass(frozen=True, slots=True)
-class AllNear:
-    """World of one window without a far medium."""
-
-    inside: Window
-    shape: Grow
-    near_m: float = math.inf
-    seed: int = 0
-
-    def window(self, _track_m: F8) -> Window:
-        """Return the window for any track."""
-        return self.inside
-
-    def shape_name(self, _key: ShapeKey) -> str:
-        """Return no name: no shape is kept on disk."""
-        return ""
+Inside = Callable[[F8], NDArray[np.bool_]]  # of points (n, 2), which lie in a place
 
 
 @dataclass(frozen=True, slots=True)
 class Thing:
     """A thing that stands or lies there and is no tree of the stand."""
 
-    placement: int  # in the window
     instance: int
     species: int
     kind: str
     """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
     place_m: F8  # (3,) origin of its shape in the world
-    outline_m: F8  # (k, 2) convex outline seen from above, counter-clockwise, in the world
     size_m: tuple[float, float, float]
     """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
     stumps the diameter at the top and the height; of anything else its extent."""
@@ -69,67 +48,18 @@ def things_near(
     is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
     near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
-    # What spans the convex hull of a shape is all that outlines need, in any placement.
-    corners = cache(lambda key: hull_m(np.concatenate([mesh.vertices_m for mesh in shape(key)]).astype(np.float64)))
+    # Shapes of the floor have unit size by what they are, not by their outermost corner.
+    unit_m = cache(lambda key: np.ptp(np.concatenate([mesh.vertices_m for mesh in shape(key)]), axis=0))
     found = []
     for i in np.flatnonzero(is_thing & no_tree & near).tolist():
         key, world_T_shape = window.shapes[window.shape[i]], window.world_T_shape[i]
-        row, corners_m = window.surfaces[window.first_surface[i]], corners(key)
-        seen_m = (matvec(world_T_shape[:, :3], corners_m) + world_T_shape[:, 3])[:, :2]
-        # Shapes of the floor have unit size by what they are, not by their outermost corner.
-        unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
-        size_m = tuple((unit_m * norm(world_T_shape[:, :3].T)).tolist())
+        row = window.surfaces[window.first_surface[i]]
+        scale = norm(world_T_shape[:, :3].T)
+        size_m = tuple((scale if isinstance(key, FloorKey) else unit_m(key) * scale).tolist())
         kind = key.kind.value if isinstance(key, FloorKey) else Semantic(row["semantic"]).name.lower()
         kind = "sapling" if isinstance(key, SaplingKey) else kind
-        numbers, place_m = (int(row["instance"]), int(row["species"])), world_T_shape[:, 3].copy()
-        found.append(Thing(i, *numbers, kind, place_m, hull_m(seen_m), size_m))
+        found.append(Thing(int(row["instance"]), int(row["species"]), kind, world_T_shape[:, 3].copy(), size_m))
     return found
-
-
-def cut_out(
-    window: Window, shape: Grow, *, instances: NDArray[np.uint32], inside: Callable[[F8], NDArray[np.bool_]]
-) -> tuple[Window, Grow]:
-    """Leave of a window the ground of a place, which points (n, 2) lie inside, and some instances (n,) whole.
-
-    Returns a window of the same surfaces, and how its shapes grow: in tiles, meshes of other instances are left empty.
-    """
-    wanted = np.isin(window.surfaces["instance"], instances)
-    keep, tile_at = _kept(window, wanted, inside)
-    used, which = np.unique(window.shape[keep], return_inverse=True)
-    shapes, first = tuple(window.shapes[i] for i in used), window.first_surface[keep]
-    world_T_shape = window.world_T_shape[keep]
-    left = Window(window.origin_m, shapes, which.astype(np.int32), world_T_shape, first, window.surfaces)
-
-    def grow(key: ShapeKey) -> tuple[Mesh, ...]:
-        if not isinstance(key, TileKey):
-            return shape(key)
-        (ground, *stems), place = shape(key), tile_at[key]
-        corner_m, row = window.world_T_shape[place, :2, 3], int(window.first_surface[place]) + 1
-        middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
-        stays = wanted[row : row + len(stems)].tolist()
-        paired = zip(stems, stays, strict=True)
-        cut = (mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0]) for mesh, whole in paired)
-        corners, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
-        return Mesh(ground.vertices_m[corners], faces.reshape(-1, 3).astype(np.uint32)), *cut
-
-    return left, grow
-
-
-def _kept(
-    window: Window, wanted: NDArray[np.bool_], inside: Callable[[F8], NDArray[np.bool_]]
-) -> tuple[NDArray[np.bool_], dict[TileKey, int]]:
-    """Return a mask (n,) of placements that show a wanted surface or ground of the place, and the placement of each tile."""
-    keys = (window.shapes[which] for which in window.shape)
-    tile_at = {key: i for i, key in enumerate(keys) if isinstance(key, TileKey)}
-    keep = wanted[window.first_surface]
-    starts = np.append(np.sort(window.first_surface), len(wanted))
-    for key, i in tile_at.items():
-        first = window.first_surface[i]
-        end = starts[np.searchsorted(starts, first, side="right")]
-        # Points a metre apart miss no more of the place than a corner of it.
-        x_m, y_m = np.meshgrid(*(TILE_M * n + np.arange(TILE_M + 1) for n in (key.ix, key.iy)))
-        keep[i] = wanted[first:end].any() or inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any()
-    return keep, tile_at
 
 
 _YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])
@@ -152,30 +82,57 @@ def label(row: np.void, species: Mapping[int, str], *, with_part: bool) -> str:
 def write_glb(
     file: BinaryIO,
     window: Window,
-    shape: Callable[[ShapeKey], tuple[Mesh, ...]],
+    shape: Grow,
     *,
     places_m: Mapping[int, F8],
+    inside: Inside | None,
     species: Mapping[int, str],
     colours: NDArray[np.uint8],
-) -> int:
-    """Write all that is in a window; what is placed often is stored once. Returns the number of instances.
+) -> None:
+    """Write instances of a window whole, and the ground of a place; what is placed often is stored once.
 
     Parameters
     ----------
-    places_m : by instance, (3,) origin of its node in the world; where its placement is, if not given
+    places_m : by instance, (3,) origin of its node in the world
+    inside : the place; None to write all of the window, with nodes of instances that have no place where their placement is
     species : names by number
     colours : (m, 3) sRGB of the window's surfaces
     """
     twin = _Twin(window, species, colours, places_m)
-    order = np.argsort(window.shape, kind="stable").tolist()
+    wanted = np.ones(len(window.surfaces), np.bool_)
+    placed = np.arange(len(window.shape))
+    if inside is not None:
+        wanted = np.isin(window.surfaces["instance"], list(places_m))
+        tiles = {(int(x_m // TILE_M), int(y_m // TILE_M)) for x_m, y_m, _ in places_m.values()}
+        is_tile = np.array([_has_part(key, tiles, inside) for key in window.shapes], np.bool_)
+        placed = np.flatnonzero(wanted[window.first_surface] | is_tile[window.shape])
+    order = placed[np.argsort(window.shape[placed], kind="stable")].tolist()
     for which, alike in groupby(order, key=lambda placement: int(window.shape[placement])):
         meshes = shape(window.shapes[which])  # one shape at a time is held in memory
         for placement in alike:
+            first = int(window.first_surface[placement])
             for number, mesh in enumerate(meshes):
-                if len(mesh.faces):
-                    twin.add(placement, number, mesh)
+                is_ground = number == 0 and isinstance(window.shapes[which], TileKey)
+                corner_m = window.world_T_shape[placement, :2, 3]
+                shown = _cropped(mesh, corner_m, inside) if is_ground and inside else mesh
+                if len(shown.faces) and (is_ground or wanted[first + number]):
+                    twin.add(placement, number, shown)
     file.write(twin.trimesh.exchange.gltf.export_glb(twin.scene, include_normals=False))
-    return len(twin.instances)
+
+
+def _has_part(key: ShapeKey, tiles: Container[tuple[int, int]], inside: Inside) -> bool:
+    """Return True for a tile in which an instance has its place, or which has ground inside."""
+    if not isinstance(key, TileKey):
+        return False
+    # Points a metre apart miss no more of the place than a corner of it.
+    x_m, y_m = np.meshgrid(*(TILE_M * n + np.arange(TILE_M + 1) for n in (key.ix, key.iy)))
+    return (key.ix, key.iy) in tiles or bool(inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any())
+
+
+def _cropped(ground: Mesh, corner_m: F8, inside: Inside) -> Mesh:
+    middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
+    used, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
+    return Mesh(ground.vertices_m[used], faces.reshape(-1, 3).astype(np.uint32))
 
 
 class _Twin:
@@ -188,7 +145,6 @@ class _Twin:
         self._window, self._species, self._colours, self._places_m = window, species, colours, places_m
         self._materials: dict[str, Any] = {}
         self._nodes: dict[str, int] = {}  # how often each name is taken
-        self.instances: set[int] = set()
         self.scene = trimesh.Scene(metadata={"unit": "m"})
         self.scene.graph.update(frame_to=_ROOT, matrix=_YUP_R_WORLD)
 
@@ -197,8 +153,6 @@ class _Twin:
         window = self._window
         surface = int(window.first_surface[placement]) + number
         row = window.surfaces[surface]
-        if row["instance"]:
-            self.instances.add(int(row["instance"]))
         which, parent = int(window.shape[placement]), _ROOT
         vertices_m, world_T_shape = mesh.vertices_m, np.eye(4)
         world_T_shape[:3] = window.world_T_shape[placement]

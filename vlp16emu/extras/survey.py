@@ -1,10 +1,11 @@
-"""Survey of all that stands near the path of a sensor, in figures, and what a run saw of its stems."""
+"""Survey of all that stands near the path of a sensor: in figures, and as the files that `vlp16emu forest` writes."""
 
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,93 +13,37 @@ from scipy.spatial import KDTree
 
 from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
+from vlp16emu.extras.colours import surface_colours
 from vlp16emu.extras.meshes.furnished import Furnished
-from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.foliage.polyline import Polyline
+from vlp16emu.forest.ground.dem import write_ascii
 from vlp16emu.forest.plants.prototypes import CrownKey
-from vlp16emu.forest.plants.species import Flora, Table, Trees, flora
-from vlp16emu.forest.plants.stem import Stems
+from vlp16emu.forest.plants.species import Flora, flora
+from vlp16emu.forest.plants.stem import STEM_CIRCLE, Stems
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory
+from vlp16emu.forest.stand.inventory import INVENTORY, branch_circles, inventory, write_csv
 from vlp16emu.forest.stand.stand import REGENERATION, TREE
 from vlp16emu.forest.stand.tree_models import TreeModels
-from vlp16emu.forest.stand.twin import Thing, things_near
+from vlp16emu.forest.stand.twin import Thing, things_near, write_glb
 from vlp16emu.motion.pose import Motion
+from vlp16emu.output import OutputFile
 from vlp16emu.scenario import Scenario
-from vlp16emu.types import F8, I8, HeightField, PlantPart, Semantic, Window, World
+from vlp16emu.types import F8, HeightField, Window, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.vectors import places_m
 
-STEM_SEEN = np.dtype(
-    [
-        ("returns_stem", "<u4"),  # from root flare and stem, second leaders too
-        ("stem_seen", "<f8"),  # share of the surface between 0.3 m and the crown base, in cells of 10 degrees by 0.5 m
-        ("breast_seen_deg", "<f8"),  # of the stem's girth between 1.1 m and 1.5 m, in cells of 10 degrees
-    ]
-)  # coverage of a stem by returns
-
-_SECTORS = 36  # cells around a stem
-_LOW_M, _CELL_M = 0.3, 0.5  # beginning of the cells above the foot, and their height
-_BREAST_M = (1.1, 1.5)
-_ASIDE_M = 0.5
-"""A return is from the stem itself, and of this world, if it is nearer to the axis than this plus a diameter."""
-_COLUMNS = ["world_x_m", "world_y_m", "world_z_m", "semantic", "part", "instance"]
-
-
-def stems_seen(trees: Trees, folder: Path, *, table: Table | None = None) -> NDArray[np.void]:
-    """Return the coverage of stems by the returns of a run: (n,) `STEM_SEEN`.
-
-    InputError if the folder has no table of returns, or one of another world.
-
-    Parameters
-    ----------
-    trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
-    folder : ground truth of the run, with a table of returns per unit
-    table : species; the program's own if None
-    """
-    stems, order = Stems(trees, table=table), np.argsort(trees["id"])
-    cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)
-    first = _SECTORS * np.cumsum([0, *cells.tolist()])
-    hit, breast = np.zeros(first[-1], np.bool_), np.zeros((len(trees), _SECTORS), np.bool_)
-    rows = np.zeros(len(trees), STEM_SEEN)
-    tables = sorted(folder.glob("returns*.parquet"))
-    if not tables:
-        raise InputError(str(folder), "no returns.parquet", "the truth of a run with --truth-returns")
-    for path in tables:
-        for returns in SlotReader(path).returns(_COLUMNS):
-            which, up_m, aside_m, sector = _about_axes(stems, order, returns)
-            rows["returns_stem"] += np.bincount(which, minlength=len(trees)).astype(np.uint32)
-            near = aside_m < trees["dbh_m"][which] + _ASIDE_M
-            if len(near) and near.mean() < 0.5:
-                found = f"returns from stems {np.median(aside_m):.1f} m off the axes of the scene's trees"
-                raise InputError(str(path), found, "those of a run of this scene")
-            level = np.floor((up_m - _LOW_M) / _CELL_M).astype(np.int64)
-            inside = near & (level >= 0) & (up_m < trees["crown_base_m"][which])
-            hit[(first[which] + _SECTORS * level + sector)[inside]] = True
-            inside = near & (up_m > _BREAST_M[0]) & (up_m < _BREAST_M[1])
-            breast[which[inside], sector[inside]] = True
-    owner = np.repeat(np.arange(len(trees)), _SECTORS * cells)
-    rows["stem_seen"] = np.bincount(owner, hit, len(trees)) / (_SECTORS * cells)
-    rows["breast_seen_deg"] = 360 / _SECTORS * breast.sum(axis=1)
-    return rows
-
-
-def _about_axes(stems: Stems, order: I8, returns: dict[str, F8]) -> tuple[I8, F8, F8, I8]:
-    """Return the row of the tree, height over its foot, distance from its axis and sector (k,) of the returns from stems."""
-    ids = stems.trees["id"][order]
-    is_stem = np.isin(returns["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
-    is_stem &= (returns["semantic"] == Semantic.TREE) & np.isin(returns["instance"], ids)
-    which = order[np.searchsorted(ids, returns["instance"][is_stem])]
-    at_m = np.column_stack([returns[name][is_stem] for name in _COLUMNS[:3]])
-    from_foot_m = at_m - places_m(stems.trees[which])
-    up_m = from_foot_m[:, 2]
-    aside_m = from_foot_m[:, :2] - stems.axis_m(up_m[:, None], which)[:, 0, :2]
-    turn = np.arctan2(aside_m[:, 1], aside_m[:, 0]) / (2 * np.pi) % 1.0
-    sector = np.minimum(_SECTORS * turn, _SECTORS - 1).astype(np.int64)
-    return which, up_m, np.hypot(*aside_m.T), sector
-
-
+CELL_M = 0.5  # edge of the cells for areas and slopes: about the length of a foot on the slope
+_GROUND_CELL_M = 0.25  # cell of the ground grid: the finest that is usual for forests
+_MEASURES = {
+    "sapling": ("height", 2),
+    "shrub": ("height", 2),
+    "stone": ("length", 0),
+    **dict.fromkeys(("log", "broken_log"), ("length", 0)),
+    **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
+    "root_plate": ("diameter", 1),
+    **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
+}  # reported size of a kind of thing, and its axis
 _STEPS_PER_S = 10  # rate of the points of the path: some 12 cm apart at walking speed
 
 
@@ -109,7 +54,6 @@ class Survey:
     world: World
     bare: ForestWorld | HallWorld  # the world without the user's own meshes
     path_m: F8  # (n, 3) sensor positions in order of time; one if the sensor stands still
-    field_of_view_deg: tuple[float, float]  # elevations of the sensor's lowest and highest beam
     radius_m: float  # distance from the path within which things are reported
     window: Window  # all within the sensor's range
     trees: NDArray[np.void]  # (n,) `TREE` within the sensor's range, without saplings
@@ -160,12 +104,6 @@ class Survey:
         rows[is_modelled] = self.models.inventory(trees[is_modelled])
         return rows
 
-    def stems_seen(self, trees: NDArray[np.void], folder: Path) -> NDArray[np.void]:
-        """Return `STEM_SEEN` of some of the trees (k,): what the returns of a run show of them, by its truth in `folder`."""
-        is_modelled, trees = self.models.has(trees), trees.copy()
-        trees["form"][is_modelled] = 0  # straight
-        return stems_seen(trees, folder, table=self.plants.trees)
-
     def stem_circles(self, trees: NDArray[np.void]) -> NDArray[np.void]:
         """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of the near ones, by tree."""
         is_modelled = self.models.has(trees)
@@ -191,15 +129,15 @@ class Survey:
 def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
     """Survey the surroundings of the path of a scenario's sensor.
 
-    InputError if a part of the scenario cannot be made, or the radius exceeds the sensor's range.
+    InputError if a part of the scenario cannot be made, its world is of another package, or the radius exceeds the sensor's range.
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:
         raise InputError("--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach")
     parts = parts or assemble(scenario)
-    beams_deg, world = parts.head.beams.elevation_deg, parts.world
-    bare = world.bare if isinstance(world, Furnished) else world
-    assert isinstance(bare, ForestWorld | HallWorld)
+    world, bare = parts.world, _bare(parts.world)
+    if not isinstance(bare, ForestWorld | HallWorld):
+        raise InputError("world.kind", f"found {scenario.world.kind}", "forest, plot or hall")
     path_m = _way_m(scenario, parts.motion)
     path, window = Polyline(path_m[:, :2]), world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
@@ -210,7 +148,6 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
         world=world,
         bare=bare,
         path_m=path_m,
-        field_of_view_deg=(float(beams_deg.min()), float(beams_deg.max())),
         radius_m=radius_m,
         window=window,
         trees=trees[gap_m <= reach_m],
@@ -220,6 +157,10 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     )
 
 
+def _bare(world: World) -> World:
+    return world.bare if isinstance(world, Furnished) else world
+
+
 def _way_m(scenario: Scenario, motion: Motion) -> F8:
     """Return positions (n, 3) of the sensor over the scene's duration; one if it stands still."""
     if not motion.moves:
@@ -227,9 +168,6 @@ def _way_m(scenario: Scenario, motion: Motion) -> F8:
     time_s = min(scenario.duration_s, motion.run_time_s)
     steps = np.linspace(0, seconds_to_ns(time_s), 2 + int(time_s * _STEPS_PER_S)).astype(np.int64)
     return motion.poses_at(scenario.start_ns + steps).world_p_body_m
-
-
-CELL_M = 0.5  # edge of the cells for areas and slopes: about the length of a foot on the slope
 
 
 def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[dict[str, Any]]:
@@ -291,17 +229,6 @@ def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
     }
 
 
-_MEASURES = {
-    "sapling": ("height", 2),
-    "shrub": ("height", 2),
-    "stone": ("length", 0),
-    **dict.fromkeys(("log", "broken_log"), ("length", 0)),
-    **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
-    "root_plate": ("diameter", 1),
-    **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
-}  # reported size of a kind of thing, and its axis
-
-
 def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
     """Summarise the survey of a scene of this name: of any world its path and what has a name, of a forest its figures within the radius."""
     path_xy_m = seen.path_m[:, :2]
@@ -336,19 +263,6 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
     }
 
 
-def subtitle_of(summary: Mapping[str, Any]) -> str:
-    """Return a summary in one line."""
-    words = [f"{Path(summary['scene']).stem}, seed {summary['seed']}"]
-    if length_m := summary["path"]["length_m"]:
-        words.append(f"{length_m:.0f} m of path")
-    if "area_ha" in summary:
-        words.append(f"{summary['area_ha']:.2f} ha within {summary['radius_m']:g} m")
-        for row in summary["trees"][-1:]:
-            words.append(f"{row['stems_per_ha']:.0f} stems/ha, DBH {row['dbh_mean_cm']:.0f} cm")
-            words.append(f"{row['basal_area_m2_per_ha']:.0f} m2/ha, leaf area index {row['leaf_area_index']:.1f}")
-    return "  |  ".join(words)
-
-
 def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
     """Count things without names by kind, with their species by frequency, and the extremes of their size."""
     kinds = dict[str, dict[str, Any]]()
@@ -361,3 +275,36 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
         kinds[kind] = {"count": len(things), "per_ha": per_ha, "measure": measure}
         kinds[kind] |= {"least_m": min(sizes_m), "greatest_m": max(sizes_m), "species": species}
     return kinds
+
+
+def write_survey(scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path]) -> dict[str, Any]:
+    """Survey a scene, write the files of the options in `wanted`, and return the summary.
+
+    The files are opened before anything heavy, and take their names together at the end. Raises InputError as `survey`;
+    OutputError if a file cannot be made.
+    """
+    with ExitStack() as stack:
+        outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
+        seen = survey(scenario, radius_m)
+        summary = summary_of(scene, scenario, seen)
+        for name, output in outputs.items():
+            file = stack.enter_context(output.writing())
+            _write(name, file, seen)
+            file.flush()  # here, so that none takes its name if the disk is full
+    return summary
+
+
+def _write(name: str, file: BinaryIO, seen: Survey) -> None:
+    if name == "--inventory":  # all trees within the sensor's range
+        write_csv(file, seen.inventory(seen.trees), table=seen.plants.trees)
+    elif name == "--stems":  # skeletons with radii, as a QSM has them
+        text: dict[str, Any] = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "comments": ""}
+        np.savetxt(file, seen.stem_circles(seen.trees), header=",".join(STEM_CIRCLE.names or ()), **text)
+    elif name == "--ground":
+        write_ascii(file, seen.bare.height_m, *seen.bounds_m, _GROUND_CELL_M)
+    else:  # everything within the radius, or the whole hall, as a twin
+        at_m = {thing.instance: thing.place_m for thing in seen.things}
+        at_m |= dict(zip(seen.near["id"].tolist(), places_m(seen.near), strict=True))
+        look: dict[str, Any] = {"species": seen.species, "colours": surface_colours(seen.window.surfaces, seen.species)}
+        inside = None if seen.hall else seen.inside
+        write_glb(file, seen.window, seen.world.shape, places_m=at_m, inside=inside, **look)

@@ -1,1 +1,0 @@
-"""What stands in a world: in figures, on a plan, and in a section from the side."""
