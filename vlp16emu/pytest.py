@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from vlp16emu.extras.handle import Live
 
 _LOOK_AHEAD = 128
-"""Packets that are computed before the first one leaves, 0.17 s: a hall is made several times as fast as it is sent."""
+"""Packets that are computed before the first one is sent, 0.17 s: a hall is computed several times faster than sent."""
 _LONGEST_S = 7 * 86_400.0  # longest run of a scene
-_LAST = pytest.StashKey[Any]()  # the emulator of the test before, whose world is used again
+_LAST = pytest.StashKey[Any]()  # emulator of the previous test, whose world is reused
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -34,10 +34,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
-    """Stream a scene while a test runs: `vlp16emu.Live`, whose first packet has left.
+    """Stream a scene while a test runs: `vlp16emu.Live`, whose first packet is sent.
 
-    The scene is the marker's, `--vlp16-scene`, or `vlp16_scene` of the ini file; static_bench otherwise, a hall with
-    posts, boxes and balls and a sensor without errors. It ends with the test, or where a walk does.
+    The scene is given by the marker, by `--vlp16-scene`, or by `vlp16_scene` of the ini file. The default, static_bench, is
+    a hall with posts, boxes and balls, and a sensor without errors. The stream ends with the test, or with the walk.
     """
     from vlp16emu.extras.handle import Live
     from vlp16emu.run.emulator import Emulator
@@ -54,5 +54,5 @@ def vlp16(request: pytest.FixtureRequest) -> "Iterator[Live]":
 def _asked(
     scene: Any = None, settings: Mapping[str, object] | Sequence[str] = (), **options: Any
 ) -> tuple[Any, Mapping[str, object] | Sequence[str], dict[str, Any]]:
-    """Return what a marker asks for."""
+    """Return scene, settings and options of a marker."""
     return scene, settings, options

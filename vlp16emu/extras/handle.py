@@ -1,4 +1,4 @@
-"""A stream on a thread of its own, whose program reads what leaves: ports, packets, point clouds and their ground truth."""
+"""A running stream as an object: ports, sent packets, point clouds, ground truth, settings and faults."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ from vlp16emu.types import Packet, PacketKind, Scan
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _HELD = 2048
-"""Packets of a sensor and kind that can be asked for: 2.7 s of single return, 50 MB with their ground truth."""
+"""Sent packets kept per sensor and kind: 2.7 s of single return, 50 MB with ground truth."""
 _AT_ONCE = 16  # packets that are decoded at once for scans, 21 ms
 _LABELS = ("semantic", "part", "instance", "species", "range_m")
 RECORD_TRUTH = np.dtype([*SLOT.descr, ("world_T_sensor", "<f8", (4, 4))])
@@ -44,14 +44,14 @@ def stream(
     truth: bool = True,
     **options: Any,
 ) -> "Live":
-    """Begin to stream a scene over UDP, and return as soon as its first data packet has left; errors as `Emulator.stream`.
+    """Start to stream a scene over UDP, and return when the first data packet is sent; errors as `Emulator.stream`.
 
     Parameters
     ----------
-    scene, settings, ideal, threads : as of `Emulator`
-    truth : whether scans have labels and `Live.truth` is known; costs a third more computing
-    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None for those of the scene),
-        and the web interface is on another one (None for none)
+    scene, settings, ideal, threads : as in `Emulator`
+    truth : provide labels of scans and `Live.truth`; takes a third more computing time
+    options : fields of `StreamOptions`. By default packets go to free ports of this machine (None: ports of the scene),
+        and the web interface listens on another free port (None: no web interface)
 
     Examples
     --------
@@ -65,13 +65,13 @@ def stream(
 
 
 class _Lane:
-    """Packets of one sensor and kind that have left."""
+    """Sent packets of one sensor and kind."""
 
     def __init__(self) -> None:
         self.held = deque[Packet](maxlen=_HELD)
-        self.leaving: Packet | None = None  # packet that a receiver may have before it counts as left
+        self.leaving: Packet | None = None  # a receiver may have it before it counts as sent
         self.count = self.taken = 0
-        self.wake_at: float = np.inf  # count at which a thread is to be woken that waits for packets
+        self.wake_at: float = np.inf  # count at which the waiting threads wake up
 
     def since(self, number: int) -> list[Packet]:
         """Return the packets from a number on, as far as they are held."""
@@ -79,16 +79,15 @@ class _Lane:
 
 
 class Live(PacketSink):
-    """A stream that is under way, on a thread of its own; a context manager that stops it.
+    """A running stream with a thread of its own; a context manager that stops it.
 
-    What goes wrong there is raised by the method that waits for packets, at the end of the block if there is none, and by
-    `stop`.
+    Its errors are raised by the method that waits for packets, by `stop`, or at the end of the `with` block.
 
     Parameters
     ----------
-    emulator : of the scene
-    truth : whether packets carry their ground truth
-    look_ahead : packets of a sensor that are computed before the first one leaves
+    emulator : the scene
+    truth : keep the ground truth of packets
+    look_ahead : packets per sensor that are computed before the first one is sent
     options : fields of `StreamOptions`, with the defaults of `stream`
     """
 
@@ -108,7 +107,7 @@ class Live(PacketSink):
         self._sink: PacketSink
         self._pacer: Pacer
         self._shift_ns: int | None = None
-        """By how much later packets are due than in the scene, as they are moved into the present."""
+        """Send time minus time in the scene, as packets are moved into the present."""
         self._not_before_ns = 0
         http = options.pop("http", Http(f"{LOOPBACK}:0"))
         http = http and replace(http, controlled=partial(setattr, self, "_control"), serving=self._serves)
@@ -131,29 +130,28 @@ class Live(PacketSink):
 
     @property
     def data_port(self) -> int:
-        """Port that the data packets of the first sensor are sent to."""
+        """Destination port of the data packets of the first sensor."""
         return self.ports[0][0]
 
     @property
     def position_port(self) -> int:
-        """Port that its position packets are sent to."""
+        """Destination port of the position packets of the first sensor."""
         return self.ports[0][1]
 
     def stop(self) -> Streamed:
-        """End the stream and return its report; errors are those of the stream. Does no harm twice."""
+        """End the stream and return its report, or raise its error. A second call returns the same report."""
         self._end()
         self._raise()
         assert self._result is not None
         return self._result
 
     def packets(self, count: int, *, unit: int = 1, kind: str = "data", timeout_s: float = 30.0) -> list[bytes]:
-        """Wait for packets that have left, and return their payloads: the first ones that no call before has returned.
+        """Wait for `count` sent packets and return their payloads in order of sending; no packet is returned twice.
 
-        Of packets that left more than 2048 packets ago nothing is known. After `set` and `fault` it is those that follow it.
+        Only the last 2048 packets are kept. After `set` and `fault` the packets are those that the change affects.
 
-        Raises InputError if there is no such unit or kind (data or position), or more than 2048 packets are
-        asked for; RunError if they have not left when the stream ends, or when `timeout_s` has passed; errors
-        of the stream.
+        Raises InputError if there is no such unit or kind (data or position), or `count` is above 2048; RunError if the
+        stream ends, or `timeout_s` passes, before they are sent; errors of the stream.
         """
         lane = self._lane(unit, kind)
         if not 1 <= count <= _HELD:
@@ -170,14 +168,13 @@ class Live(PacketSink):
         raise RunError(f"{len(found)} of {count} packets have left {when}")
 
     def truth(self, payload: bytes, *, unit: int = 1) -> NDArray[np.void]:
-        """Return the ground truth of the records of a data packet that left, found by its time stamp: `RECORD_TRUTH` (384,).
+        """Return the ground truth of a sent data packet, found by its time stamp: `RECORD_TRUTH` (384,).
 
-        Record 32 b + c is that of channel c of block b. `range_m`, `sensor_m` (3), `world_m` (3), `semantic`, `part`,
-        `instance` and `species` are those of the surface that the return is from; `echo` is 0 for the strongest, 1 for
-        the last, 2 for the second strongest and 255 for none; `t_ns` and `world_T_sensor` (4, 4) are those of the pulse.
+        Row 32 b + c is record c of block b. `range_m`, `sensor_m` (3), `world_m` (3), `semantic`, `part`,
+        `instance` and `species` describe the surface of the return; `echo` is 0 for the strongest, 1 for the last, 2 for
+        the second strongest return and 255 for none; `t_ns` and `world_T_sensor` (4, 4) belong to the pulse.
 
-        Raises InputError if none of the sensor's last 2048 packets has the stamp, or the stream was begun
-        without truth.
+        Raises InputError if none of the sensor's last 2048 packets has the stamp, or the stream has no truth.
         """
         lane, stamp = self._lane(unit, "data"), _stamp(payload)
         with self._changed:
@@ -193,29 +190,29 @@ class Live(PacketSink):
         return rows
 
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
-        """Yield whole revolutions of a sensor, decoded from its packets as they leave, until the stream ends.
+        """Yield whole revolutions of a sensor, decoded from its packets as they are sent, until the stream ends.
 
-        They have labels if the stream has truth. Their times are those of the scene. A program that is behind by more than
-        2048 packets goes on with the newest. What is no whole data packet is passed over.
+        Scans have labels if the stream has truth; their times are those of the scene. A reader that is more than 2048
+        packets behind goes on with the newest packet. Incomplete and corrupt data packets are skipped.
 
-        Raises InputError if there is no such unit; others as of the stream.
+        Raises InputError if there is no such unit; errors of the stream.
         """
         lane, of = self._lane(unit, "data"), self._emulator.parts.units[unit - 1]
         return cut_scans(self._chunks(lane), lambda t_ns: of.world_T_sensor(np.array([t_ns]))[0])
 
     def set(self, *, unit: int = 1, **settings: object) -> None:
-        """Set a sensor as its web interface would: keys of the event `setting`; as `fault`."""
+        """Change settings of a sensor as its web interface does: keys of the event `setting`; errors as `fault`."""
         self.fault("setting", unit=unit, **settings)
 
     def fault(self, kind: str, *, unit: int = 1, **keys: object) -> None:
-        """Let an event of `[[events]]` happen to a sensor, and return when packets follow it.
+        """Inject an event of `[[events]]` into a sensor, and return when the packets that it affects are sent.
 
         Parameters
         ----------
-        kind : as in `[[events]]`, for instance drop, reorder, corrupt, pps_loss or power_cycle
-        keys : of that event, for instance `count=1` or `duration_s=0.5`
+        kind : kind of the event, for instance drop, reorder, corrupt, pps_loss or power_cycle
+        keys : keys of that event, for instance `count=1` or `duration_s=0.5`
 
-        Raises InputError if it is none, or cannot happen in this scene, or the stream has no web interface.
+        Raises InputError if there is no such event, the scene does not allow it, or the stream has no web interface.
         """
         if (control := self._control) is None:
             raise InputError(kind, "found http = None", "a stream with web interface, which sets sensors")
@@ -230,9 +227,9 @@ class Live(PacketSink):
         return self
 
     def send(self, packet: Packet) -> None:
-        """Send one packet, keep it, and wake who waits for it; called by the stream."""
+        """Send one packet, keep it, and wake the threads that wait for it; called by the stream."""
         lane = self._lanes[packet.unit, packet.kind]
-        lane.leaving = packet  # a receiver may have it before it counts as left
+        lane.leaving = packet  # a receiver may have it before it counts as sent
         self._sink.send(packet)
         with self._changed:
             if self._shift_ns is None:
@@ -274,12 +271,12 @@ class Live(PacketSink):
         return self._lanes[self._emulator.number(unit), PacketKind(kind)]
 
     def _next_of(self, lane: _Lane) -> int:
-        """Return the number of the packet that is to be taken next: held still, and not due before the last change."""
+        """Return the number of the next packet to take: still kept, and not due before the last change."""
         first = max(lane.taken, lane.count - len(lane.held))
         return first + sum(packet.due_ns < self._not_before_ns for packet in lane.since(first))
 
     def _wait(self, lane: _Lane, count: Callable[[], int], timeout_s: float | None = None) -> None:
-        """Wait until so many packets have left, the stream is over, or the time has passed; holds the lock."""
+        """Wait until `count()` packets are sent, the stream ends, or the timeout passes; the caller holds the lock."""
 
         def is_there() -> bool:
             wanted = count()
@@ -289,7 +286,7 @@ class Live(PacketSink):
         self._changed.wait_for(is_there, timeout_s)
 
     def _chunks(self, lane: _Lane) -> Iterator[Chunk]:
-        """Yield the points of packets as they leave; a jump of the clock where some are not held any more."""
+        """Yield the points of packets as they are sent; packets that are no longer kept leave a jump of the clock."""
         number, is_over = 0, False
         while not is_over:
             with self._changed:
@@ -301,7 +298,7 @@ class Live(PacketSink):
 
 
 def _points(packets: list[Packet]) -> Iterator[Chunk]:
-    """Yield the points of data packets of the right length, without those whose bytes are no VLP-16's."""
+    """Yield the points of data packets of 1206 bytes; skip packets with other faults."""
     payloads = np.frombuffer(b"".join(packet.payload for packet in packets), np.uint8).reshape(-1, DATA_BYTES)
     bad = {fault.packet for fault in faults_in(data_fields(payloads))}
     if not (good := [i for i in range(len(packets)) if i not in bad]):
@@ -317,6 +314,6 @@ def _points(packets: list[Packet]) -> Iterator[Chunk]:
 
 
 def _stamp(payload: bytes) -> bytes:
-    """Return the four bytes of a time stamp, or a payload that is too short to have one."""
+    """Return the four bytes of the time stamp; the whole payload if it is too short."""
     at = DATA_PAYLOAD.fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
     return payload[at : at + 4] or payload

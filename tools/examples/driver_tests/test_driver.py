@@ -29,7 +29,7 @@ def test_rings_count_from_below(vlp16):
     assert np.abs(elevation_deg - (2 * points["ring"][there] - 15)).max() < 1  # lasers sit up to 11 mm off the centre
 
 
-@pytest.mark.vlp16("static_bench", {"sensor.return_mode": "dual", "beam.model": "fixed"})
+@pytest.mark.vlp16("static_bench", {"sensor.return_mode": "dual", "beam.model": "adaptive"})
 def test_the_last_return_comes_first(vlp16):
     """Of two echoes of a pulse the last one is marked, which is the farther one."""
     points, truth = read(vlp16, 152)

@@ -1,1 +1,1 @@
-"""What SLAM programs read of bags of a VLP-16: ready configurations, and whether a bag is fit for a program."""
+"""Ready configurations of SLAM programs for bags of a VLP-16, and a check whether a bag is fit for a program."""

@@ -26,7 +26,7 @@ Leaves = list[tuple[str, Any, str]]  # key, value and a remark, which is empty w
 
 
 class Value(NamedTuple):
-    """A value of a configuration under its path in the file; if ours differs the program's own, why, and where that is read."""
+    """A value of a configuration: path in the file, our value, the program's default, why it differs, and source."""
 
     key: str
     value: Any  # a text {name} is a value of the rig
@@ -36,7 +36,7 @@ class Value(NamedTuple):
 
 
 class ConfigFile(NamedTuple):
-    """A file of a configuration, whose ending is its format; a .launch file includes one of a package."""
+    """A file of a configuration; its suffix is the format, and a .launch file includes a launch file of a package."""
 
     name: str
     values: tuple[Value, ...]
@@ -45,7 +45,7 @@ class ConfigFile(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A SLAM program: where it is on GitHub, and what was read there; in Markdown how to start it, and what is compiled in."""
+    """A SLAM program: repository, sources read; in Markdown how to start it, and its compile-time constants."""
 
     name: str
     repository: str
@@ -53,8 +53,8 @@ class Program(NamedTuple):
     start: str
     compiled: str
     files: list[ConfigFile]
-    needs: Mapping[str, str]  # what to set, and what happens otherwise, by the rule of `fitness`
-    rest_s: float = 0.0  # rest at the start that it needs
+    needs: Mapping[str, str]  # by rule of `fitness`: what to set, and what happens otherwise
+    rest_s: float = 0.0  # time at rest that it needs at the start
 
 
 @cache
@@ -75,29 +75,29 @@ def chosen(name: str, *, where: str = "--for") -> list[Program]:
 
 @dataclass(frozen=True)
 class Rig:
-    """What a configuration depends on; the default is what `protocol/slam` is for."""
+    """Rig that a configuration is for; the default is the rig of the files in `protocol/slam`."""
 
     rpm: float = 600.0
-    base_T_lidar: F8 | None = None  # (4, 4) extrinsics, as the next; None if they are the identity, or change
+    base_T_lidar: F8 | None = None  # (4, 4) extrinsics; None if they are the identity, or change
     base_T_imu: F8 | None = None
     imu: Mapping[str, Any] | None = None  # section of the scene
     lidar_frame: str = "velodyne"
 
     @classmethod
     def of(cls, rig: Mapping[str, Any], scenario: Mapping[str, Any], frame: str) -> Self:
-        """Return what `rig.json` and `scenario.json` say of the first unit, whose frame is given."""
+        """Return the rig of the first unit, with this frame, from `rig.json` and `scenario.json`."""
         imu = given_mount(rig["imu"], "body_T_imu") if "imu" in rig else None
         lidar = given_mount(rig["units"][0], "body_T_sensor")
         return cls(float(scenario["sensor"]["rpm"]), lidar, imu, scenario.get("imu"), frame)
 
     @property
     def words(self) -> str:
-        """Return the rig in words."""
+        """The rig in one line."""
         imu = self.imu or {}
         return f"{self.rpm:g} rpm, IMU {imu.get('rate_hz', 200)} Hz{', with attitude' if imu.get('attitude') else ''}"
 
     def names(self) -> dict[str, Any]:
-        """Return the values that the table names; None is what the rig does not have."""
+        """Return the values of the names that the table refers to; None if the rig has no such value."""
         base_T_lidar, base_T_imu = (np.eye(4) if T is None else T for T in (self.base_T_lidar, self.base_T_imu))
         imu = self.imu or {}
         poses = {
@@ -122,7 +122,7 @@ class Rig:
 
 
 def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
-    """Return the pose (4, 4) of one frame in another under the names of the table, in the orders that programs have."""
+    """Return the pose (4, 4) of one frame in another under the names of the table, in the orders that programs use."""
     from scipy.spatial.transform import Rotation
 
     place, turn = (T[:3, 3].round(9) + 0.0).tolist(), (T[:3, :3].round(9) + 0.0).ravel().tolist()
@@ -144,10 +144,9 @@ def configurations(program: Program, rig: Rig) -> dict[str, str]:
 
 @contextmanager
 def written_beside(bag: Path, name: str | None, rig: Callable[[], Rig]) -> Iterator[None]:
-    """Write the configuration of a program, or of all, beside a bag after the block: `walk.lio-sam.yaml`; None writes none.
+    """Write the configuration of a program, or of all, beside a bag when the block ends: `walk.lio-sam.yaml`.
 
-    Raises InputError if there is no such program; OutputError if one of the files is there already, with other
-    values.
+    Raises InputError if there is no such program; OutputError if one of the files exists with other values.
     """
     texts = {
         final_name(bag.with_name(f"{bag.stem}.{file}")): text
@@ -243,7 +242,7 @@ _FORMATS = {"yaml": _yaml, "json": _json_file, "lua": _lua, "sh": _shell, "launc
 
 
 def as_text(value: Any) -> str:
-    """Write a value as JSON, YAML and Lua have it: YAML 1.1 knows no 1e-9 without a point."""
+    """Write a value in the syntax that JSON, YAML and Lua share: YAML 1.1 does not read 1e-9 without a point."""
     if isinstance(value, list):
         return f"[{', '.join(map(as_text, value))}]"
     text = json.dumps(value)

@@ -1,4 +1,4 @@
-"""Contents of a bag from any recorder; whether it is fit for a SLAM program, and which parameter to set where it is not."""
+"""Check of a bag from any recorder: is it fit for a SLAM program, and if not, which parameter to set."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -16,18 +16,18 @@ from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "timestamps", "stamps", "offset_time")
-"""Fields of times, as the programs of the table name them."""
-_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # types of sensor_msgs/PointField
+"""Names of the time field in the programs of the table."""
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of sensor_msgs/PointField
 _CLOUD, _IMU = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu"
-_RING_SCANS = 20  # scans whose rings are looked at
-_SMOOTHED_S = 0.1  # samples of an inertial unit are averaged over this time before rest is looked for
+_RING_SCANS = 20  # scans whose rings are checked
+_SMOOTHED_S = 0.1  # IMU samples are averaged over this time to find rest
 _RESTS_RAD_S, _RESTS_SHARE = 0.15, 0.05
-"""A person who stands turns more slowly than this, and feels 1 g within this share."""
+"""Highest angular rate, and relative deviation of the specific force from 1 g, of a person who stands."""
 
 
 @dataclass(slots=True)
 class Facts:
-    """Contents of a bag: the clouds and the samples of the topics that are most like ours, and the transforms."""
+    """Contents of a bag: clouds and IMU samples of the topics most like ours, and the transforms."""
 
     topic: str
     imu_topic: str  # empty if there is no inertial unit
@@ -36,11 +36,11 @@ class Facts:
     fields: Mapping[str, np.dtype[Any]] = field(default_factory=dict)
     time_name: str = ""
     clouds: list[tuple[float, ...]] = field(default_factory=list)
-    """Stamp in s since the first message; earliest, latest and last time in the field's own unit; points; 1 if NaN or not dense."""
-    rings: dict[int, list[float]] = field(default_factory=dict)  # sums and numbers of sines of the elevation by ring
+    """Rows: stamp in s since the first message; earliest, latest, last point time in the field's unit; points; 1 if not dense."""
+    rings: dict[int, list[float]] = field(default_factory=dict)  # by ring: sum and number of the sines of elevation
     samples: list[tuple[float, ...]] = field(default_factory=list)
-    """Stamp as those of clouds, angular rate, acceleration, length of the quaternion, first covariances of attitude, angular rate
-    and acceleration."""
+    """Rows: stamp as in `clouds`, angular rate (3), acceleration (3), norm of the quaternion, first covariance of
+    attitude, angular rate and acceleration."""
     fixed: dict[str, tuple[str, F8]] = field(default_factory=dict)  # parent and pose of each frame of /tf_static
     parents: dict[str, set[str]] = field(default_factory=dict)  # all parents of each frame, fixed or moving
 
@@ -51,7 +51,7 @@ class Facts:
         return None if common is None else np.linalg.inv(chains[0][common]) @ chains[1][common]
 
     def up(self, frame: str) -> Iterator[tuple[str, F8]]:
-        """Yield the frame and those above it, with its pose in each."""
+        """Yield the frame and its ancestors, with its pose in each."""
         T, seen = np.eye(4), set[str]()
         while frame not in seen:
             yield frame, T
@@ -146,7 +146,7 @@ def _add_fixed(facts: Facts, message: Any, start_s: int) -> None:
 
 
 def rest_s(imu: F8, rate_hz: float) -> float:
-    """Return for how long a unit rests at the start, from its samples (n, 11)."""
+    """Return how long the unit rests at the start, in seconds, from IMU samples (n, 11)."""
     block = max(round(rate_hz * _SMOOTHED_S), 1)
     rows = len(imu) // block * block
     means = imu[:rows, 1:7].reshape(-1, block, 6).mean(axis=1)
@@ -159,11 +159,11 @@ def rest_s(imu: F8, rate_hz: float) -> float:
 
 _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
 """Units of times, and their numbers in FAST-LIO2 and Point-LIO (src/preprocess.h)."""
-_EARLY_S = 1e-3  # time before the stamp that rounding does not explain
+_EARLY_S = 1e-3  # longest time before the stamp that is rounding
 _GRAVITY_M_S2 = 9.80665
-_TILT_DEG = 30.0  # no person carries a body whose vertical axis leans more than this
+_TILT_DEG = 30.0  # largest tilt of a body that a person carries
 _SWEEP_S, _IMU_HZ, _SLOW_HZ, _BEAMS = 0.1, 200.0, 100.0, 16
-"""What the configurations of `protocol/slam` are for, and the rate below which programs deskew badly."""
+"""Rig of the configurations of `protocol/slam`, and the IMU rate below which programs deskew badly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ class Unfit:
     program: str
     rule: str
     found: str
-    needs: str  # the parameter to set, or what the bag must have; and behind a semicolon what happens otherwise
+    needs: str  # parameter to set, or what the bag must have; after a semicolon what happens otherwise
 
     def __str__(self) -> str:
         remedy, _, otherwise = self.needs.partition("; ")
@@ -182,7 +182,7 @@ class Unfit:
 
 @dataclass(frozen=True, slots=True)
 class Fitness:
-    """What a bag holds, and its fitness for programs."""
+    """Summary of a bag, and its fitness for programs."""
 
     summary: dict[str, Any]
     programs: tuple[str, ...]
@@ -244,11 +244,11 @@ ROWS = (
     _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
     _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
 )  # fmt: skip
-"""Rules in the order of findings; a program that does not mind has no text for the rule in `programs.toml`."""
+"""Rules in the order of findings; a rule holds for the programs that have a text for it in `programs.toml`."""
 
 
 def fitness(path: Path, name: str) -> Fitness:
-    """Hold a bag against what a program, or all of them, need as `protocol/slam` configures them.
+    """Check a bag against the needs of a program, or of all, as `protocol/slam` configures them.
 
     Raises InputError if there is no such program; CaptureError, MissingExtraError as `read_facts`.
     """
