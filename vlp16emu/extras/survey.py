@@ -135,7 +135,8 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     if radius_m > reach_m:
         raise InputError("--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach")
     parts = parts or assemble(scenario)
-    world, bare = parts.world, _bare(parts.world)
+    world = parts.world
+    bare = world.bare if isinstance(world, Furnished) else world
     if not isinstance(bare, ForestWorld | HallWorld):
         raise InputError("world.kind", f"found {scenario.world.kind}", "forest, plot or hall")
     path_m = _way_m(scenario, parts.motion)
@@ -155,10 +156,6 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
         things=things_near(window, world.shape, trees=trees["id"], path=path, radius_m=far_m),
         seed=scenario.world_seed,
     )
-
-
-def _bare(world: World) -> World:
-    return world.bare if isinstance(world, Furnished) else world
 
 
 def _way_m(scenario: Scenario, motion: Motion) -> F8:
