@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, RunOptions, SceneName, Settings
-from vlp16emu.cli.printer import (
-    count,
-    print_files,
-    print_json,
-    print_rows,
-    print_table,
-    rows_of,
-    size,
-    table_of,
-    text_of,
-    tree_of,
-)
+from vlp16emu.cli.printer import count, print_json, print_rows, print_table, rows_of, size, table_of, text_of, tree_of
 from vlp16emu.cli.terminal import Progress, compile_first, make_emulator
 from vlp16emu.errors import InputError
 from vlp16emu.run.options import Option
@@ -216,7 +205,8 @@ def forest(
         print_json({**tree_of(summary), "files": written})
         return
     _print_forest(summary)
-    print_files(wanted.values())
+    for path in wanted.values():
+        print(f"wrote {path}, {size(path.stat().st_size)}")
 
 
 def _print_forest(summary: dict[str, Any]) -> None:

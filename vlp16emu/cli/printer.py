@@ -1,7 +1,7 @@
 """Results on standard output: as JSON, or as rows for people."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -76,12 +76,6 @@ def table_of(rows: Sequence[Any]) -> list[list[str]]:
         [name.replace("_", " ") for name, _ in members(rows[0])],
         *([value if isinstance(value, str) else f"{value:.4g}" for _, value in members(row)] for row in rows),
     ]
-
-
-def print_files(files: Iterable[Path]) -> None:
-    """Print the names and sizes of files that were written."""
-    for path in files:
-        print(f"wrote {path}, {size(path.stat().st_size)}")
 
 
 def tree_of(value: Any) -> Any:

@@ -9,7 +9,7 @@ import pytest
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
 from vlp16emu.extras.clouds.scan import decode
-from vlp16emu.extras.viewer.picture import Canvas, Orthographic
+from vlp16emu.extras.viewer.picture import Canvas
 
 Image = pytest.importorskip("PIL.Image", reason="the extra picture is not installed")
 
@@ -26,23 +26,22 @@ BOX_M = np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 5.0]])
 
 def test_lengths_are_the_same_all_over_an_oblique_view():
     """From the south, 10 m to the east are as many pixels wherever they lie, and what is nearer to the eye is so by its height and place."""
-    view = Orthographic.around(BOX_M, 180.0, 30.0, (640, 400))
+    canvas = Canvas(BOX_M, 180.0, 30.0, (640, 400))
     for place in ((0.0, 0.0, 0.0), (-5.0, 8.0, 4.0)):
-        column, row, _ = view.pixels(np.array([place, np.add(place, (10.0, 0, 0))]))
-        assert abs(column[1] - column[0] - 10 * view.px_per_m) <= 1
+        column, row, _ = canvas.pixels(np.array([place, np.add(place, (10.0, 0, 0))]))
+        assert abs(column[1] - column[0] - 10 * canvas.px_per_m) <= 1
         assert row[0] == row[1]
-    _, row, near_m = view.pixels(np.array([[0.0, -5.0, 0.0], [0.0, 5.0, 0.0], [0.0, 5.0, 5.0]]))
+    _, row, near_m = canvas.pixels(np.array([[0.0, -5.0, 0.0], [0.0, 5.0, 0.0], [0.0, 5.0, 5.0]]))
     assert near_m[0] > near_m[1]
     assert row[0] > row[1] > row[2]  # the near one is lower in the picture, the high one higher
 
 
 def test_what_is_nearer_hides_what_is_behind():
     """Of two points at one pixel the nearer one is seen, in whichever order they come."""
-    view = Orthographic.around(BOX_M, 180.0, 30.0, (64, 64))
     up = np.array([0.0, -np.cos(np.radians(30)), np.sin(np.radians(30))])  # towards the eye
     points_m, rgb = np.stack([np.zeros(3), 3 * up]), np.array([[255, 0, 0], [0, 255, 0]], np.uint8)
     for order in ([0, 1], [1, 0]):
-        canvas = Canvas(view, BOX_M)
+        canvas = Canvas(BOX_M, 180.0, 30.0, (64, 64))
         assert [canvas.add(points_m[[one]], rgb[[one]]) for one in order] == [1, 1]
         seen = canvas.image().reshape(-1, 3)
         assert (seen[:, 1] > 100).any()

@@ -59,7 +59,8 @@ class TruthFolder:
             try:
                 claim(opened, self.path, self._final, self._where)
             except OutputError:
-                self._discard()
+                self.path.rmdir()
+                self._close()
                 raise
             if self._final.exists():
                 take_rights(opened, self._final.stat())
@@ -72,11 +73,13 @@ class TruthFolder:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         for file in self._files.values():
             file.close()
-        if (error is None and not self._failed) or isinstance(error, KeyboardInterrupt):
-            self._keep()
-        elif isinstance(error, InputError | MissingExtraError):
-            self._discard()
-        self._close()
+        try:
+            if (error is None and not self._failed) or isinstance(error, KeyboardInterrupt):
+                self._keep()
+            elif isinstance(error, InputError | MissingExtraError):
+                shutil.rmtree(self.path, ignore_errors=True)
+        finally:
+            self._close()
 
     def append(self, name: str, text: str) -> None:
         """Add whole lines to a file and hand them to the operating system.
@@ -107,12 +110,6 @@ class TruthFolder:
         except (OSError, OutputError) as error:
             found = error.strerror if isinstance(error, OSError) else error.found
             raise RunError(f"{self._where}: {found}; it is left as {self.path}") from error
-        finally:
-            self._close()
-
-    def _discard(self) -> None:
-        shutil.rmtree(self.path, ignore_errors=True)
-        self._close()
 
     def _check(self) -> None:
         if self._final.exists() and (found := _stranger(self._final)) is not None:

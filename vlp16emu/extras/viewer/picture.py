@@ -2,12 +2,11 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain, islice, product
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -43,48 +42,42 @@ _STATIONS = 200  # number of places along a path
 _LEAST_EM_PX, _LINES = 11, 45  # letters are as high as this, or as a picture of so many lines has them
 
 
-@dataclass(frozen=True, slots=True)
-class Orthographic:
-    """A camera of parallel rays: lengths across the view have one scale everywhere."""
+class Canvas:
+    """Points within a box with corners (2, 3), which fills the image; lengths across the view have one scale everywhere.
 
-    axes: F8  # (3, 3) unit vectors to the right, upwards in the image, and towards the eye
-    centre_m: F8  # (3,) place at the middle of the image, along these axes
-    px_per_m: float
-    size: tuple[int, int]  # width and height in pixels
+    Points beside the box are left out: they would hide what is near the path.
 
-    @classmethod
-    def around(cls, box_m: F8, from_deg: float, elevation_deg: float, size: tuple[int, int]) -> Self:
-        """Look at a box with corners (2, 3) from a bearing, clockwise from north, and an elevation; the box fills the image."""
+    Parameters
+    ----------
+    from_deg : bearing of the eye, clockwise from north
+    elevation_deg : elevation of the eye, from which parallel rays come
+    size : width and height in pixels
+    """
+
+    def __init__(self, box_m: F8, from_deg: float, elevation_deg: float, size: tuple[int, int]) -> None:
+        self._box_m, (width, height), self.size = box_m, size, size
         a, e = math.radians(from_deg), math.radians(elevation_deg)
         right = np.array([-math.cos(a), math.sin(a), 0.0])
         back = np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
-        axes = np.stack([right, np.cross(back, right), back])
-        seen_m = np.array(list(product(*box_m.T))) @ axes.T
+        self._axes = np.stack([right, np.cross(back, right), back])  # to the right, upwards, and towards the eye
+        seen_m = np.array(list(product(*box_m.T))) @ self._axes.T
         low_m, high_m = seen_m.min(axis=0), seen_m.max(axis=0)
-        scale = min(size[0] / (high_m[0] - low_m[0]), size[1] / (high_m[1] - low_m[1]))
-        return cls(axes, (low_m + high_m) / 2, float(scale), size)
-
-    def pixels(self, places_m: F8) -> tuple[I8, I8, F8]:
-        """Return columns, rows and nearness in metres (n,) of places (n, 3); the nearest of several at a pixel hides the others."""
-        right, up, near = ((places_m @ self.axes.T) - self.centre_m).T
-        column = np.floor(self.size[0] / 2 + right * self.px_per_m).astype(np.int64)
-        return column, np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64), near
-
-
-class Canvas:
-    """Points within a box with corners (2, 3), seen by a camera; those beside the box would hide what is near the path."""
-
-    def __init__(self, camera: Orthographic, box_m: F8) -> None:
-        self.camera, self._box_m = camera, box_m
-        width, height = camera.size
+        self._centre_m = (low_m + high_m) / 2
+        self.px_per_m = float(min(width / (high_m[0] - low_m[0]), height / (high_m[1] - low_m[1])))
         self._near = np.full(height * width, -np.inf)
         self._rgb = np.zeros((height * width, 3), np.uint8)
 
+    def pixels(self, places_m: F8) -> tuple[I8, I8, F8]:
+        """Return columns, rows and nearness in metres (n,) of places (n, 3); the nearest of several at a pixel hides the others."""
+        right, up, near = ((places_m @ self._axes.T) - self._centre_m).T
+        column = np.floor(self.size[0] / 2 + right * self.px_per_m).astype(np.int64)
+        return column, np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64), near
+
     def add(self, places_m: F8, rgb: U1) -> int:
         """Draw places (n, 3) in colours (n, 3), and return how many of them are in plan within the box."""
-        width, height = self.camera.size
+        width, height = self.size
         shown = ((places_m >= self._box_m[0]) & (places_m <= self._box_m[1]))[:, :2].all(axis=1)
-        pixels, rgb = self.camera.pixels(places_m[shown]), rgb[shown]
+        pixels, rgb = self.pixels(places_m[shown]), rgb[shown]
         order = np.argsort(pixels[2], kind="stable")
         column, row, near, rgb = *(of[order] for of in pixels), rgb[order]
         for x in range(_DOT_PX):
@@ -99,7 +92,7 @@ class Canvas:
 
     def image(self) -> U1:
         """Return the picture (height, width, 3), with relief."""
-        width, height = self.camera.size
+        width, height = self.size
         near = self._near.reshape(height, width)
         drawn = np.isfinite(near)
         behind, flat = np.zeros((height, width)), np.where(drawn, near, -1e6)
@@ -200,7 +193,7 @@ def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> 
         number = f"{points / 1e6:.2f} million" if points >= _MILLIONS else f"{points:,}".replace(",", " ")
         shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
         caption = f"{number} points{' of a revolution' if from_above else ''}, {shown_by}"
-        bar_px = None if from_above else 10 * canvas.camera.px_per_m
+        bar_px = None if from_above else 10 * canvas.px_per_m
         _annotated(canvas.image(), caption, entries, labels, bar_px).save(file, "PNG")
     made = {"file": str(path), "revolutions": revolutions, "points": points, "colour": colour}
     return made | {"bytes": path.stat().st_size, "interrupted": stop.is_set()}
@@ -214,7 +207,7 @@ def _slant(look: PictureLook, first: Sweep, way_m: F8 | None) -> Canvas:
         low = way_m.min(axis=0) - np.array([_AROUND_M, _AROUND_M, _BELOW_M])
         high = way_m.max(axis=0) + np.array([_AROUND_M, _AROUND_M, _ABOVE_M])
     box_m, from_deg = np.stack([low, high]), _FROM_DEG if look.from_deg is None else look.from_deg
-    return Canvas(Orthographic.around(box_m, from_deg, _ELEVATION_DEG, look.size), box_m)
+    return Canvas(box_m, from_deg, _ELEVATION_DEG, look.size)
 
 
 def _above(size: tuple[int, int], sweep: Sweep) -> Canvas:
@@ -222,7 +215,7 @@ def _above(size: tuple[int, int], sweep: Sweep) -> Canvas:
     width, height = size
     corner_m = np.quantile(sweep.scan.distance_m, _SHARE) * np.array([width, height, height]) / min(width, height)
     box_m = np.stack([-corner_m, corner_m])
-    return Canvas(Orthographic.around(box_m, 180.0, 90.0, size), box_m)
+    return Canvas(box_m, 180.0, 90.0, size)
 
 
 def _in_sensor(sweep: Sweep) -> F8:
@@ -233,15 +226,15 @@ def _in_sensor(sweep: Sweep) -> F8:
 
 def _circles(canvas: Canvas) -> list[tuple[int, int, str]]:
     """Draw circles of range about the sensor, and return their labels with columns and rows."""
-    width, height = canvas.camera.size
-    corner_m = np.array([width, height]) / canvas.camera.px_per_m / 2
+    width, height = canvas.size
+    corner_m = np.array([width, height]) / canvas.px_per_m / 2
     step_m = next((m for m in _CIRCLES_M if corner_m.min() < _MOST_CIRCLES * m), _CIRCLES_M[-1])
     radii_m = np.arange(step_m, np.hypot(*corner_m), step_m)
     turn = np.linspace(0.0, 2.0 * np.pi, 4 * max(width, height))
     x, y = np.outer(radii_m, np.sin(turn)).ravel(), np.outer(radii_m, np.cos(turn)).ravel()
     canvas.add(np.column_stack([x, y, np.full(len(x), _DEEP_M)]), np.full((len(x), 3), _FRAME, np.uint8))
     ahead_right = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0])
-    column, row, _ = canvas.camera.pixels(np.outer(radii_m, ahead_right))
+    column, row, _ = canvas.pixels(np.outer(radii_m, ahead_right))
     places = zip(column.tolist(), row.tolist(), radii_m.tolist(), strict=True)
     return [(x, y, f"{one:g} m") for x, y, one in places if 30 < y < height - 30 and 0 < x < width]
 

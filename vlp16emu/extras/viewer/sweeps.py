@@ -74,9 +74,7 @@ class SceneSweeps:
     """
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
-        units = emulator.parts.units
-        if unit > len(units):
-            raise InputError("--unit", f"found {unit}", f"at most {len(units)}, the sensors of the scene")
+        emulator.number(unit)
         self._emulator, self._unit = emulator, unit
         self.step_s = 60.0 / emulator.scenario.sensor.rpm
         end_s = min(emulator.scenario.duration_s, emulator.parts.motion.run_time_s)
