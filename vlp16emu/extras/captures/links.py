@@ -1,4 +1,4 @@
-"""UDP datagrams in frames of any link type that carries IP, behind tags, labels and tunnels."""
+"""UDP datagrams in frames of any link type that carries IP, also behind tags, labels and tunnels."""
 
 import struct
 from collections import Counter
@@ -12,16 +12,16 @@ _BODY_AT = {_ETHERNET: 14, 113: 16, 276: 20, 104: 4, 138: 18}
 _BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
 """Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
 _PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
-"""Offset of PPP by link type: serial, with a byte of direction, behind PPPoE."""
+"""Offset of PPP by link type: serial, with a direction byte, PPPoE."""
 _WIFI, _NFLOG, _NFLOG_PAYLOAD = 105, 239, 9
 _WRAPPED = {127: ("<H", 2, None), 163: (">I", 4, None), 192: ("<H", 2, 4), 149: ("<I", 0, 8), 258: ("<I", 0, 8)}
-"""Link types with a header of their own in front: format and offset of its length, and offset of the link type behind it, IEEE 802.11
-where there is none. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
+"""Link types with a header of their own in front: format and offset of its length, and offset of the inner link type, which is
+IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
 _LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
 
 _IPV4, _IPV6, _TAGS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
 _MPLS, _PPPOE, _BRIDGED, _LLC = (0x8847, 0x8848), 0x8864, 0x6558, (0x0001, 0x0004)
-"""EtherTypes of IEEE 802 and RFC 3032, 2516, 1701; the last are those of SLL for 802.3 and 802.2."""
+"""EtherTypes of IEEE 802 and RFC 3032, 2516, 1701; the last ones mark 802.3 and 802.2 in SLL."""
 _SMALLEST_ETHERTYPE = 0x0600
 _PPP_IP = (0x0021, 0x0057)
 _UDP, _IP_IN_IP, _IP6_IN_IP, _GRE = 17, 4, 41, 47
@@ -30,7 +30,7 @@ _FRAGMENT6, _AUTHENTICATION, _EXTENSIONS6 = 44, 51, (0, 43, 60, 51, 44)
 _VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of RFC 7348 and RFC 8926
 _ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB  # EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)
 _MOST_LAYERS = 8
-_INCOMPLETE = 64  # datagrams whose fragments are waited for at a time
+_INCOMPLETE = 64  # greatest number of incomplete datagrams kept
 _NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
 
 
@@ -38,8 +38,8 @@ class Ip(NamedTuple):
     """An IP packet in a frame."""
 
     at: int  # offset of its header in the frame
-    body: int  # offset of its content, behind header and extensions
-    end: int  # offset of its end by its own length; what is behind is padding
+    body: int  # offset of its content, after header and extensions
+    end: int  # offset of its end by its own length; padding follows
     protocol: int
     fragment: int  # offset in the datagram, bytes
     more: bool  # more fragments follow
@@ -47,7 +47,7 @@ class Ip(NamedTuple):
 
 
 class Unwrapper:
-    """Finds UDP in the frames of one capture, and puts IP fragments together (RFC 791, section 3.2)."""
+    """Finder of UDP in the frames of one capture, which joins IP fragments (RFC 791, section 3.2)."""
 
     def __init__(self) -> None:
         self._held = dict[bytes, dict[int, tuple[bytes, Ip]]]()
@@ -59,7 +59,7 @@ class Unwrapper:
         return self._unread + Counter({_NO_FRAGMENTS: self._dropped + len(self._held)})
 
     def udp_in(self, link_type: int, frame: bytes) -> tuple[bytes, int, int] | None:
-        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers; None if none is complete with it."""
+        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers; None if `frame` completes no datagram."""
         if link_type not in _LINK_TYPES:
             self._unread[f"frames of link type {link_type}, which is not read"] += 1
             return None
@@ -71,7 +71,7 @@ class Unwrapper:
         return frame, ip.at, ip.body
 
     def _joined(self, frame: bytes, ip: Ip) -> tuple[bytes, int, int] | None:
-        """Return the frame of the first fragment with the bytes of all, once the last one is there."""
+        """Return the frame of the first fragment with the bytes of all fragments, when the last one has arrived."""
         held = self._held.setdefault(ip.key, {})
         held[ip.fragment] = frame, ip
         parts, at = list[bytes](), 0
@@ -92,9 +92,9 @@ class Unwrapper:
 
 
 def _ip_in(link_type: int, frame: bytes) -> Ip | None:
-    """Find the innermost IP packet; None if there is none that is whole to its body."""
+    """Find the innermost IP packet; None if there is none with complete headers."""
     begin = 0
-    if link_type in _WRAPPED:  # a header that names its length, and perhaps the link type behind it
+    if link_type in _WRAPPED:  # a header with its own length, and perhaps an inner link type
         form, length_at, kind_at = _WRAPPED[link_type]
         try:
             (begin,) = struct.unpack_from(form, frame, length_at)
@@ -127,7 +127,7 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
 
 
 def _behind_wifi(frame: bytes, at: int) -> int | None:
-    """Find the IP header in a frame of IEEE 802.11 that is data, and not encrypted."""
+    """Find the IP header in a data frame of IEEE 802.11 that is not encrypted."""
     kind, flags = frame[at : at + 1], frame[at + 1 : at + 2]
     if not flags or kind[0] & 0x4C != 0x08 or flags[0] & 0x40:
         return None
@@ -137,7 +137,7 @@ def _behind_wifi(frame: bytes, at: int) -> int | None:
 
 
 def _behind_nflog(frame: bytes) -> int | None:
-    """Find the packet among the fields of the netfilter log of Linux."""
+    """Find the packet in the fields of the netfilter log of Linux."""
     at = 4
     while at + 4 <= len(frame):
         length, kind = struct.unpack_from("<2H", frame, at)
@@ -148,7 +148,7 @@ def _behind_nflog(frame: bytes) -> int | None:
 
 
 def _behind(frame: bytes, kind: int, at: int) -> int | None:
-    """Find the IP header behind an EtherType whose content begins at `at`."""
+    """Find the IP header after an EtherType whose content begins at `at`."""
     for _ in range(_MOST_LAYERS):
         if kind in (_IPV4, _IPV6):
             return at
@@ -184,7 +184,7 @@ def _ip_at(frame: bytes, at: int) -> Ip | None:
     if version == 4 and len(frame) >= at + 20:  # RFC 791
         body, words = at + 4 * (frame[at] & 0x0F), int.from_bytes(frame[at + 6 : at + 8])
         end = at + int.from_bytes(frame[at + 2 : at + 4])
-        end = end if end > at else len(frame)  # 0 where the network card cuts the datagram up
+        end = end if end > at else len(frame)  # 0 if the network card segments the datagram
         if body < at + 20:
             return None
         protocol, fragment = frame[at + 9], (words & 0x1FFF) * 8
