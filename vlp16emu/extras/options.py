@@ -1,4 +1,4 @@
-"""Options of extras, read by Python and by the command line. They need no library, as help is quick."""
+"""Options of extras, for Python and the command line. They need no library, as help must be quick."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +89,7 @@ class PictureLook(Options):
 
 @dataclass(frozen=True)
 class DatasetOptions(Options):
-    """Which walks of a dataset are made, and by how many processes."""
+    """Selection of the walks of a dataset, and number of processes."""
 
     workers: Annotated[
         int | None,

@@ -143,7 +143,7 @@ class Wire:
                 continue
             key = fault.number, packet.kind
             hit = fault.hits(packet, number)
-            # The first kinds of `_ORDER` change single packets.
+            # Jitter is the first kind of `_ORDER`, so `out` has one packet.
             if fault.event.kind == "jitter" and packet.kind in kinds_of(fault.event):
                 due_ns = out[0].due_ns + (fault.jitter_ns(out[0], number) if hit else 0)
                 self.left_ns[key] = max(due_ns, self.left_ns[key])  # it does not overtake the packet before
