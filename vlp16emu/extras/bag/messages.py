@@ -48,7 +48,7 @@ class UnitMessages:
         self._held: list[tuple[int, bytes, int]] = []
 
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
-        """Take a data packet, and return UTC of its first pulse; errors as of `check`."""
+        """Take a data packet, and return UTC of its first pulse; errors of `check`."""
         fields = np.frombuffer(payload, DATA_PAYLOAD)[0]
         stamps = stamp_ns, int(fields["timestamp_us"]), int(fields["return_mode"])
         azimuth_deg, (sensor_ns, t_ns) = fields["blocks"]["azimuth_cdeg"][0] / 100, self._clock.packet_ns(*stamps)

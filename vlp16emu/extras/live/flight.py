@@ -201,7 +201,7 @@ class Flight(PacketSink):
         return lambda _due_ns: go_on_from(self._pacer.due_in_ns(_START_NS))
 
     def send(self, packet: Packet) -> None:
-        """Send one packet, and take note of it; errors as of the sink."""
+        """Send one packet and record its latency; errors of the sink."""
         self._sink.send(packet)
         now_ns, uses = self._clock_ns(), self._motion.first_uses
         if packet.fired_ns is not None:

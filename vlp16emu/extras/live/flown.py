@@ -185,7 +185,7 @@ class LiveWindows(CellWindows):
         self.cells.clear()
         self.decided, self.left_out = -1, 0
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whatever the threads
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time with any number of threads
         """Yield blocks one by one, so that packets do not wait for each other, and skip to the present if they are too late."""
         block = blocks.start
         while block < blocks.stop:

@@ -113,7 +113,7 @@ def _checked(table: Table, t_ns: Sequence[int], poses: F8) -> RecordedPoses:
         raise TrajectoryError(str(table.path), f"found {len(table)} poses", "at least 2")
     for i, (before, after) in enumerate(pairwise(t_ns), start=1):
         if after <= before:
-            late = f"a time {(before - after) / S_NS:g} s before that of" if after < before else "the time of"
+            late = f"a time {(before - after) / S_NS:g} s before" if after < before else "the time of"
             raise TrajectoryError(table.where(i), f"{late} the pose before", "times that grow")
     lengths = unit_lengths(table, poses[:, 3:])
     where = [table.where(i) for i in range(len(table))]
