@@ -91,7 +91,7 @@ def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> 
     Parameters
     ----------
     clock_ns : clock at the instant of the packet's stamp, ns past the hour
-    sentence : sentence with CR LF, of which the first 128 bytes are used; empty for none
+    sentence : sentence with CR LF, cut to its first 128 bytes; empty for none
     """
     if not has_stamp(packet):
         return packet
