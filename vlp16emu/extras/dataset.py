@@ -1,7 +1,7 @@
 """Datasets: their file, their walks and the manifest. Walks are made by this process or by workers on this machine.
 
-The folder of each walk lists its own files with their sha256, and the manifest joins these lists. Unlisted files are never
-removed.
+The folder of each walk lists its own files with their sha256, and the manifest joins these lists. Unlisted files are
+never removed.
 """
 
 import hashlib

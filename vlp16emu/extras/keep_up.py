@@ -24,8 +24,8 @@ class Rung:
     rays: int  # greatest number of sub-rays of a pulse
     reach_m: float
     gain: float
-    """Approximate speed of a forest relative to the first rung: from us per pulse in `tools/results/accuracy.md`, and for the
-    range from `scenes/OUTPUTS.md`."""
+    """Approximate speed of a forest relative to the first rung: from us per pulse in `tools/results/accuracy.md`, and
+    for the range from `scenes/OUTPUTS.md`."""
     error_mm: float  # mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`
 
     @property
@@ -84,7 +84,8 @@ def choose(
 ) -> tuple[Rung | None, float, float]:
     """Return the best rung that leaves a fifth of the time free, its speed, and the speed of the unchanged scene.
 
-    The unchanged scene (None) is first; then the rungs that are fast enough according to their gains, from the best down.
+    The unchanged scene (None) is first; then the rungs that are fast enough according to their gains, from the best
+    down.
 
     Parameters
     ----------

@@ -129,7 +129,8 @@ class Survey:
 def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
     """Survey the surroundings of the path of a scenario's sensor.
 
-    InputError if a part of the scenario cannot be made, its world is from another package, or the radius exceeds the sensor's range.
+    InputError if a part of the scenario cannot be made, its world is from another package, or the radius exceeds the
+    sensor's range.
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:
@@ -280,8 +281,8 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
 def write_survey(scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path]) -> dict[str, Any]:
     """Survey a scene, write the files of the options in `wanted`, and return the summary.
 
-    The files are opened before any long computation, and get their names together at the end. Raises InputError as `survey`;
-    OutputError if a file cannot be created.
+    The files are opened before any long computation, and get their names together at the end. Raises InputError as
+    `survey`; OutputError if a file cannot be created.
     """
     with ExitStack() as stack:
         outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}

@@ -35,8 +35,8 @@ _LEAD_NS = 150_000_000
 _MOST_LEAD_NS = 1_000_000_000
 _MERGED_S = 5.0  # greatest time that a setting waits until the packets of earlier settings are computed ahead
 _CALM_S, _PROMPT = 2.0, 2
-"""Number of changes, without a pause of this length between them, for which packets are computed again; later changes take
-effect after the packets that are already computed."""
+"""Number of changes, without a pause of this length between them, for which packets are computed again; later changes
+take effect after the packets that are already computed."""
 _APART_S, _APART = 1.0, 20.0
 """Least time between such later changes, and the least ratio to the time that a change took: each makes the next one slower."""
 _POLL_S, _WARM_S = 0.01, 0.01
@@ -68,9 +68,9 @@ def _settings_of(unit: Unit, host: str) -> DeviceSettings:
 class Control:
     """Control of a stream by settings from other threads, with reports of the state of its sensors.
 
-    After a pause, a setting makes the engine compute packets again from a moment ahead; so does the next setting, when these
-    packets are ready. In a flood, all settings of a second are one change, which takes effect after the packets that are
-    already computed. So no client can block the engine.
+    After a pause, a setting makes the engine compute packets again from a moment ahead; so does the next setting, when
+    these packets are ready. In a flood, all settings of a second are one change, which takes effect after the packets
+    that are already computed. So no client can block the engine.
 
     Parameters
     ----------
@@ -187,7 +187,8 @@ class Control:
     def _changed(self, unit: int, old: DeviceSettings, new: DeviceSettings, *, restarts: bool) -> None:
         """Apply new settings of a unit with the next change of the stream.
 
-        Raises OutputError if the new receiver is out of reach, or on another machine although the stream began on this one.
+        Raises OutputError if the new receiver is out of reach, or on another machine although the stream began on this
+        one.
         """
         with self._lock:
             self._redirect(unit, old, new)

@@ -124,8 +124,8 @@ def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
 class NowSink(PacketSink):
     """Sink that moves packets by a whole number of seconds to the present of the system's clock.
 
-    Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not change. The stream
-    begins at the instant with the first packet's fraction of a second, so it waits for less than a second.
+    Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not change. The
+    stream begins at the instant with the first packet's fraction of a second, so it waits for less than a second.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The web interface of the sensor, in a thread of its own.
 
-Some hand-written clients accept only one spelling of `Content-Length`, no chunks, and perhaps only the first segment. So
-each answer has that header, in this spelling, and leaves in one piece.
+Some hand-written clients accept only one spelling of `Content-Length`, no chunks, and perhaps only the first segment.
+So each answer has that header, in this spelling, and leaves in one piece.
 """
 
 import asyncio
@@ -204,8 +204,8 @@ def _answer(request: _Request, server: WebServer) -> _Answer:
 def _is_foreign(request: _Request, *, is_private: bool) -> bool:
     """Return True if a browser sends a request for a page that is not the sensor's own.
 
-    Pages of other sites can send forms to any host, and their names may resolve to this machine. So the origin of a form
-    must be the requested host, and on an interface of this machine alone the host must be an address.
+    Pages of other sites can send forms to any host, and their names may resolve to this machine. So the origin of a
+    form must be the requested host, and on an interface of this machine alone the host must be an address.
     """
     host, origin = request.headers.get("host"), request.headers.get("origin")
     if request.method == "POST" and origin not in (None, f"http://{host}"):

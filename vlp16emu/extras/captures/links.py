@@ -15,8 +15,8 @@ _PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
 """Offset of PPP by link type: serial, with a direction byte, PPPoE."""
 _WIFI, _NFLOG, _NFLOG_PAYLOAD = 105, 239, 9
 _WRAPPED = {127: ("<H", 2, None), 163: (">I", 4, None), 192: ("<H", 2, 4), 149: ("<I", 0, 8), 258: ("<I", 0, 8)}
-"""Link types with a header of their own in front: format and offset of its length, and offset of the inner link type, which is
-IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
+"""Link types with a header of their own in front: format and offset of its length, and offset of the inner link type,
+which is IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
 _LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
 
 _IPV4, _IPV6, _TAGS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)

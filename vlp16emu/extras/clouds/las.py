@@ -1,7 +1,7 @@
 """Points in LAS 1.4, and compressed as LAZ.
 
-Fields follow the LAS specification 1.4 - R15 (ASPRS, 2019), point format 6; columns without a field are extra dimensions
-with the names of .ply.
+Fields follow the LAS specification 1.4 - R15 (ASPRS, 2019), point format 6; columns without a field are extra
+dimensions with the names of .ply.
 """
 
 import math
@@ -165,9 +165,9 @@ def echoes_of(block: Block) -> tuple[U1, U1]:
 def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str:
     """Return the coordinate system of the world as WKT: transverse Mercator about the origin, and height.
 
-    No well-known text that other programs read describes a plane through the origin. This projection differs from the plane
-    by less than 1 mm at 1 km: its scale fits the origin's height, as surveyors choose it for plots. Heights are above the
-    origin, without the 78 mm of the earth's curvature at 1 km.
+    No well-known text that other programs read describes a plane through the origin. This projection differs from the
+    plane by less than 1 mm at 1 km: its scale fits the origin's height, as surveyors choose it for plots. Heights are
+    above the origin, without the 78 mm of the earth's curvature at 1 km.
     """
     squared = _FLATTENING * (2 - _FLATTENING)
     bulge = 1 - squared * math.sin(math.radians(latitude_deg)) ** 2

@@ -22,8 +22,8 @@ from vlp16emu.sensor.settings import Sensor
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
 _EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
-"""Step of bright codes over the product of their scatter and the share of equal neighbours, from our own packets; greatest
-step; reflectivities at which the step is 1 and at which the key gives it."""
+"""Step of bright codes over the product of their scatter and the share of equal neighbours, from our own packets;
+greatest step; reflectivities at which the step is 1 and at which the key gives it."""
 _ELSE_MM = 2.6  # white error from the detector and the 2 mm of a code, beside the setting; from our own packets
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
@@ -35,9 +35,9 @@ _SET_RPM, _MOST_OFF_RPM = 60, 3.0
 def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
     """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
-    For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost records, the keys are
-    spreads. Biases of the lasers are not included: they need a target at a known place. InputError if the error of the mean
-    speed is above the limit of a unit.
+    For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost records, the
+    keys are spreads. Biases of the lasers are not included: they need a target at a known place. InputError if the
+    error of the mean speed is above the limit of a unit.
     """
     found = statistics_of(sequences)
     noise, sensor = _noise(sequences, found), _rotor(sequences, found)

@@ -131,8 +131,8 @@ def reflectivity_noise(stretches: Stretches) -> Statistics:
 def codes(sequences: Sequences) -> Statistics:
     """Return the share of codes at the top of the diffuse scale, and the ruggedness of the histograms of bright codes.
 
-    Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 % of range, in
-    which steps of codes change little.
+    Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 % of range,
+    in which steps of codes change little.
     """
     seen, r = sequences.distance_lsb > 0, sequences.reflectivity
     far = np.searchsorted(_COMB_RANGES_LSB, sequences.distance_lsb)

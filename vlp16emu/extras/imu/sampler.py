@@ -17,8 +17,9 @@ GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
 _CHUNK = 4096  # samples of a random walk that are drawn together
 _HORIZON = 1 << 32  # length of the random walk in chunks: centuries
 _GYRO_WARM_UP_RAD_S, _ACCEL_WARM_UP_M_S2, _WARM_UP_S = 2.6e-3, 0.02, 200.0
-"""Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch BST-BMI088-DS001, tables 4 and 5); and the
-time after which 63 % of it is done: it takes 5 to 10 minutes (Xsens, Bias repeatability of gyroscopes)."""
+"""Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch BST-BMI088-DS001, tables 4
+and 5); and the time after which 63 % of it is done: it takes 5 to 10 minutes (Xsens, Bias repeatability of
+gyroscopes)."""
 _AXIS_ERROR = 0.005
 """Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch BNO055; assumption)."""
 _HEADING = 6  # lane of the heading's random walk; the six axes have lanes 0 to 5
@@ -80,8 +81,8 @@ class ImuSampler:
     def _attitude(self, world_R_imu: F8, w_bias: F8, force_bias: F8, first: int) -> F8:
         """Return the reported attitude (n, 3, 3) of samples from `first` on.
 
-        It is levelled by gravity, so the accelerometers' bias relative to 1 g tilts it. Its heading drifts with the gyroscopes'
-        bias about the vertical since the start, and with the random walk of their integrated white noise.
+        It is levelled by gravity, so the accelerometers' bias relative to 1 g tilts it. Its heading drifts with the
+        gyroscopes' bias about the vertical since the start, and with the random walk of their integrated white noise.
         """
         up = matvec(world_R_imu, force_bias) + np.array([0.0, 0.0, GRAVITY_M_S2])
         up /= norm(up)[:, None]

@@ -55,8 +55,8 @@ class Imu(Preset):
     mount: Mount = Mount()
     """Mount on the pack, not on a spinning stage."""
     attitude: bool = False
-    """True if the unit also reports its attitude, as programs for nine axes need it: levelled by gravity, with the bias of the
-    accelerometers, and with a heading that drifts with the bias of the gyroscopes."""
+    """True if the unit also reports its attitude, as programs for nine axes need it: levelled by gravity, with the bias
+    of the accelerometers, and with a heading that drifts with the bias of the gyroscopes."""
     gyro_bias_rad_s: _Error = 0.0
     """At switch-on, one sigma."""
     gyro_noise_rad_s_sqrt_hz: _Error = 0.0

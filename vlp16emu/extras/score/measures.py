@@ -38,8 +38,8 @@ def cloud_distances(found: F8, true: F8, within_m: tuple[float, ...]) -> dict[st
 def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return points (n, 2) per square metre of plan within a circle, an indicator of a sensor's placement.
 
-    Source: Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a region of interest;
-    here the region is a circle around the viewpoint.
+    Source: Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a region of
+    interest; here the region is a circle around the viewpoint.
     """
     inside = ((xy_m - centre_m) ** 2).sum(axis=1) <= radius_m**2
     return float(inside.sum() / (math.pi * radius_m**2))
@@ -48,9 +48,10 @@ def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
 def uniformity(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
-    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the area,
-    `_SHARE`, in the paper 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. The paper's disks
-    are on surfaces of objects; here they are horizontal, wholly within the circle. NaN without points in the circle.
+    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the
+    area, `_SHARE`, in the paper 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the
+    disks. The paper's disks are on surfaces of objects; here they are horizontal, wholly within the circle. NaN without
+    points in the circle.
     """
     from scipy.spatial import KDTree
 
@@ -132,8 +133,9 @@ def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
 def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
     """Return average precision of boxes (k, 2, 3) against the true ones, by intersection over union in 3D.
 
-    Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at 0.25 and 0.5, `box_map` the mean
-    over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are matched by falling confidence, each true box once.
+    Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at
+    0.25 and 0.5, `box_map` the mean over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are matched by falling confidence,
+    each true box once.
     """
     order = np.argsort(-confidence, kind="stable")
     overlap = _overlaps(found[order], true)

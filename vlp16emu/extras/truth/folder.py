@@ -29,9 +29,9 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linu
 class TruthFolder:
     """A folder for the ground truth of one run; a context manager.
 
-    It is created as NAME.xxxxxxxx.part, at `path`, and its files grow there. At the end it gets its name in one step, like an
-    `OutputFile`: an earlier folder of this name is unchanged until then and is then replaced as a whole. After an error the
-    samples so far stay in `path`.
+    It is created as NAME.xxxxxxxx.part, at `path`, and its files grow there. At the end it gets its name in one step,
+    like an `OutputFile`: an earlier folder of this name is unchanged until then and is then replaced as a whole. After
+    an error the samples so far stay in `path`.
 
     Parameters
     ----------

@@ -179,8 +179,8 @@ class SlotTable:
 class SlotReader:
     """Rows of a table behind the records of a capture of the same run, in the order of the capture.
 
-    A packet of the capture is found by its time stamp, starting from the packet before, so packets of the run may be missing,
-    repeated, or late by up to 64.
+    A packet of the capture is found by its time stamp, starting from the packet before, so packets of the run may be
+    missing, repeated, or late by up to 64.
 
     Raises MissingExtraError if pyarrow is not installed; InputError if the file is not such a table.
     """

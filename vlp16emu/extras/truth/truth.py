@@ -168,8 +168,8 @@ class Truth:
     of : holder of the engine that makes the packets, with the events so far
     span_s : span of the run, since the first pulse
 
-    Raises OutputError if the folder cannot be used, or contains a file that the scenario names; ScenarioError if poses of
-    packets are requested for a sensor without packets; RunError if it cannot be written, here or later.
+    Raises OutputError if the folder cannot be used, or contains a file that the scenario names; ScenarioError if poses
+    of packets are requested for a sensor without packets; RunError if it cannot be written, here or later.
     """
 
     def __init__(self, to: TruthTo, of: Emulator | PacketFeed, span_s: tuple[float, float]) -> None:
@@ -455,8 +455,8 @@ def write_truth(
     Simulated seconds
 
     Raises OutputError if the folder cannot be written, or contains an input of the scene; ScenarioError if poses of
-    packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span; RunError if the
-    disk is full: then the lines before are kept.
+    packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span; RunError if
+    the disk is full: then the lines before are kept.
     """
     emulator = emulator.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = emulator.scenario.span_s(start_s, duration_s)

@@ -1,6 +1,7 @@
 """The page in the browser: its server, the stand, the path, and the sweep at the cursor's time. Nothing on it changes a file.
 
-By default viser listens on all interfaces, answers any page that is open in a browser, and requests a public address if a page asks.
+By default viser listens on all interfaces, answers any page that is open in a browser, and requests a public address if
+a page asks.
 """
 
 import logging
@@ -94,7 +95,8 @@ def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
 def is_ours(headers: Headers, names: frozenset[str]) -> bool:
     """Return True if a request is for one of our names and comes from our own page.
 
-    A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves to this machine is in `Host`.
+    A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves to this
+    machine is in `Host`.
     """
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
     with suppress(ValueError):  # from a malformed address
@@ -104,12 +106,13 @@ def is_ours(headers: Headers, names: frozenset[str]) -> bool:
 
 
 def scene_page(server: viser.ViserServer, emulator: Emulator, unit: int, radius_m: float) -> "Page":
-    """Grow a scene and draw it up to a radius around its path; InputError if there is no such unit, or the stand cannot be grown."""
+    """Grow a scene and draw it up to a radius around its path; InputError without such a unit, or if the stand cannot be grown."""
+    sweeps = SceneSweeps(emulator, unit)  # first: a wrong number should not wait for the stand
     text, scenario = server.gui.add_markdown("growing the world"), emulator.scenario
     seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), emulator.parts)
     root = _draw_stand(server, seen)
     text.content = ""
-    return Page(server, SceneSweeps(emulator, unit), seen.species, root)
+    return Page(server, sweeps, seen.species, root)
 
 
 def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, unit: int) -> "Page":

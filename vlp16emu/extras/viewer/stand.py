@@ -18,8 +18,8 @@ from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, I8, U4, Mesh, PlantPart, ShapeKey
 
 _FACES = 300_000
-"""Approximate number of triangles of all plants and objects without stems: crowns look like crowns, and a browser without a
-graphics card draws an image every second or two."""
+"""Approximate number of triangles of all plants and objects without stems: crowns look like crowns, and a browser
+without a graphics card draws an image every second or two."""
 _FEWEST, _MOST = 6, 3_000  # faces of one mesh of one object; between these limits in proportion to its size
 _MOST_GROWN = 3.5
 """Greatest enlargement of a leaf in length: larger leaves look wrong, so a crown that needs them is drawn less dense."""

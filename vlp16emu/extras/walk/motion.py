@@ -30,8 +30,8 @@ class WalkMotion:
     the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on this grid. It is twice continuously
     differentiable, so its derivatives are exact, and it is within a nanometre of the interpolated function.
 
-    At the cruise speed of the route the gait has its full amplitudes; they fade as the person slows down. `under` gives the
-    motion that carries the pack and the suspension: by default the trunk and the harness of the walk.
+    At the cruise speed of the route the gait has its full amplitudes; they fade as the person slows down. `under` gives
+    the motion that carries the pack and the suspension: by default the trunk and the harness of the walk.
 
     Raises TrajectoryError if the straps would never stop swinging.
     """

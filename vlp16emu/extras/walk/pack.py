@@ -153,8 +153,9 @@ def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
 def response(frequency_hz: float, damping_ratio: float, s: float) -> F8:
     """Return the linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
 
-    It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled until the time is s
-    (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review 45, 2003, method 3).
+    It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled until the
+    time is s (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review 45, 2003,
+    method 3).
     """
     omega = 2.0 * math.pi * frequency_hz
     system = np.zeros((6, 6))

@@ -43,8 +43,8 @@ class Path:
     The horizontal curve is the natural (if closed: periodic) cubic spline, resampled by arc length as a
     quintic, because the second time derivative of the heading needs three derivatives of the position.
 
-    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, and if the curve turns with a
-    radius below 0.1 m, climbs by more than 60 degrees or is longer than 100 km.
+    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, and if the curve turns with
+    a radius below 0.1 m, climbs by more than 60 degrees or is longer than 100 km.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ class Path:
     def derivatives_at(self, s_m: F8) -> tuple[F8, F8]:
         """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
 
-        The middle axis of the points is the order of the derivative. Headings are continuous, in radians from east. Arc lengths
-        beyond an end of an open path give its end.
+        The middle axis of the points is the order of the derivative. Headings are continuous, in radians from east. Arc
+        lengths beyond an end of an open path give its end.
         """
         lap, s_m = self._on_lap(s_m)
         powers, since_m = self._curve.within(s_m)

@@ -145,8 +145,8 @@ class Harness(Section):
 class Mast(Section):
     """Mast that carries the sensors above the pack and the inertial unit, and bends with each step.
 
-    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at about 8 Hz and hardly along itself; at
-    walking pace it leans by a tenth of a degree (assumption).
+    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at about 8 Hz and hardly along
+    itself; at walking pace it leans by a tenth of a degree (assumption).
     """
 
     bending_hz: _Frequency = 8.0
@@ -174,8 +174,8 @@ class Walk(MotionSection):
     lawn_mower: LawnMower | None = None
     """Parallel lines over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of laps of a closed path, whose last waypoint is the first, or of any path with `back_and_forth`. A closed path
-    closes smoothly."""
+    """Number of laps of a closed path, whose last waypoint is the first, or of any path with `back_and_forth`. A closed
+    path closes smoothly."""
     back_and_forth: bool = False
     """True if a lap is the way there and back, with a small loop behind each end where the person turns round."""
     speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
