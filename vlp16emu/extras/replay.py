@@ -80,7 +80,6 @@ class Replay:
             later_ns += ((end_ns - begin_ns) // S_NS + 1) * S_NS
 
     def _packets(self) -> Iterator[Packet]:
-        """Yield all packets of one pass."""
         numbers = dict[tuple[bytes, int, bytes], int]()
         for datagram in Capture(self.path):
             key = datagram.source, datagram.destination_port, datagram.mac

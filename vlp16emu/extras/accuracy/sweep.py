@@ -1,8 +1,7 @@
 """Error against run time: settings of the beam and near_m, on pulses from the whole run.
 
 The reference is the converged answer: the same pulses with many more sub-rays, detected without noise. Beyond `near_m`
-single leaves differ from the leaves of the explicit world, so means over the same pulses are compared there, not
-pulses.
+single leaves differ from the leaves of the explicit world, so means over the same pulses are compared there.
 """
 
 import math
@@ -178,10 +177,7 @@ class Bench:
 
 _COUNTS = (4, 8, 16, 32, 64, 128)
 _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, relative to the scene's target
-_RAYS, _TIMES = (
-    4096,
-    4,
-)  # sub-rays of an answer: at least the first number, and the second number times the sub-rays of a pulse of the scene
+_RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times the sub-rays of a pulse
 _REPEATS = 5
 _ANSWERED_TWICE = 4  # every fourth group also gives the error of the answer itself, because answers are expensive
 

@@ -141,7 +141,6 @@ class BagFile:
             self._append()
 
     def _make(self, name: str, fields: Iterable[Any]) -> Any:
-        """Return a message with its nested messages."""
         from rosbags.interfaces import Nodetype
 
         made = []

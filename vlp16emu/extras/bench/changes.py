@@ -75,7 +75,6 @@ class DisturbedOptics:
         return returns
 
     def _during(self, event: Event, firings: Firings) -> NDArray[np.bool_]:
-        """Return a mask (k, L) of pulses that are fired during an event."""
         since_ns = firings.t_ns - self.start_ns
         return np.asarray((since_ns >= event.begin_ns) & (since_ns < event.end_ns))
 

@@ -187,8 +187,7 @@ class Control:
     def _changed(self, unit: int, old: DeviceSettings, new: DeviceSettings, *, restarts: bool) -> None:
         """Apply new settings of a unit with the next change of the stream.
 
-        Raises OutputError if the new receiver is out of reach, or on another machine although the stream began on this
-        one.
+        Raises OutputError if the new receiver is out of reach, or no longer on this machine on which the stream began.
         """
         with self._lock:
             self._redirect(unit, old, new)

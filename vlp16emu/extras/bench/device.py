@@ -170,7 +170,6 @@ def explained(error: ValidationError) -> tuple[str, str, str]:
 
 
 def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
-    """Read saved settings; missing keys have the factory's values."""
     expected = "settings that a sensor has saved"
     with readable(path, expected, InputError, most_bytes=_MOST_BYTES):
         text = path.read_text(encoding="utf-8")
@@ -187,11 +186,7 @@ def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
 
 
 _COUNTS_PER_V = 4096 / 5
-_AMBIENT_C, _BOTTOM_C, _TOP_C = (
-    25.0,
-    51.1,
-    53.1,
-)  # temperature of the surroundings, and final temperatures of the boards
+_AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1  # of the surroundings, and final values of the boards
 _WARM_UP_S = 150.0  # time constant of the boards' warm-up
 _SWAY_C = 0.2  # amplitude of temperature changes
 _REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
@@ -269,8 +264,6 @@ def _switch(on: bool) -> str:
 
 
 class _Key(NamedTuple):
-    """A setting of the web interface."""
-
     form: str  # last part of its form's path, and its table in the document; empty for the outermost
     name: str
     field: str  # field of `DeviceSettings`

@@ -3,9 +3,8 @@
 >>> IMU_FRAME.itemsize, IMU_FRAME.isalignedstruct
 (72, True)
 
-The format is our own, because no sensor of Velodyne has an IMU output; `protocol/imu_frame.toml` describes it. The
-offset of each field is a multiple of its size, so it is a plain struct in C, and numbers equal the ground truth to the
-last bit.
+The format is our own, because no sensor of Velodyne has one; `protocol/imu_frame.toml` describes it. The offset of each
+field is a multiple of its size, so it is a plain struct in C, and numbers equal the ground truth to the last bit.
 """
 
 import zlib

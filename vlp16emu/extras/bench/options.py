@@ -40,9 +40,7 @@ class Http(Options):
     ] = None  # file of the first sensor; files of other sensors have its name with their number
     serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
     """Called with address and port of each interface, before the first packet leaves."""
-    controlled: Callable[[Any], None] = lambda _: (
-        None
-    )  # called before `opened` with the `Control` that sets the sensors
+    controlled: Callable[[Any], None] = lambda _: None  # called before `serving`, with the `Control` of the sensors
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,9 +71,7 @@ class PosesIn(Options):
             "Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.", "FILE.csv", "--flown"
         ),
     ] = None
-    news: Callable[[str], None] = lambda _: (
-        None
-    )  # called with a line when the stream waits for poses, loses them, or gets them back
+    news: Callable[[str], None] = lambda _: None  # called with a line when the stream waits for poses or loses them
 
 
 @dataclass(frozen=True)

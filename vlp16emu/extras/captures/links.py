@@ -208,7 +208,6 @@ def _ip6_at(frame: bytes, at: int) -> Ip | None:
 
 
 def _inside(frame: bytes, ip: Ip) -> int | None:
-    """Find the IP header of a packet in a tunnel."""
     at = ip.body
     if ip.fragment or ip.more:
         return None

@@ -65,8 +65,7 @@ def write_points(
 
     Raises InputError if there is no such unit or scheme, or the suffix names no format; MissingExtraError if the
     library for a format is not installed; OutputError if file or folder cannot be written, or are an input of the
-    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: then the file is not
-    complete.
+    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then incomplete.
     """
     path, began_s, asked = Path(path), time.perf_counter(), PointOptions(**options)
     number, scenario, stop = emulator.number(asked.unit), emulator.scenario, stop or Event()

@@ -134,7 +134,6 @@ def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
 
 
 def _bridge(seed: int, chunk: int, lane: int) -> F8:
-    """Random walk (4096,) at the samples of a chunk."""
     # Lanes: two for each axis, one for the ends of chunks and one within.
     purpose, scale = int(Purpose.IMU_WALK), math.sqrt(_CHUNK)
     start, end = (scale * _level(seed, purpose, index, 2 * lane) for index in (chunk, chunk + 1))

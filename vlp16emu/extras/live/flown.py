@@ -198,7 +198,6 @@ class LiveWindows(CellWindows):
             block += 1
 
     def _decide(self, block: int) -> None:
-        """Choose the window that is used from a block on."""
         state = self._motion.state
         place_m, velocity_m_s = state[:3], state[7:10]
         wanted = cell_of(place_m + _EXPECTED_S * velocity_m_s)

@@ -74,7 +74,6 @@ class Knots(Pieces):
 
 @numba.njit(cache=True, nogil=True)
 def _product(a: F8, b: F8) -> F8:
-    """Multiply two quaternions x, y, z, w."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     x = aw * bx + ax * bw + ay * bz - az * by

@@ -25,11 +25,7 @@ _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
 _KINDS = ".obj", ".ply", ".glb", ".stl"
 _SPLIT = dict.fromkeys(("skip_materials", "split_objects", "split_groups", "maintain_order"), True)
-_AS_WRITTEN: dict[str, Any] = {
-    "process": False,
-    "group_material": False,
-    **_SPLIT,
-}  # trimesh neither joins nor moves faces
+_AS_WRITTEN: dict[str, Any] = {"process": False, "group_material": False, **_SPLIT}  # no face is joined or moved
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 """Greatest height, greatest width and least size of an object in a forest."""
 _FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision

@@ -88,8 +88,7 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
 def make_card(inputs: ScoreInputs) -> ScoreCard:
     """Compute all scores that the given files allow.
 
-    InputError if a file is malformed, or its ground truth is missing; MissingExtraError if the library of a file is not
-    installed.
+    InputError if a file is malformed, or its ground truth is missing; MissingExtraError without the library for a file.
     """
     if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
         raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")

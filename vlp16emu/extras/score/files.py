@@ -51,8 +51,7 @@ class Stem:
 def read_cloud(path: Path) -> Cloud:
     """Read the positions of points, `xyz` (n, 3) in metres, and their labels (n,), from a file with a suffix in `_READERS`.
 
-    InputError if the file is not of this format, or has no points or a NaN; MissingExtraError if the library for .pcd,
-    .las or .laz is not installed.
+    InputError if the file is not of this format, or has no points or a NaN; MissingExtraError without the library for it.
     """
     if path.suffix not in _READERS:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))

@@ -72,8 +72,7 @@ def score_path(
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
     """Return the offset to add to the estimate's stamps that best fits its steps between poses to the true steps.
 
-    Steps need no alignment, and the swing of each pace marks its time. NaN if there are too few poses, or the motion is
-    too uniform.
+    Steps need no alignment, and the swing of each pace marks its time. NaN for too few poses or too uniform a motion.
     """
     from scipy.spatial.transform import Rotation
 

@@ -275,7 +275,6 @@ class Truth:
                 firsts_ns.clear()
 
     def _write_events(self) -> None:
-        """Write the events so far, from the present events of the run."""
         ran, stop_ns = self._of.engine.scenario, seconds_to_ns(self._span_s[1])
         until_ns = stop_ns if self._is_whole else self._seen_ns + 1 - ran.start_ns
         from_ns = self._listed_ns
@@ -293,7 +292,6 @@ class Truth:
         return partial(self._folder.append, name)
 
     def _others(self, engine: Engine, begin_ns: int, from_ns: int) -> Iterator["Samples[str]"]:
-        """Begin the files of inertial unit and receiver, if there are any."""
         scenario, imu = engine.scenario, engine.parts.imu
         if scenario.imu is not None and imu is not None:
             others = (*(ATTITUDE if scenario.imu.attitude else ()), *([STAMP] if scenario.imu.is_late else []))

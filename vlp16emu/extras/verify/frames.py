@@ -167,9 +167,7 @@ Microseconds = TypeVar("Microseconds", int, I8)
 
 HOUR_US = HOUR_NS // US_NS
 JITTER_US = 5 * MS_NS // US_NS  # greatest delay of a capture stamp, bursts included; a quiet host stays below 0.1 ms
-_DRIFT_PPM = (
-    150  # clocks of sensors and hosts were seen to differ by 2 to 20 ppm; a cheap oscillator may be 100 ppm off
-)
+_DRIFT_PPM = 150  # clocks of sensors and hosts differed by 2 to 20 ppm; a cheap oscillator may be 100 ppm off
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
 _MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
 _PERIODS_NS = {layout.RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in layout.SEQUENCES_PER_PACKET.items()}

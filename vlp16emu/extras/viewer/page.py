@@ -69,9 +69,7 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
 
 
 def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
-    logging.getLogger("websockets.server").setLevel(
-        logging.CRITICAL + 1
-    )  # requests of other programs must not write to our log
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL + 1)  # bad requests must not fill our log
     loop = server.get_event_loop()
     # viser's websocket server is a local variable of a task.
     values = (value for task in all_tasks(loop) for frame in task.get_stack() for value in frame.f_locals.values())
@@ -144,7 +142,6 @@ def _draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
 
 
 def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8) -> None:
-    """Put the initial camera behind and above a place."""
     away_m = math.hypot(*ahead_m[:2])
     east, north = ahead_m[:2] / away_m if away_m > 0 else (1.0, 0.0)
     camera = server.initial_camera

@@ -153,9 +153,7 @@ def _turning_loop(before_m: F8, end_m: F8) -> F8:
     turns = math.pi / 3 * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
     ahead_m = end_m - before_m
     headings = atan2(float(ahead_m[1]), float(ahead_m[0])) + np.cumsum(turns) - turns / 2
-    chords_m = _LOOP_RADIUS_M * np.column_stack(
-        [cos(headings), sin(headings)]
-    )  # a chord of a sixth is as long as the radius
+    chords_m = _LOOP_RADIUS_M * np.column_stack([cos(headings), sin(headings)])  # chord = radius
     return np.asarray(end_m + np.cumsum(chords_m, axis=0)[:-1])
 
 
