@@ -184,7 +184,7 @@ def finished(out: Path, walk: DatasetWalk) -> Entry | None:
     OutputError if its folder has a file that is not listed, or differs from the list: it may be a user's file.
     """
     folder = out / walk.folder
-    entry, ours = _listed(folder), _ours(folder)
+    entry, ours = _read_list(folder), _intact_files(folder)
     if entry.items() >= identity(walk).items() and len(ours) == len(entry["files"]) + 1:
         return entry
     if strange := {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()} - ours:
@@ -197,7 +197,7 @@ def take_place(made: Path, final: Path) -> None:
     """Move a complete folder to its place, after removal of the listed files of an earlier run; RunError if that fails."""
     try:
         # The list is removed last: without it, files that are left after a kill would count as a user's.
-        for path in sorted(_ours(final), key=lambda path: path.name == _LIST):
+        for path in sorted(_intact_files(final), key=lambda path: path.name == _LIST):
             path.unlink()
         for folder in sorted((path for path in final.rglob("*") if path.is_dir()), reverse=True):
             folder.rmdir()
@@ -215,18 +215,18 @@ def identity(walk: DatasetWalk) -> Entry:
     return {name: getattr(walk, name) for name in names} | {"written_by": _WRITTEN_BY, "scenario_sha256": digest}
 
 
-def _ours(folder: Path) -> set[Path]:
+def _intact_files(folder: Path) -> set[Path]:
     """Return the files of a folder that agree with its list, and the list itself."""
-    if not (entry := _listed(folder)):
+    if not (entry := _read_list(folder)):
         return set()
     named = [(folder / file["path"], file) for file in entry["files"]]
     return {path for path, file in named if path.is_file() and _described(path, folder) == file} | {folder / _LIST}
 
 
-def _listed(folder: Path) -> Entry:
+def _read_list(folder: Path) -> Entry:
     """Return the list of a walk's folder; empty if there is none."""
     try:
-        tree = _of_ours((folder / _LIST).read_text(encoding="utf-8"))
+        tree = _parsed_list((folder / _LIST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     files = tree.get("files")
@@ -234,7 +234,7 @@ def _listed(folder: Path) -> Entry:
     return tree if is_list else {}
 
 
-def _of_ours(text: str) -> Entry:
+def _parsed_list(text: str) -> Entry:
     """Return a JSON table that a dataset has written; empty for other text."""
     try:
         tree = json.loads(text)
@@ -337,7 +337,7 @@ def make_dataset(
             expected = "the manifest of a dataset"
             with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
                 text = path.read_text(encoding="utf-8")
-            if not _of_ours(text):
+            if not _parsed_list(text):
                 raise OutputError(str(path), "is none of ours", expected)
         entries = {walk.number: entry for walk in walks if (entry := finished(out, walk))}
         missing = [walk for walk in walks if walk.number not in entries]
@@ -346,7 +346,7 @@ def make_dataset(
         try:
             rmtree(parts, ignore_errors=True)
             parts.mkdir()
-            for walk, made, entry in _made(missing, parts, asked.workers):
+            for walk, made, entry in _make_walks(missing, parts, asked.workers):
                 take_place(made, out / walk.folder)
                 entries[walk.number] = entry
                 progress(done_s := done_s + walk.scenario.duration_s)
@@ -401,7 +401,7 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
     return walk, folder, entry
 
 
-def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
+def _make_walks(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
     """Make walks, and yield each when it is done; a walk whose worker dies is made again."""
     left, deaths = {walk.number: walk for walk in walks}, 0
     if workers == 0:

@@ -58,7 +58,7 @@ class People:
         for number, foot in enumerate((self._companion, self._passer)):
             if not present[number]:
                 continue
-            range_m, cosine = (of.reshape(-1)[owner] for of in self._met(firings, foot(t_ns)))
+            range_m, cosine = (of.reshape(-1)[owner] for of in self._hit_ranges(firings, foot(t_ns)))
             nearer = range_m < hits.range_m
             if nearer.any():
                 hits = replace(
@@ -73,7 +73,7 @@ class People:
         """Return the positions (k, 3) of the companion at instants (k,): on the ground, straight behind the carrier."""
         poses = self._carrier.poses_at(t_ns)
         behind_m = np.full(len(t_ns), -self._section.behind_m)
-        return self._beside(poses.world_p_body_m, poses.world_R_body[:, :2, 0], behind_m)
+        return self._offset_on_ground(poses.world_p_body_m, poses.world_R_body[:, :2, 0], behind_m)
 
     def _passer(self, t_ns: I8) -> F8:
         """Return the positions (k, 3) of the person who passes: beside the carrier's position mirrored in time about their meeting."""
@@ -83,14 +83,14 @@ class People:
         meets_ns = self._start_ns + every_ns * periods[which] + np.rint(every_ns * (0.25 + 0.5 * when)).astype(np.int64)
         poses = self._carrier.poses_at(np.clip(2 * meets_ns - t_ns, self._start_ns, self._end_ns))
         aside_m = np.where(side < 0.5, -1.0, 1.0) * _PASSES_AT_M
-        return self._beside(poses.world_p_body_m, poses.world_R_body[:, :2, 1], aside_m)
+        return self._offset_on_ground(poses.world_p_body_m, poses.world_R_body[:, :2, 1], aside_m)
 
-    def _beside(self, place_m: F8, axis: F8, by_m: F8) -> F8:
+    def _offset_on_ground(self, place_m: F8, axis: F8, by_m: F8) -> F8:
         """Return positions (k, 3) on the ground at offsets `by_m` from positions (k, 3) along horizontal axes (k, 2) of any length."""
         level_m = place_m[:, :2] + by_m[:, None] * axis / norm(axis)[:, None]
         return np.column_stack([level_m, self._height_m(level_m[:, 0].copy(), level_m[:, 1].copy())])
 
-    def _met(self, firings: Firings, foot_m: F8) -> tuple[F4, F4]:
+    def _hit_ranges(self, firings: Firings, foot_m: F8) -> tuple[F4, F4]:
         """Return ranges (k, L) at which pulses hit a person, inf for a miss, and cosines of incidence."""
         range_m, cosine = np.full(firings.t_ns.shape, np.inf), np.zeros(firings.t_ns.shape)
         from_foot_m, at_m = firings.origin_m - foot_m[:, None], _SHOULDERS * _STATURE_M

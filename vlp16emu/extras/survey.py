@@ -140,7 +140,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     bare = world.bare if isinstance(world, Furnished) else world
     if not isinstance(bare, ForestWorld | HallWorld):
         raise InputError("world.kind", f"found {scenario.world.kind}", "forest, plot or hall")
-    path_m = _way_m(scenario, parts.motion)
+    path_m = _path_m(scenario, parts.motion)
     path, window = Polyline(path_m[:, :2]), world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
@@ -159,7 +159,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     )
 
 
-def _way_m(scenario: Scenario, motion: Motion) -> F8:
+def _path_m(scenario: Scenario, motion: Motion) -> F8:
     """Return positions (n, 3) of the sensor over the scene's duration; one if it stands still."""
     if not motion.moves:
         return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m

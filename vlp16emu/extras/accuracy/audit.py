@@ -241,9 +241,9 @@ class Audit:
         unit = job.unit
         block, index = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block, firings.index
         for begin in range(index // block * block, index + len(firings.t_ns), block):
-            self._look(unit, firings, hits, geometry, begin, block)
+            self._audit(unit, firings, hits, geometry, begin, block)
 
-    def _look(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int) -> None:
+    def _audit(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int) -> None:
         """Audit the drawn pulses of the block that begins with sequence `begin`, if they are among those that were cast."""
         lasers = firings.t_ns.shape[1]
         draw = generator(unit.seed, Purpose.AUDIT, unit.number, begin)

@@ -211,7 +211,7 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     return settings
 
 
-class _Ladder:
+class _SettingsBench:
     """All settings on one bench, measured window by window."""
 
     def __init__(self, bench: Bench, scenario: Scenario) -> None:
@@ -281,7 +281,7 @@ def measure_accuracy(
     parts = assemble(scenario)
     unit = parts.units[0]
     block = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns).block
-    ladder = _Ladder(Bench(unit, max(_RAYS, _TIMES * unit.beam.rays)), scenario)
+    ladder = _SettingsBench(Bench(unit, max(_RAYS, _TIMES * unit.beam.rays)), scenario)
     with workers(os.cpu_count() or 1, "accuracy") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             ladder.look(geometry, groups, pool)

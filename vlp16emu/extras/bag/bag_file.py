@@ -133,22 +133,22 @@ class BagFile:
         """
         if not 0 <= t_ns <= LATEST_NS:
             raise RunError(f"{self.path}: a message at {t_ns / S_NS:.3f} s since 1970 fits no bag; no bag is written")
-        heapq.heappush(self._held, (t_ns, next(self._number), topic, self._make(name, fields)))
+        heapq.heappush(self._held, (t_ns, next(self._number), topic, self._message(name, fields)))
         self.counts[topic] = self.counts.get(topic, 0) + 1
         first_ns, last_ns = self.span_ns or (t_ns, t_ns)
         self.span_ns = min(first_ns, t_ns), max(last_ns, t_ns)
         while self._held[0][0] < self.span_ns[1] - _HELD_NS:
             self._append()
 
-    def _make(self, name: str, fields: Iterable[Any]) -> Any:
+    def _message(self, name: str, fields: Iterable[Any]) -> Any:
         from rosbags.interfaces import Nodetype
 
         made = []
         for (_, (node, kind)), value in zip(self._store.fielddefs[name][1], fields, strict=True):
             if node == Nodetype.NAME:
-                made.append(self._make(kind, value))
+                made.append(self._message(kind, value))
             elif node != Nodetype.BASE and kind[0][0] == Nodetype.NAME:
-                made.append([self._make(kind[0][1], one) for one in value])
+                made.append([self._message(kind[0][1], one) for one in value])
             else:
                 made.append(value)
         return self._store.types[name](*made)

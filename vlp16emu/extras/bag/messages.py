@@ -162,7 +162,7 @@ class TrueMessages:
         Velocity and angular rate (6,) in the sensor's own axes follow the pose.
         """
         if self._sensor_T_base is not None:
-            numbers = _moved(numbers, self._sensor_T_base)
+            numbers = _moved_to_base(numbers, self._sensor_T_base)
         topic = "/ground_truth/odom"
         placed, header = (numbers[:3], numbers[3:7]), self._bag.header(t_ns, "map", topic)
         twist = (numbers[7:10], numbers[10:]), _EXACT
@@ -186,7 +186,7 @@ class TrueMessages:
         self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", header, *what)
 
 
-def _moved(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
+def _moved_to_base(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
     """Return pose and rates (13,) of a base from pose and rates of a sensor that is fixed to it."""
     from scipy.spatial.transform import Rotation
 

@@ -107,8 +107,8 @@ class DisturbedGps(GpsInput):
 
     def spans_ns(self, state: PpsState) -> _Spans:
         """Return the spans of UTC in which the pulse is in a state, in order."""
-        turns_ns = [-FOREVER_NS, *sorted(set(self._turns_ns())), FOREVER_NS]
-        return _merged(span for span in pairwise(turns_ns) if self.pps_at(span[0]) is state)
+        turns_ns = [-FOREVER_NS, *sorted(set(self._edges_ns())), FOREVER_NS]
+        return _union(span for span in pairwise(turns_ns) if self.pps_at(span[0]) is state)
 
     def pps_at(self, t_ns: int) -> PpsState:
         """Return the state of the pulse as the sensor reports it at an instant.
@@ -127,9 +127,9 @@ class DisturbedGps(GpsInput):
         second_ns = self.second_ns(t_ns)
         if second_ns is None or t_ns - self._comes_ns(second_ns) >= _STALE_NS:
             return PpsState.SYNCHRONIZING
-        if self._of("wrong_sentence", second_ns) or self._comes_ns(second_ns) >= second_ns + S_NS:
+        if self._events_of("wrong_sentence", second_ns) or self._comes_ns(second_ns) >= second_ns + S_NS:
             return PpsState.ERROR
-        if self.requires_valid and self._of("void_sentence", second_ns):
+        if self.requires_valid and self._events_of("void_sentence", second_ns):
             return PpsState.SYNCHRONIZING
         return PpsState.LOCKED
 
@@ -138,7 +138,7 @@ class DisturbedGps(GpsInput):
         if not self.connected:
             return None
         second_ns = (t_ns - self.sentence_delay_ns) // S_NS * S_NS
-        while (missing := self._of("missing_sentence", second_ns)) or self._comes_ns(second_ns) > t_ns:
+        while (missing := self._events_of("missing_sentence", second_ns)) or self._comes_ns(second_ns) > t_ns:
             # The last sentence before the missing ones.
             first_ns = min((self._span_ns(event)[0] for event in missing), default=second_ns + self.sentence_delay_ns)
             second_ns = (first_ns - 1 - self.sentence_delay_ns) // S_NS * S_NS
@@ -148,8 +148,8 @@ class DisturbedGps(GpsInput):
 
     def sentence(self, fix: GnssFix, seed: int) -> bytes:
         """Return the sentence of a fix as the sensor receives it; parameters as in `GpsInput`."""
-        text = bytearray(rmc(replace(fix, valid=False) if self._of("void_sentence", fix.t_ns) else fix))
-        for event in self._of("wrong_sentence", fix.t_ns):
+        text = bytearray(rmc(replace(fix, valid=False) if self._events_of("void_sentence", fix.t_ns) else fix))
+        for event in self._events_of("wrong_sentence", fix.t_ns):
             random = generator(seed, Purpose.SENTENCE, fix.t_ns // S_NS)
             body = range(len(b"$GPRMC,"), text.index(b"*"))
             for place in random.choice(body, min(event.characters, len(body)), replace=False).tolist():
@@ -162,27 +162,27 @@ class DisturbedGps(GpsInput):
 
     @property
     def _off(self) -> _Spans:
-        return _merged(self._span_ns(event) for event in self.events if event.effect == "power")
+        return _union(self._span_ns(event) for event in self.events if event.effect == "power")
 
     @property
     def _lost(self) -> _Spans:
         """Return the spans from the first missing pulse to the first pulse that is back."""
         spans = (self._span_ns(event) for event in self.events if event.kind == "pps_loss")
-        return _merged((_ceil(begin_ns), _ceil(end_ns)) for begin_ns, end_ns in spans)
+        return _union((_ceil(begin_ns), _ceil(end_ns)) for begin_ns, end_ns in spans)
 
-    def _of(self, kind: str, second_ns: int) -> list[Event]:
+    def _events_of(self, kind: str, second_ns: int) -> list[Event]:
         """Return the events of a kind that affect the sentence of a second."""
         since_ns = second_ns + self.sentence_delay_ns - self.start_ns
         return [event for event in self.events if event.kind == kind and event.begin_ns <= since_ns < event.end_ns]
 
     def _comes_ns(self, second_ns: int) -> int:
-        late_s = max((event.by_s for event in self._of("late_sentence", second_ns)), default=0.0)
+        late_s = max((event.by_s for event in self._events_of("late_sentence", second_ns)), default=0.0)
         return second_ns + self.sentence_delay_ns + seconds_to_ns(late_s)
 
     def _span_ns(self, event: Event) -> tuple[int, int]:
         return self.start_ns + event.begin_ns, min(self.start_ns + event.end_ns, FOREVER_NS)
 
-    def _turns_ns(self) -> Iterator[int]:
+    def _edges_ns(self) -> Iterator[int]:
         """Yield the instants at which the state may change: pulses and sentences near the begin and the end of events."""
         late_ns = {0, *(seconds_to_ns(event.by_s) for event in self.events if event.kind == "late_sentence")}
         come_ns = [self.sentence_delay_ns + by_ns for by_ns in late_ns]
@@ -202,7 +202,7 @@ def _ceil(t_ns: int) -> int:
     return -(-t_ns // S_NS) * S_NS
 
 
-def _merged(spans: Iterable[tuple[int, int]]) -> _Spans:
+def _union(spans: Iterable[tuple[int, int]]) -> _Spans:
     """Return the union of spans in order, without empty ones."""
     out = list[tuple[int, int]]()
     for begin, end in sorted(span for span in spans if span[0] < span[1]):
@@ -290,7 +290,7 @@ def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...
     """Return the motion of the rotor: constant speed, changes to another speed, and pulls into phase."""
     done, power_up, runs = list(unit.head.rotor.spins), InForce.of(unit.section), True
     wanted = power_up
-    for t_ns, event in _in_order(events):
+    for t_ns, event in _rotor_settings(events):
         before = wanted.rpm, wanted.phase_lock_deg, runs
         is_on = event.kind == "power_cycle"
         if is_on:
@@ -304,7 +304,7 @@ def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...
                 done.pop()
             angle_deg = _phase_deg(wanted, start_ns + t_ns)
             on = Spin(t_ns, done[0].angle_deg if angle_deg is None else angle_deg, float(wanted.rpm))
-            done += [on] if is_on else _led(done[-1], t_ns, wanted, start_ns, runs=runs)
+            done += [on] if is_on else _steered(done[-1], t_ns, wanted, start_ns, runs=runs)
     return tuple(done)
 
 
@@ -314,7 +314,7 @@ def _phase_deg(wanted: InForce, utc_ns: int) -> float | None:
     return None if phase_deg == "off" else in_phase_deg(phase_deg, wanted.rpm, utc_ns)
 
 
-def _in_order(events: Sequence[Event]) -> list[tuple[int, Event]]:
+def _rotor_settings(events: Sequence[Event]) -> list[tuple[int, Event]]:
     """Return the instants since the first pulse at which the rotor is set, with their events."""
     begins, ends = ("setting", "motor_stop"), ("motor_stop", "power_cycle")
     instants = [
@@ -326,7 +326,7 @@ def _in_order(events: Sequence[Event]) -> list[tuple[int, Event]]:
     return sorted(instants, key=itemgetter(0))
 
 
-def _led(spin: Spin, t_ns: int, wanted: InForce, start_ns: int, *, runs: bool) -> Iterator[Spin]:
+def _steered(spin: Spin, t_ns: int, wanted: InForce, start_ns: int, *, runs: bool) -> Iterator[Spin]:
     """Yield the motion of the rotor from its present state to the wanted one, from an instant on."""
     rpm, target = spin.rpm_at(t_ns), float(wanted.rpm if runs else 0)
     angle_deg = _angle_deg(spin, t_ns)

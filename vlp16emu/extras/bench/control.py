@@ -62,7 +62,7 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
     sensor = require_packets(unit.section)
     places = {key: getattr(sensor, key) for key in ("data_port", "position_port", "address")}
-    return _showing(DeviceSettings(host=host, **places), InForce.of(sensor))
+    return _with_in_force(DeviceSettings(host=host, **places), InForce.of(sensor))
 
 
 class Control:
@@ -112,7 +112,7 @@ class Control:
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
             self._follow(number, self._factory[number], device.settings)
-        if self._take_up() is None:  # loads the modules of a change, so that the first change is as quick as others
+        if self._apply_pending() is None:  # loads the modules, so that the first change is as quick as others
             engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
             if not self._scenario.motion.takes_poses:
                 deque(engine.packets(0.0, _WARM_S), 0)
@@ -141,7 +141,7 @@ class Control:
             raise InputError(f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)) from None
         with self._lock:
             self._wanted += wanted
-        self._take_up()
+        self._apply_pending()
         return self._at_ns
 
     def due_in_ns(self, at_ns: int) -> int:
@@ -167,7 +167,7 @@ class Control:
         return DeviceStatus(
             t_ns=now_ns,
             pps=sent.pps if sent else PpsState.ABSENT,
-            position=_place(sent.sentence) if sent else "",
+            position=_position_text(sent.sentence) if sent else "",
             motor_rpm=rpm,
             motor_on=rpm > 0,
             phase_locked=settings.phase_lock_on and self._scenario.gps.connected,
@@ -221,7 +221,7 @@ class Control:
     def _after(self, one: Event, settings: DeviceSettings) -> DeviceSettings:
         if one.effect == "power":
             return self._factory[one.unit - 1]
-        return _showing(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
+        return _with_in_force(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
 
     def _redirect(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
         """Send to the new receiver; to another machine only if the run began with another machine."""
@@ -237,12 +237,12 @@ class Control:
         while self._asked.wait() and not self._over.is_set():
             self._asked.clear()
             begin_s = time.monotonic()
-            if (from_ns := self._take_up()) is not None:
+            if (from_ns := self._apply_pending()) is not None:
                 next_s = begin_s + max(_APART_S, _APART * (time.monotonic() - begin_s))
-                self._settle(from_ns)
+                self._wait_until_ahead(from_ns)
                 self._over.wait(0.0 if self._prompt else max(next_s - time.monotonic(), 0.0))
 
-    def _take_up(self) -> int | None:
+    def _apply_pending(self) -> int | None:
         """Compute packets again from a moment ahead, if there are new settings, and return its UTC."""
         with self._taking_up:
             until_ns = self._under_way.made_until_ns
@@ -268,7 +268,7 @@ class Control:
             self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
             return due_ns
 
-    def _settle(self, from_ns: int) -> None:
+    def _wait_until_ahead(self, from_ns: int) -> None:
         """Wait until packets of a change are computed ahead; if that took longer than their lead, the next lead is longer."""
         begin_s, has_begun = time.monotonic(), False
         while (took_s := time.monotonic() - begin_s) < _MERGED_S and not self._over.wait(_POLL_S):
@@ -285,7 +285,7 @@ def _in_force(settings: DeviceSettings) -> InForce:
     return InForce(settings.rpm, str(settings.return_mode), settings.laser_on, settings.fov_deg, phase)
 
 
-def _showing(settings: DeviceSettings, new: InForce) -> DeviceSettings:
+def _with_in_force(settings: DeviceSettings, new: InForce) -> DeviceSettings:
     """Return the settings, updated with the settings in force; a phase that is off keeps its angle."""
     phase = new.phase_lock_deg
     cdeg = settings.phase_lock_cdeg if phase == "off" else round(100 * phase) % 36_000
@@ -293,7 +293,7 @@ def _showing(settings: DeviceSettings, new: InForce) -> DeviceSettings:
     return replace(settings, laser_on=new.laser, phase_lock_on=phase != "off", phase_lock_cdeg=cdeg, **own)
 
 
-def _place(sentence: bytes) -> str:
+def _position_text(sentence: bytes) -> str:
     """Return the position of the receiver in the format of the sensor: `49 00.00N 200 .00W`."""
     import pynmea2  # here: a sensor without a receiver does not need it
 

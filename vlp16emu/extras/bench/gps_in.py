@@ -82,7 +82,7 @@ class GpsLine:
             self._buffer += data
             while found := _LINE.match(self._buffer):
                 self._buffer = self._buffer[found.end() :]
-                self._take(found[0].strip(), t_ns)
+                self._take_line(found[0].strip(), t_ns)
             self._buffer = b"" if len(self._buffer) > _LONGEST else self._buffer
 
     def state_at(self, t_ns: int) -> PpsState:
@@ -102,7 +102,7 @@ class GpsLine:
         with self._lock:
             return (t_ns - self._zero_ns) % HOUR_NS
 
-    def _take(self, line: bytes, t_ns: int) -> None:
+    def _take_line(self, line: bytes, t_ns: int) -> None:
         """Take a line: an RMC sentence names the second of the edge before it."""
         if not line.startswith(b"$GPRMC,"):
             return
@@ -125,7 +125,7 @@ class GpsLine:
 
 
 _BAUD = 9600  # 63-9243 Rev D, section 7.4
-_LOOK_S = 0.001  # period of polling of the line
+_POLL_S = 0.001  # period of polling of the line
 _AWAY_S = 0.1  # period of polling for a vanished device; `SerialPort` tries once a second
 
 
@@ -183,7 +183,7 @@ class GpsReader:
     def _run(self) -> None:
         was_high = True
         while not self._over.is_set():
-            if (found := self._port.use(self._look)) is None:
+            if (found := self._port.use(self._poll)) is None:
                 self._over.wait(_AWAY_S)
                 continue
             data, high, at_ns = found
@@ -193,10 +193,10 @@ class GpsReader:
             if data:
                 self.line.receive(data, at_ns)
             if data or self._pulse:  # collect single characters
-                self._over.wait(_LOOK_S)
+                self._over.wait(_POLL_S)
         self._port.close()
 
-    def _look(self, port: Any) -> tuple[bytes, bool, int]:
+    def _poll(self, port: Any) -> tuple[bytes, bool, int]:
         """Return the bytes that are there, the state of the line, and the instant; without a line, wait for a character."""
         if self._pulse:
             high, at_ns = bool(getattr(port, self._pulse)), time.monotonic_ns()

@@ -104,15 +104,15 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
     if link_type in _ETHERTYPE_AT:
         kind_at, body = begin + _ETHERTYPE_AT[link_type], begin + _BODY_AT[link_type]
         kind = int.from_bytes(frame[kind_at : kind_at + 2])
-        at: int | None = body if kind == _IPV4 else _behind(frame, kind, body)
+        at: int | None = body if kind == _IPV4 else _ip_after(frame, kind, body)
     elif link_type in _BARE_IP_AT:
         at = begin + _BARE_IP_AT[link_type]
     elif link_type in _PPP_AT:
         at = _behind_ppp(frame, begin + _PPP_AT[link_type])
     elif link_type == _WIFI:
-        at = _behind_wifi(frame, begin)
+        at = _ip_in_wifi(frame, begin)
     elif link_type == _NFLOG:
-        at = _behind_nflog(frame)
+        at = _ip_in_nflog(frame)
     else:
         return None
     ip = None
@@ -120,23 +120,23 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
         found = None if at is None else _ip_at(frame, at)
         if found is None:
             return ip
-        ip, at = found, _inside(frame, found)
+        ip, at = found, _ip_in_tunnel(frame, found)
         if at is None:
             return ip
     return ip
 
 
-def _behind_wifi(frame: bytes, at: int) -> int | None:
+def _ip_in_wifi(frame: bytes, at: int) -> int | None:
     """Find the IP header in a data frame of IEEE 802.11 that is not encrypted."""
     kind, flags = frame[at : at + 1], frame[at + 1 : at + 2]
     if not flags or kind[0] & 0x4C != 0x08 or flags[0] & 0x40:
         return None
     quality = bool(kind[0] & 0x80)
     at += 24 + 6 * (flags[0] & 3 == 3) + 2 * quality + 4 * (quality and flags[0] >> 7)
-    return _behind(frame, 0, at)
+    return _ip_after(frame, 0, at)
 
 
-def _behind_nflog(frame: bytes) -> int | None:
+def _ip_in_nflog(frame: bytes) -> int | None:
     """Find the packet in the fields of the netfilter log of Linux."""
     at = 4
     while at + 4 <= len(frame):
@@ -147,7 +147,7 @@ def _behind_nflog(frame: bytes) -> int | None:
     return None
 
 
-def _behind(frame: bytes, kind: int, at: int) -> int | None:
+def _ip_after(frame: bytes, kind: int, at: int) -> int | None:
     """Find the IP header after an EtherType whose content begins at `at`."""
     for _ in range(_MOST_LAYERS):
         if kind in (_IPV4, _IPV6):
@@ -173,7 +173,7 @@ def _behind_ppp(frame: bytes, at: int) -> int | None:
     if frame[at : at + 2] == b"\xff\x03":
         at += 2
     if frame[at : at + 2] in (b"\x0f\x00", b"\x8f\x00"):  # Cisco HDLC instead
-        return _behind(frame, int.from_bytes(frame[at + 2 : at + 4]), at + 4)
+        return _ip_after(frame, int.from_bytes(frame[at + 2 : at + 4]), at + 4)
     short = frame[at : at + 1] in (b"\x21", b"\x57")  # RFC 1661, section 6.5: the protocol in one byte
     kind = int.from_bytes(frame[at : at + 2 - short])
     return at + 2 - short if kind in _PPP_IP else None
@@ -207,7 +207,7 @@ def _ip6_at(frame: bytes, at: int) -> Ip | None:
     return Ip(at, body, end, protocol, fragment, more, key)
 
 
-def _inside(frame: bytes, ip: Ip) -> int | None:
+def _ip_in_tunnel(frame: bytes, ip: Ip) -> int | None:
     at = ip.body
     if ip.fragment or ip.more:
         return None
@@ -220,10 +220,10 @@ def _inside(frame: bytes, ip: Ip) -> int | None:
             at, kind = at + 8 * bool(flags & 0x10), _BRIDGED  # type I has neither a number nor a header
         elif kind == _ERSPAN_3:
             at, kind = at + 12 + 8 * (at + 12 <= len(frame) and frame[at + 11] & 1), _BRIDGED
-        return _behind(frame, kind, at)
+        return _ip_after(frame, kind, at)
     port = frame[at + 2 : at + 4] if ip.protocol == _UDP else b""
     if port == _VXLAN:
-        return _behind(frame, _BRIDGED, at + 16)
+        return _ip_after(frame, _BRIDGED, at + 16)
     if port == _GENEVE and at + 16 <= len(frame):
-        return _behind(frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F))
+        return _ip_after(frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F))
     return None

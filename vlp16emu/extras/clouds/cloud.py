@@ -68,11 +68,11 @@ class PointLabels:
         x_m, y_m, z_m = np.ascontiguousarray(points["world_m"].T)
         return {
             "label": self._scheme.codes(points["semantic"], points["part"]),
-            "tree_id": self._dense(points["instance"], points["semantic"]),
+            "tree_id": self._tree_numbers(points["instance"], points["semantic"]),
             "height_m": (z_m - self._height_m(x_m, y_m)).astype(np.float32),
         }
 
-    def _dense(self, instance: U4, semantic: U1) -> U4:
+    def _tree_numbers(self, instance: U4, semantic: U1) -> U4:
         """Tree numbers (n,), 1, 2, 3 ... in order of first appearance; 0 for points that are on no tree."""
         is_tree = semantic == Semantic.TREE
         met, first, back = np.unique(instance[is_tree], return_index=True, return_inverse=True)

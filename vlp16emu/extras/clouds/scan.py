@@ -203,7 +203,7 @@ def points_of(
 ) -> tuple[dict[str, NDArray[Any]], I8]:
     """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
     firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
-    sent = _sent(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
+    sent = _reported(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
     sequence, laser, number = np.nonzero(sent)
     distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
     poses = unit.motion.poses_at(pulse_ns)
@@ -264,7 +264,7 @@ def place(
     return {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "sensor_m": sensor_m, "world_m": world_m}
 
 
-def _sent(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
+def _reported(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
     """Return a mask (k, L, 3) of the returns that the sensor would report: each echo once, a single one as the strongest.
 
     Source of the rules of dual return: 63-9243 Rev D, section 9.3.2.

@@ -59,18 +59,18 @@ class Stretches:
         square, product = np.zeros((_SLOTS, _SLOTS)), np.zeros(_SLOTS)
         for first in range(_SLOTS):
             own = self.residual_mm[self.first_slot == first]
-            square += len(own) * _of_slots(first).T @ _of_slots(first)
-            product += _of_slots(first).T @ own.sum(axis=0)
+            square += len(own) * _slot_residuals(first).T @ _slot_residuals(first)
+            product += _slot_residuals(first).T @ own.sum(axis=0)
         return np.asarray(np.linalg.lstsq(square, product, rcond=1e-9)[0])
 
     @property
     def white_mm(self) -> F8:
         """Residuals (s, 15) without the beat."""
-        of_first = np.stack([_of_slots(first) @ self.beat_mm for first in range(_SLOTS)])
+        of_first = np.stack([_slot_residuals(first) @ self.beat_mm for first in range(_SLOTS)])
         return np.asarray(self.residual_mm - of_first[self.first_slot])
 
 
-def _of_slots(first: int) -> F8:
+def _slot_residuals(first: int) -> F8:
     """Return the residual (15, 5) of a unit error of each slot after removal of the cubic."""
     return np.asarray(_Q @ np.eye(_SLOTS)[(first - np.arange(_PULSES)) % _SLOTS])
 
@@ -229,7 +229,7 @@ def no_returns(sequences: Sequences) -> Statistics:
         "no_return.equal": (r[1:] == r[:-1])[both].mean(),
         "no_return.mean": r[silent].mean(),
     }
-    return out | _raised(silent, r)
+    return out | _raised_codes(silent, r)
 
 
 def commonest(silent: NDArray[np.bool_], r: I8) -> I8:
@@ -238,7 +238,7 @@ def commonest(silent: NDArray[np.bool_], r: I8) -> I8:
     return np.array([np.bincount(own).argmax() if len(own) >= _LEAST_EDGES else 0 for own in each])
 
 
-def _raised(silent: NDArray[np.bool_], r: I8) -> Statistics:
+def _raised_codes(silent: NDArray[np.bool_], r: I8) -> Statistics:
     """Return the share of raised codes beside bright returns minus the share beside dark ones, and the share of raised runs of one record."""
     mode = commonest(silent, r)
     raised = silent & (r > _RAISED * mode) & (mode > 0)

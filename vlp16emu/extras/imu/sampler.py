@@ -69,8 +69,8 @@ class ImuSampler:
         e, w = self._imu, truth.body_w_rad_s
         gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz
         accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
-        w_errors, w_bias = self._errors_of((*gyro, _GYRO_WARM_UP_RAD_S * e.is_rough), first, count, 0)
-        force_errors, force_bias = self._errors_of((*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3)
+        w_errors, w_bias = self._sample_errors((*gyro, _GYRO_WARM_UP_RAD_S * e.is_rough), first, count, 0)
+        force_errors, force_bias = self._sample_errors((*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3)
         attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
         seen_w, seen_force = map(matvec, self._responses, (w, force)) if e.is_rough else (w, force)
         late_ns = self.late_ns(first, count)
@@ -95,7 +95,7 @@ class ImuSampler:
             drift_rad += noise / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, len(up), _HEADING)
         return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
 
-    def _errors_of(
+    def _sample_errors(
         self, sizes: tuple[float, float, float, float], first: int, count: int, first_axis: int
     ) -> tuple[F8, F8]:
         """Return the errors (count, 3) of three axes, white noise and bias, and the bias alone. Errors of size zero are not drawn."""
@@ -128,22 +128,22 @@ def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
     Brownian bridge: the sum costs the same after any time.
     """
     chunks = range(first // _CHUNK, (first + count - 1) // _CHUNK + 1)
-    parts = [_bridge(seed, chunk, lane) for chunk in chunks]
+    parts = [_random_walk_chunk(seed, chunk, lane) for chunk in chunks]
     begin = first - chunks.start * _CHUNK
     return np.concatenate(parts)[begin : begin + count]
 
 
-def _bridge(seed: int, chunk: int, lane: int) -> F8:
+def _random_walk_chunk(seed: int, chunk: int, lane: int) -> F8:
     # Lanes: two for each axis, one for the ends of chunks and one within.
     purpose, scale = int(Purpose.IMU_WALK), math.sqrt(_CHUNK)
-    start, end = (scale * _level(seed, purpose, index, 2 * lane) for index in (chunk, chunk + 1))
+    start, end = (scale * _brownian(seed, purpose, index, 2 * lane) for index in (chunk, chunk + 1))
     steps = np.cumsum(normal(seed, Purpose.IMU_WALK, chunk * _CHUNK, _CHUNK, 2 * lane + 1))
     free = np.concatenate([[0.0], steps[:-1]])
     return start + free + np.arange(_CHUNK) / _CHUNK * (end - start - steps[-1])
 
 
 @numba.njit(cache=True, nogil=True)
-def _level(seed: int, purpose: int, index: int, lane: int) -> float:
+def _brownian(seed: int, purpose: int, index: int, lane: int) -> float:
     """Brownian motion at an integer time up to 2^32; the number for each time is drawn once, for its interval."""
     low, high = 0, _HORIZON
     before, after = 0.0, math.sqrt(_HORIZON) * normal_pair(seed, purpose, _HORIZON, lane)[0]

@@ -83,7 +83,7 @@ def _product(a: F8, b: F8) -> F8:
 
 
 @numba.njit(cache=True, nogil=True)
-def _values(knot: F8) -> tuple[F8, F8]:
+def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
     """Position and quaternion (7,) of a knot, and their change per second."""
     value, rate, turning = knot[:7].copy(), np.empty(7), np.zeros(4)
     turning[:3] = 0.5 * knot[10:]
@@ -94,7 +94,7 @@ def _values(knot: F8) -> tuple[F8, F8]:
 @numba.njit(cache=True, nogil=True)
 def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
-    (value, rate), (end_value, end_rate) = _values(begin), _values(end)
+    (value, rate), (end_value, end_rate) = _pose_and_rates(begin), _pose_and_rates(end)
     if (value[3:] * end_value[3:]).sum() < 0.0:
         end_value[3:], end_rate[3:] = -end_value[3:], -end_rate[3:]
     for a in range(7):
@@ -115,7 +115,7 @@ def turn_between(old: F8, new: F8) -> F8:
 
 
 @numba.njit(cache=True, nogil=True)
-def _gone_on(seen: F8, since_s: float) -> F8:
+def _extrapolated(seen: F8, since_s: float) -> F8:
     """Extrapolate a pose (13,) in time: with constant rates at first, then to rest if no other pose follows."""
     moving_s, share, late_s = since_s, 1.0, since_s - _COAST_S
     if late_s > 0.0:
@@ -146,9 +146,9 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
     step_s : time between knots
     smoothing_s : time constant of the correction
     """
-    value, rate = _values(state)
-    wanted, wanted_rate = _values(_gone_on(seen, since_s))
-    target, target_rate = _values(_gone_on(seen, since_s + step_s))
+    value, rate = _pose_and_rates(state)
+    wanted, wanted_rate = _pose_and_rates(_extrapolated(seen, since_s))
+    target, target_rate = _pose_and_rates(_extrapolated(seen, since_s + step_s))
     if (value[3:] * wanted[3:]).sum() < 0.0:
         value[3:], rate[3:] = -value[3:], -rate[3:]
     error, change = value - wanted, rate - wanted_rate

@@ -108,11 +108,11 @@ class PoseInput:
                 if gap_ns > LOST_NS:
                     self.gaps_ns.append((last.arrived_ns, now_ns))
             self.received += 1
-            self.last = SeenPose(self._with_rates(at_ns, pose), at_ns, now_ns)
+            self.last = SeenPose(self._add_rates(at_ns, pose), at_ns, now_ns)
         self.came.set()
         return True
 
-    def _with_rates(self, at_ns: int, pose: F8) -> F8:
+    def _add_rates(self, at_ns: int, pose: F8) -> F8:
         """Add to a pose (7,) its rates since the latest pose that is old enough, and keep the pose for later ones."""
         before = self._before
         while before and at_ns - before[0][0] > _MOST_BASE_NS:

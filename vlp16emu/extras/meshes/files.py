@@ -57,7 +57,7 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     unit : unit of its coordinates
     up : axis that points upwards; y turns to z, and z to -y
     """
-    parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in _parts(path)]
+    parts = [(name, *_without_empty_faces(f"{path}: {name}", *part)) for name, part in _parts(path)]
     scale = _UNIT_M[unit]
     z_up = [(name, _turned(vertices, up) * scale, faces, dropped) for name, vertices, faces, dropped in parts]
     corners = np.array([end for _, v, f, _ in z_up for end in (v[f].min(axis=(0, 1)), v[f].max(axis=(0, 1)))])
@@ -84,7 +84,7 @@ def _parts(path: Path) -> list[tuple[str, tuple[F8, Faces]]]:
         faces = np.asarray(getattr(geometry, "faces", ()), np.int64).reshape(-1, 3)
         if len(faces):
             vertices = np.asarray(geometry.vertices, np.float64)
-            found.append((name, (_placed(f"{path}: {name}", vertices, faces, file_T_part), faces)))
+            found.append((name, (_checked_vertices(f"{path}: {name}", vertices, faces, file_T_part), faces)))
         else:
             _log.warning("%s: %s: left out, for it has no face", path, name)
     if not found:
@@ -112,7 +112,7 @@ def _scene(path: Path) -> Any:
         raise GeometryError(str(path), f"cannot be read: {error}", expected) from None
 
 
-def _placed(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
+def _checked_vertices(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
     """Return vertices in the file's frame, after a check of both arrays."""
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise GeometryError(where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each")
@@ -132,7 +132,7 @@ def _placed(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
     return matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
 
 
-def _swept(where: str, vertices: F8, faces: Faces) -> tuple[F8, Faces, int]:
+def _without_empty_faces(where: str, vertices: F8, faces: Faces) -> tuple[F8, Faces, int]:
     """Return the vertices in use, the faces that have an area, and the number of faces without."""
     corner = vertices[faces]
     sides = corner - np.roll(corner, 1, axis=1)

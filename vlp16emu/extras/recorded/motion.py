@@ -68,7 +68,7 @@ class RecordedMotion(Pieces):
     def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
         knots_ns = poses.t_ns - poses.t_ns[0]
         self.run_time_s = float(knots_ns[-1] / S_NS)
-        quaternion = _continuous(poses.quaternion)
+        quaternion = _sign_continuous(poses.quaternion)
         _check_steps(poses, knots_ns, quaternion, recorded.max_gap_s)
         position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
         powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
@@ -93,7 +93,7 @@ def _refuse(poses: RecordedPoses, values: F8, most: float, found: str, expected:
         raise TrajectoryError(poses.where[i + 1], found.format(values[i]), expected)
 
 
-def _continuous(quaternion: F8) -> F8:
+def _sign_continuous(quaternion: F8) -> F8:
     """Return the same rotations (n, 4), each with the sign that is nearer to the one before."""
     flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
     sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
@@ -145,7 +145,7 @@ def _placed(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]
 
 
 @numba.njit(cache=True, nogil=True)
-def _piece(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
+def _piece_at(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
     """Return the piece that contains an instant, and the seconds since its start; instants beyond an end count as the end."""
     t = min(max(elapsed_ns, 0), knots_ns[-1])
     piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
@@ -157,7 +157,7 @@ def fill_poses(knots_ns: I8, coefficients: F8, elapsed_ns: I8, position_m: F8, t
     """Evaluate the pieces, each instant on its own."""
     value = np.empty(7)
     for i in range(elapsed_ns.size):
-        piece, d = _piece(knots_ns, elapsed_ns[i])
+        piece, d = _piece_at(knots_ns, elapsed_ns[i])
         for a in range(7):
             c0, c1 = coefficients[0, piece, a], coefficients[1, piece, a]
             value[a] = ((c0 * d + c1) * d + coefficients[2, piece, a]) * d + coefficients[3, piece, a]
@@ -185,7 +185,7 @@ def fill_rates(knots_ns: I8, coefficients: F8, elapsed_ns: I8, rates: F8) -> Non
         if elapsed_ns[i] < 0 or elapsed_ns[i] > knots_ns[-1]:
             rates[:, i] = 0.0
             continue
-        piece, d = _piece(knots_ns, elapsed_ns[i])
+        piece, d = _piece_at(knots_ns, elapsed_ns[i])
         for a in range(7):
             c = coefficients[:, piece, a]
             first, second = (3.0 * c[0] * d + 2.0 * c[1]) * d + c[2], 6.0 * c[0] * d + 2.0 * c[1]

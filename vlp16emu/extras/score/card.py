@@ -158,7 +158,7 @@ def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ..
     hits: list[int | None] = [None] * len(trees)
     seen = trees
     if true is not None:
-        on_stem, points = _hits(trees, true)
+        on_stem, points = _point_counts(trees, true)
         kept = [i for i, count in enumerate(points) if count >= LEAST_POINTS]
         seen, hits = tuple(trees[i] for i in kept), [on_stem[i] for i in kept]
     pairs = measures.match_stems(found, seen, card.inputs.radius_m)
@@ -178,7 +178,7 @@ def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
     return TreeRow(*names, place.x_m, place.y_m, off_m, true.dbh_m, one.dbh_m - true.dbh_m, hits)
 
 
-def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
+def _point_counts(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
     """Return the number of points of each tree: on the stem at breast height, and in total."""
     _need(true, "instance", "part")
     numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])

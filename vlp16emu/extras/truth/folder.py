@@ -112,7 +112,7 @@ class TruthFolder:
             raise RunError(f"{self._where}: {found}; it is left as {self.path}") from error
 
     def _check(self) -> None:
-        if self._final.exists() and (found := _stranger(self._final)) is not None:
+        if self._final.exists() and (found := _foreign_entry(self._final)) is not None:
             expected = "a new or empty folder, or one with the truth of an earlier run"
             raise OutputError(self._where, f"holds {found}", expected)
 
@@ -162,7 +162,7 @@ def tum_rows(poses: Poses | Kinematics) -> str:
     return "".join(lines)
 
 
-def _stranger(folder: Path) -> str | None:
+def _foreign_entry(folder: Path) -> str | None:
     """Return the name of an entry that no run writes, if any; a folder without the scenario of an earlier run is not ours."""
     present = sorted(folder.iterdir())
     strange = [file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)]

@@ -187,7 +187,7 @@ class Page:
             began_s = time.monotonic()
             self._draw()
             if self._play.value:
-                self._go_on(began_s)
+                self._advance(began_s)
 
     def _draw(self) -> None:
         # A client may send any number; NaN becomes the least.
@@ -218,7 +218,7 @@ class Page:
         self._text.content = f"{points} points by {layer}, sweep at {time_s:.1f} s"
         self._faults.content = boxed(map(escape, shown[-1].faults[:_LISTED]))
 
-    def _go_on(self, began_s: float) -> None:
+    def _advance(self, began_s: float) -> None:
         """Move the cursor to the next sweep, no faster than in real time."""
         time_s = self._time_s + self._sweeps.step_s
         if time_s > self._sweeps.last_s:

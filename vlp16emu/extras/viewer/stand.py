@@ -119,7 +119,7 @@ def slim_stem(mesh: Mesh) -> Mesh:
     aside_m = place_m[:, :2] - axis_m
     ring = np.rint(along * (_RINGS - 1)).astype(np.int64)
     sector = np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
-    return _gathered(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
+    return _merge_clusters(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
 
 
 def lump(mesh: Mesh) -> Mesh:
@@ -127,10 +127,10 @@ def lump(mesh: Mesh) -> Mesh:
     low_m, size_m = mesh.vertices_m.min(axis=0), np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
     place = (mesh.vertices_m - low_m) / size_m
     x, y, z = np.minimum(place * 3, 2).astype(np.int64).T
-    return _gathered(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))
+    return _merge_clusters(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))
 
 
-def _gathered(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh:
+def _merge_clusters(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh:
     """Move all vertices (n,) of a cluster to its vertex of least cost, and remove faces that then have no area."""
     order = np.lexsort([cost, cluster])
     _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)

@@ -50,7 +50,7 @@ class WalkMotion:
         self._walk, self._seed = walk, seed
         self._route, self._start_ns, self._height_m = route, start_ns, walk.sensor_height_m
         self._trunk = Trunk(walk.gait, route.speed_m_s, seed)
-        self._pack = Pack(*(under or (self._sway, walk.harness))) if walk.gait.moves else None
+        self._pack = Pack(*(under or (self._trunk_samples, walk.harness))) if walk.gait.moves else None
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
         self.run_time_s = route.run_time_s
 
@@ -77,10 +77,10 @@ class WalkMotion:
         """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
         if self._pack is None:
             return self
-        under = self._pushes, mast
+        under = self._pack_samples, mast
         return WalkMotion(self._walk, self._route, start_ns=self._start_ns, seed=self._seed, under=under)
 
-    def _pushes(self, first: int, count: int) -> F8:
+    def _pack_samples(self, first: int, count: int) -> F8:
         """Sample the pack's motion (count, 6) at knots from `first` on."""
         assert self._pack is not None
         seconds = range(first // KNOTS_PER_S, (first + count - 1) // KNOTS_PER_S + 1)
@@ -97,8 +97,8 @@ class WalkMotion:
         parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
         return [(int(seconds[part[0]]), part) for part in parts if len(part)]
 
-    def _sway(self, first: int, count: int) -> F8:
-        """Sample the trunk's motion (count, 6) as `_pushes` does."""
+    def _trunk_samples(self, first: int, count: int) -> F8:
+        """Sample the trunk's motion (count, 6) as `_pack_samples` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
         return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))  # smooth: starts and stops jerk no pack
