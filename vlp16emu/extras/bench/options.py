@@ -28,7 +28,7 @@ class Http(Options):
     at: Annotated[
         str,
         Option(
-            "Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
+            "Serve the sensor's web interface, which the stream follows; for a rig on this port and the next ones. "
             "PORT alone is on 127.0.0.1.",
             "HOST:PORT",
             "--http",
@@ -36,7 +36,7 @@ class Http(Options):
     ]
     saved: Annotated[
         Path | None,
-        Option("Keep the settings that are saved in the web interface, from run to run.", "FILE", "--http-settings"),
+        Option("File that keeps the settings saved in the web interface from run to run.", "FILE", "--http-settings"),
     ] = None  # file of the first sensor; files of other sensors have its name with their number
     serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
     """Called with address and port of each interface, before the first packet leaves."""
@@ -60,7 +60,7 @@ class PosesIn(Options):
     where: Annotated[
         str | None,
         Option(
-            'Where poses come in, of a scene with motion.kind = "live"; the stream waits for the first one.',
+            'Address for live poses, for a scene with motion.kind = "live"; the stream waits for the first one.',
             "udp://HOST:PORT",
             "--pose-in",
         ),
@@ -68,7 +68,9 @@ class PosesIn(Options):
     flown: Annotated[
         Path | None,
         Option(
-            "Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.", "FILE.csv", "--flown"
+            "Write the flight of such a scene, to repeat the run with --set motion.flown=FILE.csv.",
+            "FILE.csv",
+            "--flown",
         ),
     ] = None
     news: Callable[[str], None] = lambda _: None  # called with a line when the stream waits for poses or loses them
@@ -86,13 +88,13 @@ class Outlets(Options):
             "PORT",
         ),
     ] = None
-    gps_pps: Annotated[
-        str, Option("Line of that port that carries the receiver's pulse.", words=("dtr", "rts", "off"))
-    ] = "dtr"  # a null-modem cable connects DTR to DCD, where programs expect the pulse
+    gps_pps: Annotated[str, Option("Line of that port for the receiver's pulse.", words=("dtr", "rts", "off"))] = (
+        "dtr"  # a null-modem cable connects DTR to DCD, where programs expect the pulse
+    )
     imu_out: Annotated[
         str | None,
         Option(
-            "Send the samples of the inertial unit ([imu]) too, each at its time; on a serial port with 921600 8N1.",
+            "Also send the samples of the inertial unit ([imu]), each at its time; on a serial port with 921600 8N1.",
             "udp://HOST:PORT|serial:PORT",
         ),
     ] = None
@@ -114,7 +116,7 @@ class GpsIn(Options):
     pulse: Annotated[
         str,
         Option(
-            "Line of that port that carries the pulse; sentence if none is wired.",
+            "Line of that port for the pulse; sentence if none is wired.",
             name="--gps-in-pulse",
             words=("sentence", "cd", "cts", "dsr", "ri"),
         ),
