@@ -1,4 +1,4 @@
-"""Options that several verbs share, beside those of runs in `vlp16emu.run.options`."""
+"""Options shared by several verbs; options of runs are in `vlp16emu.run.options`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +43,7 @@ class EmulatorOptions(SceneOptions):
 
 @dataclass(frozen=True)
 class RunOptions(EmulatorOptions):
-    """Options that make an emulator whose runs estimate their own error."""
+    """Options that make an emulator, with the audit that estimates the error of each run."""
 
     audit: Annotated[
         bool, Option("Do not cast 0.05 % of the pulses again to estimate the error of the run.", name="--no-audit")
