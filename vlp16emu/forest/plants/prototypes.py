@@ -97,7 +97,7 @@ def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[F8, F8]:
 
 
 def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
-    """Transforms `world_T_shape` (n, 3, 4) of the crowns: scaled to the tree's size, turned, and leaning with the stem."""
+    """`world_T_shape` (n, 3, 4) of the crowns: scaled to the tree's size, turned, and leaning with the stem."""
     wide, long = crown_scale(trees, crowns)
     lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
     upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
