@@ -103,11 +103,12 @@ def is_ours(headers: Headers, names: frozenset[str]) -> bool:
 
 def scene_page(server: viser.ViserServer, emulator: Emulator, unit: int, radius_m: float) -> "Page":
     """Grow a scene and draw it to a radius from its path; InputError if there is no such unit, or the stand cannot be grown."""
+    sweeps = SceneSweeps(emulator, unit)  # first: a wrong number should not wait for the stand
     text, scenario = server.gui.add_markdown("growing the world"), emulator.scenario
     seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), emulator.parts)
     root = _draw_stand(server, seen)
     text.content = ""
-    return Page(server, SceneSweeps(emulator, unit), seen.species, root)
+    return Page(server, sweeps, seen.species, root)
 
 
 def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, unit: int) -> "Page":
