@@ -52,7 +52,7 @@ class Section(BaseModel):
     """Sets of keys that exclude one another."""
 
     @model_serializer(mode="wrap")
-    def _without_what_is_ruled_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_excluded_keys(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out keys that another key excludes, so that a written scenario can be read again."""
         tree: dict[str, Any] = write(self)
         given = self.either_or & self.model_fields_set
@@ -157,11 +157,11 @@ class LazySection:
         return value if isinstance(value, self.section) else self.section.model_validate(value, context=info.context)
 
 
-def _beside_the_scene(file: str, info: ValidationInfo) -> str:
+def _from_scene_folder(file: str, info: ValidationInfo) -> str:
     return str(Path(info.context["folder"], file)) if info.context else file
 
 
-SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_beside_the_scene)]
+SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_from_scene_folder)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0)]

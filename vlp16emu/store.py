@@ -58,7 +58,7 @@ class Store:
 
     def __init__(self, folder: Path | None, suffix: str, most_bytes: int) -> None:
         self.folder, self.suffix, self.most_bytes = folder, suffix, most_bytes
-        self._unlooked = (
+        self._unsummed_bytes = (
             most_bytes  # bytes written since sizes were last summed; starts at the limit because of other runs
         )
         self._writer: ThreadPoolExecutor | None = None
@@ -97,9 +97,9 @@ class Store:
         except OSError:
             with suppress(OSError):
                 aside.unlink()
-        self._unlooked += len(content)
-        if self._unlooked > self.most_bytes / 16:
-            self._unlooked = 0
+        self._unsummed_bytes += len(content)
+        if self._unsummed_bytes > self.most_bytes / 16:
+            self._unsummed_bytes = 0
             files = sorted(self._files(), key=lambda file: file[1].st_mtime, reverse=True)
             totals = np.cumsum([state.st_size for _, state in files])
             _remove(files[np.searchsorted(totals, self.most_bytes, "right") :])

@@ -79,15 +79,15 @@ def run(arguments: Sequence[str]) -> int:
         app = program([first] if first and is_verb else DOORS["verbs"])  # the others need not be loaded
         return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
     except Vlp16emuError as error:
-        _complain(str(error))
+        _print_error(str(error))
         return error.exit_code
     except typer.TyperException as error:  # the command line itself is wrong
         context = getattr(error, "ctx", None)
         message = error.format_message().rstrip(".")
-        _complain(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
+        _print_error(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
         return 2
     except MemoryError as error:
-        _complain(f"out of memory: {error}" if str(error) else "out of memory")
+        _print_error(f"out of memory: {error}" if str(error) else "out of memory")
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -144,13 +144,13 @@ def _code_of(error: OSError, code: int | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     else:
         where = "the system" if error.filename is None else error.filename
-        _complain(f"{where}: {error.strerror or error}")
+        _print_error(f"{where}: {error.strerror or error}")
         return 1
     if was_stopped.is_set():  # its terminal is gone
         return INTERRUPTED
     if code or isinstance(error, BrokenPipeError):  # the reason has been printed, or the reader has closed the pipe
         return code or 1
-    _complain(f"standard output: {error.strerror}")
+    _print_error(f"standard output: {error.strerror}")
     return 1
 
 
@@ -171,6 +171,6 @@ def _unraisable(error: "sys.UnraisableHookArgs") -> None:
         sys.__unraisablehook__(error)
 
 
-def _complain(message: str) -> None:
+def _print_error(message: str) -> None:
     with suppress(OSError, AttributeError):  # standard error may be closed
         print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)

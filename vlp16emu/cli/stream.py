@@ -34,13 +34,13 @@ _POLICY = {
 }
 _LATE = 1  # exit code of a strict stream that was late
 
-Strict = Annotated[bool, Option("End with 1 if packets were late by more than 50 ms, or were skipped.")]
+Strict = Annotated[bool, Option("Exit with 1 if packets were late by more than 50 ms, or were skipped.")]
 
 KeepUp = Annotated[
     bool | None,
     Option(
-        "Before the first packet, measure this machine for some seconds, and take the best beam and reach that leave a "
-        "fifth of its time free; a line names them. On by default at a terminal, unless poses come in or the run is prepared.",
+        "Before the first packet, measure this machine for some seconds, and use the best beam and reach that leave a "
+        "fifth of its time free; a line names them. On by default at a terminal, except for live poses or a prepared run.",
         name="--keep-up/--no-keep-up",
     ),
 ]
@@ -54,8 +54,8 @@ def stream(
     prepare: Annotated[
         bool,
         Option(
-            "Compute the whole run into a temporary file before the first packet leaves; then the engine cannot be "
-            "too slow. It takes 3.4 GB for an hour of single return."
+            "Compute the whole run into a temporary file before the first packet is sent; then the engine cannot be "
+            "too slow. It needs 3.4 GB for an hour of single return."
         ),
     ] = False,
     keep_up: KeepUp = None,
@@ -71,7 +71,7 @@ def stream(
     host, _ = options.receiver
     emulator = make_emulator(scene, making)
     scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
-    options = _of_live(options, scenario)
+    options = _live_options(options, scenario)
     _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
     _, stop_s = scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
@@ -131,7 +131,7 @@ def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: fl
     return f"{line}; to keep up: {', or '.join(options)}" if options else line
 
 
-def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
+def _live_options(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
     """Return the options for a live scene, whose late packets are dropped; InputError without --pose-in."""
     if not scenario.motion.takes_poses:
         return options

@@ -88,7 +88,7 @@ class Terrain(Preset):
 
     @field_validator("trail_spacing_m")
     @classmethod
-    def _leaves_room(cls, spacing_m: float) -> float:
+    def _check_trail_spacing(cls, spacing_m: float) -> float:
         if 0 < spacing_m < 10:
             raise ValueError("0 for none, or 10 or more")
         return spacing_m
@@ -118,7 +118,7 @@ class SpeciesShare(Section):
     """Height of the tree of diameter `dbh_cm`."""
 
     @model_validator(mode="after")
-    def _slender(self) -> Self:
+    def _check_slenderness(self) -> Self:
         if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
             expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
             raise ValueError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
@@ -174,7 +174,7 @@ class Storey(Section):
     """Spatial pattern of the trees."""
 
     @model_validator(mode="after")
-    def _one_density(self) -> Self:
+    def _check_density(self) -> Self:
         if len(DENSITY_KEYS & self.model_fields_set) != 1:
             raise ValueError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
         return self
@@ -226,7 +226,7 @@ class Logs(Section):
     per_ha: Annotated[float, Field(ge=0, le=2000)] = 0.0
     """Density of logs."""
     species: list[str] = Field(default_factory=list)
-    """Species of the trees, each as often; if none is named, those of the canopy."""
+    """Species of the trees, in equal shares; by default the species of the canopy."""
     diameter_m: Range = (0.1, 0.5)
     """Minimum and maximum mean diameter."""
     length_m: Range = (3.0, 15.0)
@@ -245,7 +245,7 @@ class Stumps(Section):
     per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
     """Density of stumps."""
     species: list[str] = Field(default_factory=list)
-    """Species of the trees, each as often; if none is named, those of the canopy."""
+    """Species of the trees, in equal shares; by default the species of the canopy."""
     diameter_m: Range = (0.2, 0.6)
     """Minimum and maximum diameter at the top."""
     height_m: Range = (0.1, 0.4)
@@ -332,7 +332,7 @@ class ModelPart(Section):
     name: str
     """Name of the object or group (OBJ) or node (GLB)."""
     part: Literal["stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
-    """Its part of the tree."""
+    """Part of the tree, for labels."""
 
 
 class TreeModelFile(MeshSource):

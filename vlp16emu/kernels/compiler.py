@@ -179,10 +179,10 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     files: dict[str, list[dict[str, Any]]] = {}
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
-    # A child that a signal meets before `_leave_signals` would end as this process does.
+    # A child that a signal meets before `_ignore_signals` would end as this process does.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
     try:
-        pool = get_context("fork").Pool(min(usable_cores(), len(files)), _leave_signals)
+        pool = get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     with pool:
@@ -231,10 +231,10 @@ def _compile(rows: list[dict[str, Any]]) -> int:
     return len(rows)
 
 
-def _leave_signals() -> None:
+def _ignore_signals() -> None:
     """Ignore signals in a child: Ctrl-C in a terminal reaches all processes, and the parent ends the children."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # without the parent, nobody reads a result
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # without the parent, results are not read
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)

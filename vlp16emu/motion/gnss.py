@@ -131,7 +131,7 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
 
     Parameters
     ----------
-    lane : number of the process among those of one seed
+    lane : number of the process, for several processes with one seed
     second : since 1970
     correlation_s : above 0
     """

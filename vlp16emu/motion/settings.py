@@ -40,7 +40,7 @@ class Mount(Section):
     """Offset of the true mount from this nominal one, along each axis, one sigma."""
 
     @model_validator(mode="after")
-    def _has_an_axis(self) -> Self:
+    def _check_spin_axis(self) -> Self:
         if not 1e-6 <= math.sqrt(sum(x * x for x in self.spin_axis)) <= 1e6:
             raise ValueError("a spin_axis of a length from 1e-6 to 1e6 in it")
         return self
@@ -142,7 +142,7 @@ class Gps(Section):
     antenna_above_m: Annotated[float, Field(ge=0, le=100)] = 0.2
     """Height of the antenna vertically above the sensor."""
     position_noise_m: _Error = 0.3
-    """White error east and north, drawn anew each second, one sigma; 0 switches it off."""
+    """White error east and north, independent each second, one sigma; 0 switches it off."""
     wander_m: _Error = 1.2
     """Slowly wandering error east and north, one sigma; 0 switches it off."""
     wander_s: Annotated[float, Field(ge=1, le=1_000_000)] = 300.0
@@ -157,7 +157,7 @@ class Gps(Section):
     """Cover, as a share of the sky, at which half of the fixes fail; 0.05 more or less gives 73 % or 27 %."""
 
     @model_validator(mode="after")
-    def _is_known_beforehand(self) -> Self:
+    def _check_requires_valid(self) -> Self:
         if self.requires_valid and self.canopy_loss:
             raise ValueError("canopy_loss = false beside requires_valid = true")
         return self

@@ -23,7 +23,7 @@ SEQUENCES_PER_BLOCK = 2  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
 BLOCKS_PER_PACKET = 12  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
 RECORDS_PER_PACKET = BLOCKS_PER_PACKET * SEQUENCES_PER_BLOCK * LASERS  # Distances in a packet
 SEQUENCES_PER_PACKET = MappingProxyType({ReturnMode.STRONGEST: 24, ReturnMode.LAST: 24, ReturnMode.DUAL: 12})
-"""In dual return two blocks share their firing sequences. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
+"""Firing sequences per packet; in dual return two blocks share theirs. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
 
 BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_NS
 """Time between the azimuths of two blocks with own firing sequences."""

@@ -129,7 +129,7 @@ Start = Annotated[
 Duration = Annotated[
     float | None, Option("Simulated seconds; to the end of the scene if left out.", "S", gt=0, le=_LONGEST_S)
 ]
-WhichUnit = Annotated[int, Option("Sensor of a rig; 1 is that of [sensor].", "N", ge=1)]
+WhichUnit = Annotated[int, Option("Sensor of a rig; 1 is [sensor].", "N", ge=1)]
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class TruthTo(Options):
     """Folder for the ground truth of a run, and its files."""
 
     folder: Annotated[
-        Path, Option("Write the ground truth of the run too: trajectory, GNSS, rig, scenario.", "DIR", "--truth")
+        Path, Option("Also write the ground truth of the run: trajectory, GNSS, rig, scenario.", "DIR", "--truth")
     ]
     rate_hz: TruthRate = 200
     per_packet: TruthPackets = False
@@ -184,7 +184,7 @@ class BagOptions(Options):
     slam: Annotated[
         str | None,
         Option(
-            "Write beside a bag the configuration that a SLAM program reads for it, such as fast-lio2 or kiss-icp, or all of them.",
+            "Also write the configuration of a SLAM program for the bag, such as fast-lio2 or kiss-icp, or all of them.",
             "NAME",
             "--for",
         ),
@@ -192,8 +192,8 @@ class BagOptions(Options):
     tf: Annotated[
         str,
         Option(
-            "What the true pose in /tf of a bag moves: a frame of its own, so that a SLAM program can move base_link (slam), or "
-            "base_link, to look at clouds without one (truth).",
+            "Child frame of the true pose in /tf of a bag: a separate frame, so that a SLAM program can move base_link (slam), or "
+            "base_link, to view clouds without a SLAM program (truth).",
             words=("slam", "truth"),
         ),
     ] = "slam"
@@ -203,7 +203,7 @@ class BagOptions(Options):
 class RecordOptions(Span):
     """Options of a recording."""
 
-    split: Annotated[bool, Option("Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")] = False
+    split: Annotated[bool, Option("Write each sensor of a rig into a separate file: OUT_1.pcap and so on.")] = False
     truth: TruthPlace | None = None
     bag: BagOptions | None = None
     """None for a bag with the defaults, or no bag."""
@@ -216,15 +216,15 @@ class SendOptions(Options):
     to: Annotated[
         str | None,
         Option(
-            "Receiver; may be a broadcast address. PORT is that of data packets. Left out it is this machine, 127.0.0.1, "
-            "and with --interface all stations behind that, 255.255.255.255.",
+            "Receiver; may be a broadcast address. PORT is for data packets. By default it is this machine, 127.0.0.1, "
+            "and with --interface all stations on that network, 255.255.255.255.",
             "HOST[:PORT]",
         ),
     ] = None
     data_port: Annotated[
         int | None,
         Option(
-            "Receiver's port for data packets, instead of sensor.data_port; 0 for a free one, of each sensor.",
+            "Receiver's port for data packets, instead of sensor.data_port; 0 for a free port for each sensor.",
             "PORT",
             ge=0,
             le=LAST_PORT,
@@ -238,8 +238,8 @@ class SendOptions(Options):
     late: Annotated[
         str,
         Option(
-            "Packets late by more than 50 ms: leave at the sensor's own spacing, and the stream stays late (pace), or "
-            "are dropped until it is at now (skip). Neither bursts.",
+            "Treatment of packets late by more than 50 ms: send them at the sensor's spacing, so the stream stays late (pace), or "
+            "drop them until the stream is in time (skip). Neither sends bursts.",
             words=("pace", "skip"),
         ),
     ] = "pace"
@@ -248,9 +248,7 @@ class SendOptions(Options):
     ] = False
     interface: Annotated[
         str | None,
-        Option(
-            "The same by this network interface of the machine, for instance eth0, whatever its routes are.", "IFACE"
-        ),
+        Option("As --as-sensor, through this network interface, for instance eth0, regardless of the routes.", "IFACE"),
     ] = None
     now: Annotated[
         bool,

@@ -66,7 +66,7 @@ def load(
     source = _source(scene, folder or Path.cwd())
     given = settings.items() if isinstance(settings, Mapping) else ()
     read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
-    changes = [_meant(one) for one in read]
+    changes = [_converted(one) for one in read]
     if ideal:
         _without_errors(source.tree)
     try:
@@ -143,7 +143,7 @@ def _without_errors(tree: dict[str, Any]) -> None:
             unit.update({"preset": "steady"} | _UNIT_ERRORS)
 
 
-def _meant(setting: _Setting) -> _Setting:
+def _converted(setting: _Setting) -> _Setting:
     """Return a setting with its value converted for its key, and with excluded keys, from the tables on its path."""
     kinds, rivals = list[Any]([Scenario]), list[set[str]]()
     for name in setting.key.split("."):
@@ -153,7 +153,7 @@ def _meant(setting: _Setting) -> _Setting:
         ]
         rivals.append({*chain(*groups)} - {name})
         kinds = _kinds_of(kinds, name)
-    return setting._replace(value=_as_meant(setting.value, kinds), rivals=rivals)
+    return setting._replace(value=_converted_value(setting.value, kinds), rivals=rivals)
 
 
 def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
@@ -174,12 +174,12 @@ def _parts_of(kind: Any) -> list[Any]:
     return [kind, *(inner for part in parts for inner in _parts_of(part))]
 
 
-def _as_meant(value: object, kinds: Sequence[Any]) -> object:
+def _converted_value(value: object, kinds: Sequence[Any]) -> object:
     """Convert a value to the types of a key: a whole number, a path relative to this folder, a word with correct case."""
     if isinstance(value, dict):
-        return {key: _as_meant(inner, _kinds_of(kinds, key)) for key, inner in value.items()}
+        return {key: _converted_value(inner, _kinds_of(kinds, key)) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_as_meant(inner, kinds) for inner in value]
+        return [_converted_value(inner, kinds) for inner in value]
     if isinstance(value, float) and value.is_integer() and int in kinds and float not in kinds:
         return int(value)
     if isinstance(value, str) and value and SceneFile in kinds:

@@ -176,21 +176,21 @@ class Scenario(Section):
 
     @field_validator("start_utc")
     @classmethod
-    def _fits_a_capture(cls, start_utc: datetime) -> datetime:
+    def _check_start_utc(cls, start_utc: datetime) -> datetime:
         if not _FIRST_START <= start_utc < _NO_START:
             raise ValueError("a time from 1970 to 2105, as captures can be stamped with")
         return start_utc
 
     @field_validator("gps")
     @classmethod
-    def _keeps_the_phase(cls, gps: Gps, info: ValidationInfo) -> Gps:
+    def _check_phase_lock(cls, gps: Gps, info: ValidationInfo) -> Gps:
         if _is_locked(info.data.get("sensor")) and not gps.connected:
             raise ValueError("connected = true, whose pulse sensor.phase_lock_deg needs")
         return gps
 
     @field_validator("rig", mode="before")
     @classmethod
-    def _like_the_first(cls, tables: Any, info: ValidationInfo) -> Any:
+    def _completed_rig(cls, tables: Any, info: ValidationInfo) -> Any:
         first = info.data.get("sensor")  # absent if it is itself in error
         if not isinstance(first, Sensor) or not isinstance(tables, list):
             if first is not None and tables and not isinstance(first, Sensor):
@@ -205,9 +205,9 @@ class Scenario(Section):
         units = [first, *rig] if isinstance(first, Sensor) else rig
         for key in ("name", "serial_number", "address"):
             if len({getattr(unit, key) for unit in units}) < len(units):
-                raise ValueError(f"{key} of its own for each unit, that of [sensor] included")
+                raise ValueError(f"{key} of its own for each unit, [sensor] included")
         if {unit.data_port for unit in units} & {unit.position_port for unit in units}:
-            raise ValueError("a data_port that is no unit's position_port, that of [sensor] included")
+            raise ValueError("a data_port that is no unit's position_port, [sensor] included")
         gps = info.data.get("gps")
         if gps is not None and not gps.connected and any(map(_is_locked, rig)):
             raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
@@ -215,7 +215,7 @@ class Scenario(Section):
 
     @field_validator("wind")
     @classmethod
-    def _has_trees(cls, wind: Any, info: ValidationInfo) -> Any:
+    def _check_wind(cls, wind: Any, info: ValidationInfo) -> Any:
         world = info.data.get("world")
         if wind is not None and world is not None and not world.has_trees:
             raise ValueError("none in a hall, which has no trees")
@@ -223,7 +223,7 @@ class Scenario(Section):
 
     @field_validator("people")
     @classmethod
-    def _goes_on_foot(cls, people: People | None, info: ValidationInfo) -> People | None:
+    def _check_people(cls, people: People | None, info: ValidationInfo) -> People | None:
         motion = info.data.get("motion")
         if people is not None and motion is not None and motion.kind != "walk":
             raise ValueError("none beside a motion that is no walk")
@@ -277,7 +277,7 @@ def _is_locked(sensor: Lidar | None) -> bool:
     return isinstance(sensor, Sensor) and sensor.phase_lock_deg is not None
 
 
-class _InOurWords(GenerateJsonSchema):
+class _SceneSchema(GenerateJsonSchema):
     """JSON Schema without titles, which repeat the keys, and with docstrings as descriptions.
 
     Pydantic's `use_attribute_docstrings` would parse the source of all sections at each start, for 0.1 s.
@@ -300,7 +300,7 @@ class _InOurWords(GenerateJsonSchema):
 @cache
 def schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of a scene file; read-only, as the object is shared."""
-    tree = Scenario.model_json_schema(schema_generator=_InOurWords)
+    tree = Scenario.model_json_schema(schema_generator=_SceneSchema)
     return {"$schema": GenerateJsonSchema.schema_dialect} | tree | {"title": "vlp16emu scene"}
 
 

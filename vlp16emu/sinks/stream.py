@@ -267,7 +267,7 @@ def stream(
     Raises InputError if `now` is combined with a speed other than 1; RunError if the sink cannot send.
     """
     if now and pacer.speed != 1.0:
-        raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, which is that of the clock")
+        raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, the speed of the clock")
     stop = stop or threading.Event()
     present: Any = door("present")(sink) if now else None
     sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from, is_over=stop.is_set)

@@ -31,7 +31,7 @@ class PartFinish(Section):
     cosine of incidence."""
 
     @model_validator(mode="after")
-    def _given_once(self) -> Self:
+    def _check_reflectance(self) -> Self:
         if self.retroreflection_cd_lx_m2 is not None and "reflectance" in self.model_fields_set:
             raise ValueError("reflectance or retroreflection_cd_lx_m2 in it, not both")
         return self

@@ -90,7 +90,7 @@ class Equation(Section):
     """An equation by name, with its coefficients."""
 
     known: ClassVar[Mapping[str, tuple[int, Any]]]
-    """By equation: number of coefficients, and function of the coefficients and the arguments."""
+    """Number of coefficients, and function of the coefficients and the arguments, by equation."""
 
     model: str
     coefficients: Annotated[Coefficients, Field(strict=False)]

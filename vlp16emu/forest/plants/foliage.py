@@ -17,7 +17,7 @@ from vlp16emu.world.vectors import places_m, unit
 _WIDEST_AT = 0.4  # position of a blade's greatest width, from its base; assumption
 _SIZE_SIGMA = 0.15  # standard deviation of the logarithm of leaf length; assumption
 _MOST_LEAVES = 120_000
-"""With more leaves, quads become larger instead: limits the memory of very large crowns, seen from far below."""
+"""Greatest number of quads; beyond, quads become larger instead: limits the memory of very large crowns."""
 _HANG_SIGMA = np.radians(40.0)
 """One sigma of a blade's tip about the direction of steepest descent in its plane; assumption."""
 _SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))  # range of angles between a shoot and its twig; assumption

@@ -54,7 +54,7 @@ class Foliage(Section):
 
     @field_validator("inclination")
     @classmethod
-    def _of_leaves(cls, inclination: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    def _check_inclination(cls, inclination: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         if len(inclination) != 2 * (info.data.get("kind") == "leaf"):
             raise ValueError("mu and nu for leaves, nothing for shoots")
         return inclination
@@ -175,7 +175,7 @@ class Plant(Section):
 
     @field_validator("number")
     @classmethod
-    def _is_free(cls, number: int, info: ValidationInfo) -> int:
+    def _check_number(cls, number: int, info: ValidationInfo) -> int:
         first = info.context["first_number"] if info.context else 1
         if number < first:
             raise ValueError(f"{first} or more")
@@ -310,7 +310,7 @@ def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str
     for plant in (*trees.values(), *shrubs.values()):
         if (other := taken.setdefault(plant.number, plant.name)) != plant.name:
             where = f"{path}: {plant.name}.number"
-            raise GeometryError(where, f"found {plant.number}, which is that of {other}", "one of its own")
+            raise GeometryError(where, f"found {plant.number}, the number of {other}", "one of its own")
     return trees, shrubs
 
 
