@@ -206,7 +206,7 @@ class Walk(MotionSection):
     """How the sensors bend on the pack, whose inertial unit does not; rigid without it."""
 
     @model_validator(mode="after")
-    def _check_reflectance(self) -> Self:
+    def _given_once(self) -> Self:
         if sum(getattr(self, source) is not None for source in self.one_of) != 1:
             raise ValueError("exactly one of way_points_m, way_points_file and lawn_mower in it")
         if self.either_or <= self.model_fields_set:
