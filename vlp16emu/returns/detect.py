@@ -42,10 +42,10 @@ _PEAKS_PER_NODE = 3  # at most: one at the node, and one on each side
 _CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
 _CODES_PER_M = 500.0  # distance codes of a packet per metre: 2 mm
-_MOST_SILENT = 100.0  # largest wandering code of no-returns on einride
-_DARKENED = 40.0  # code at which reflectivity does not change the range
+_MOST_NO_RETURN = 100.0  # largest wandering code of no-returns on einride
+_UNSHIFTED_CODE = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
-_Own = tuple[float, float, float, U1]
+_Laser = tuple[float, float, float, U1]
 """Range error of a laser in metres, its factor on the white range noise, its gain, and codes as in `sent_codes`."""
 _LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
@@ -224,7 +224,7 @@ def _mark_silent(
                     higher, alone = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
                 if higher < 0.0 and knots.shape[0] > 0:
                     wandered = knots[knot, j] + rest * (knots[knot + 1, j] - knots[knot, j])
-                    code = min(code * max(1.0, np.floor(wandered)), _MOST_SILENT)
+                    code = min(code * max(1.0, np.floor(wandered)), _MOST_NO_RETURN)
                 reflectivity[i, j, :_SECOND] = np.uint8(code)
                 for column in range(_LAST if alone else _STRONGEST, _SECOND if higher > 0.0 else 0):
                     reflectivity[i, j, column] = np.uint8(higher)
@@ -303,13 +303,13 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _measure(
-    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Own
+    constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Laser
 ) -> tuple[np.float32, np.uint8]:
     """Return measured distance and reflectivity; distance 0 below the least range, both 0 beyond the greatest range."""
     (range_noise, other_noise), (error_m, share, gain, codes) = noise, own
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
-    measured_m = range_m + error_m + constants.range_walk_m * (shown - _DARKENED)
+    measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
     sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * shown
     if constants.heavy_tails:
         range_noise, other_noise = heavier(range_noise, RANGE_TAIL), heavier(other_noise, REFLECTIVITY_TAIL)
@@ -366,7 +366,7 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _write(
-    constants: DetectorConstants, n: int, j: int, own: _Own, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
+    constants: DetectorConstants, n: int, j: int, own: _Laser, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
 ) -> None:
     """Fill the returns (3,) of a pulse; each chosen peak is measured once, and dropped if measured beyond `max_range_m`."""
     error_m, share = own[0], own[1]

@@ -39,7 +39,7 @@ _LN2 = 0.6931471805599453
 _Light = tuple[float, float, float]
 """Mean and variance of the range of light, and height of the waveform, as `_waveform` returns them."""
 _FAINTEST = 1e-9  # reflectance of black or edge-on surfaces, so that they still have a range
-_APART = 5.0  # sigmas at which an equally bright neighbour moves a peak by less than 0.01 mm
+_OVERLAP_SIGMAS = 5.0  # sigmas at which an equally bright neighbour moves a peak by less than 0.01 mm
 _LAST_STEP_M = 1e-3  # last step of Newton's method; the remaining error is about its square over sigma
 
 
@@ -105,7 +105,7 @@ def find_peaks(nodes: F8, count: int, sigma_m: float, peaks: F8) -> int:
     _sort(nodes, count)
     found = start = ZERO
     for node in range(1, count + 1):
-        if node == count or nodes[RANGE, node] - nodes[RANGE, node - 1] > _APART * sigma_m:
+        if node == count or nodes[RANGE, node] - nodes[RANGE, node - 1] > _OVERLAP_SIGMAS * sigma_m:
             found = _peaks_of_group(nodes, start, node, sigma_m, peaks, found)
             start = node
     return found
@@ -124,7 +124,7 @@ def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, fl
     total = most = second = 0.0
     for node in range(count):
         total += nodes[AMPLITUDE, node]
-        if node == count - 1 or nodes[RANGE, node + 1] - nodes[RANGE, node] > _APART * sigma_m:
+        if node == count - 1 or nodes[RANGE, node + 1] - nodes[RANGE, node] > _OVERLAP_SIGMAS * sigma_m:
             if total > most:
                 first, last, most, second = start, node + 1, total, most
             else:
@@ -193,7 +193,7 @@ def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> _
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _look(nodes: F8, start: int, stop: int, sigma_m: float) -> None:
+def _waveform_at_nodes(nodes: F8, start: int, stop: int, sigma_m: float) -> None:
     """Fill in `_waveform` at each node; two nodes share one exponential."""
     sharpness = -0.5 / (sigma_m * sigma_m)
     for b in range(start, stop):
@@ -225,7 +225,7 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
     """
     if stop - start == 1:
         return _add_peak(peaks, found, nodes[RANGE, start], nodes[AMPLITUDE, start])
-    _look(nodes, start, stop, sigma_m)
+    _waveform_at_nodes(nodes, start, stop, sigma_m)
     a_m, a = nodes[RANGE, start], (nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start])
     rises = True  # also if all nodes have the same range
     for node in range(start + 1, stop):

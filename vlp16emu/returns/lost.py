@@ -35,7 +35,7 @@ across the edge: einride's 0.04, 0.41 and 0.81 across the edge become 0.09, 0.37
 _BRIGHT = 0.045
 """Loss at a step up by 100 codes, for any factor, on a unit that loses all large steps up; it grows as the unit loses fewer of these: steps up
 by 20 codes and factors below 2 lose 0.017, 0.008, 0 and 0 of the records of mrpt, nebula, einride and 2014."""
-_FLOOR, _SETTLES = 1.0, 0.5
+_FLOOR, _POWER_GAIN = 1.0, 0.5
 """Code that is added to both sides of a factor, as codes are integers; and the share of a step that the power follows in one pulse (assumption:
 two pulses in a row are lost a fifth as often as one, at steps on einride)."""
 _ROUGH_M, _MOST_ROUGH_M = 0.1, 1.0
@@ -45,9 +45,9 @@ _STEP_M = 0.25
 _BLACK, _NEAR_M = 14.0, 4.0  # code at which the loss of dark records ends, and range beyond which it decreases
 _ODD_ALONE, _EVEN_ALONE = 0.33, 0.37
 """Dual return: nebula loses 0.46 % of the records in the odd block only, 0.05 % in the even block only, 0.9 % in both."""
-_REACH, _ON = 3, 0.4
+_REACH, _CONTINUES = 3, 0.4
 """Most consecutive no-returns that are raised next to a return, and the share that continue to the next: 56 to 78 % are single on real units."""
-_PLACE, _OF_ALL = 8, 1 << 12
+_PLACE_SEQUENCES, _SHARED_LANE = 8, 1 << 12
 """Firing sequences of one place, and the lane of the random number that all lasers share there: for two neighbouring lasers, both next to a
 return, raised no-returns correlate by 0.50, 0.72, 0.39 and 0.66 (mrpt, einride, nebula, 2014)."""
 _TWICE = 12.0
@@ -129,9 +129,9 @@ def lose(
     code, level, range_m = min(np.float64(reflectivity[0]), 100.0), before[0, laser], np.float64(distance_m[0])
     calm = _ROUGH_M / (_ROUGH_M + before[2, laser])  # where ranges jump, as in trees, steps lose fewer records
     change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
-    before[2, laser] += _SETTLES * (change_m - before[2, laser])
+    before[2, laser] += _POWER_GAIN * (change_m - before[2, laser])
     before[1, laser] = range_m
-    before[0, laser] = code if level < 0.0 else level + _SETTLES * (code - level)
+    before[0, laser] = code if level < 0.0 else level + _POWER_GAIN * (code - level)
     jump = 0.0
     is_up = code > level
     if level >= 0.0:
@@ -202,7 +202,7 @@ def raised(
                 y = code / rates.raise_code
                 y *= np.sqrt(y)
                 drawn, how = uniform_pair(seed, _EDGE, first + at, laser | (side + 2) << 12)
-                of_place, _ = uniform_pair(seed, _EDGE, (first + at) // _PLACE, _OF_ALL)
+                of_place, _ = uniform_pair(seed, _EDGE, (first + at) // _PLACE_SEQUENCES, _SHARED_LANE)
                 if of_place < share * y / (1.0 + y):
                     power6 = how * how * how
                     ratio = (0.4 + 0.95 * how + 1.6 * power6 * power6) * (1.0 if away == 1 else 0.7)
@@ -211,5 +211,5 @@ def raised(
                     most = max(most, code * ratio, 2.0 * no_return)
                     alone = (64.0 * how) % 1.0 < _UNEQUAL
                 break
-            share *= _ON  # a farther record is raised only if the nearer one is
+            share *= _CONTINUES  # a farther record is raised only if the nearer one is
     return _multiple(most, no_return) if most > 0.0 else most, alone

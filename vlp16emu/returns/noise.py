@@ -11,7 +11,7 @@ from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.types import F8, U1
 
 BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
-_AT = 0.2  # reflectance at which the noise has the value of the settings
+_NOISE_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
 _COARSE, _TOP = 30.0, 90.0  # first code from which some are never sent, and code of spacing `reflectivity_step`
@@ -22,7 +22,7 @@ _NARROW, _MISSED = (0.05, 0.16), 1.0
 of mrpt, einride, nebula and 2014; 0.25, 0.14 and 0.26 at 45 to 98 of the first three."""
 NO_RETURN_KNOTS = 56
 """Azimuth intervals around a unit over which no-return codes change; assumption, after einride: 78 % of neighbours are equal."""
-_ALIKE = 0.8, 0.98
+_SHARED_CORRELATION = 0.8, 0.98
 """Correlation of the no-return codes of a place with a part that all lasers share: neighbouring lasers are raised together on real
 units, with a correlation of 0.12 to 0.54."""
 _NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (1.5, 20.0), 0.5
@@ -79,7 +79,7 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
     """
     lasers = len(no_return)
     *own, shared = (normal(seed, Purpose.NO_RETURN, 0, NO_RETURN_KNOTS, 1 + lane) for lane in range(lasers + 1))
-    low, high = _ALIKE
+    low, high = _SHARED_CORRELATION
     alike = low + (high - low) * float(uniform(seed, Purpose.NO_RETURN, 0, 1, 2 + lasers)[0])
     drawn = alike * shared[:, None] + math.sqrt(1.0 - alike * alike) * np.stack(own, axis=1)
     *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
@@ -165,7 +165,7 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     """
     shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
-    return math.sqrt(constants.range_noise_m * constants.range_noise_m * math.sqrt(_AT / shown) + far_m * far_m)
+    return math.sqrt(constants.range_noise_m * constants.range_noise_m * math.sqrt(_NOISE_AT / shown) + far_m * far_m)
 
 
 RANGE_TAIL, REFLECTIVITY_TAIL = 0.007, 0.1

@@ -9,7 +9,7 @@ from vlp16emu.sensor.settings import Lidar
 
 _POWERED_S = 60.0, 6 * 3600.0
 """Shortest and longest time since power-up (assumption: captures of real units do not begin with power-up)."""
-_ROUND = {"powered_for_s": 0.0, "start_azimuth_deg": 0.1, "clock_error_ppm": 0.0}
+_STEADY = {"powered_for_s": 0.0, "start_azimuth_deg": 0.1, "clock_error_ppm": 0.0}
 """State of a unit with `preset = "steady"`: power-up is the start of the run, and the first revolution is complete."""
 _CLOCK_PPM, _OFF_SHARE, _FAR_OFF_PPM = 0.6, 0.15, 20.0
 """Rate of the stamp clock relative to the firing clock: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula and the unit of 2014. On other
@@ -33,7 +33,7 @@ def powered_up(section: _Section, seed: int) -> _Section:
         if off
         else _CLOCK_PPM * float(normal(seed, Purpose.POWER_UP, 0, 1, 1)[0]),
     }
-    values = _ROUND if section.preset == "steady" else drawn
+    values = _STEADY if section.preset == "steady" else drawn
     return section.model_copy(update={key: value for key, value in values.items() if getattr(section, key) is None})
 
 

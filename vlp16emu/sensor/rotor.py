@@ -32,7 +32,7 @@ _SLOW = sum(_SLOW_SHARES) / len(_SLOW_SHARES)
 _HALF_WIDTH = math.sqrt(3.0)  # half-width of a uniform distribution, in standard deviations
 _PITCH_DEG = 0.05
 """Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a unit")."""
-_SHORT_DEG = 1e-5  # least distance of a reading from the next line
+_LINE_GAP_DEG = 1e-5  # least distance of a reading from the next line
 _KNOT_BITS = 20  # a swing is linear between multiples of 2**20 ns, 1 ms
 Sine = tuple[float, float]  # amplitude and phase, in degrees; no error if the amplitude is 0
 
@@ -180,7 +180,7 @@ class Encoder:
         )
         is_slow = uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
         rate = 1.0 + self.rate_error / _RATE_ERROR * (np.where(is_slow, slow, fast) - 1.0)
-        return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
+        return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _LINE_GAP_DEG))
 
 
 def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
