@@ -135,7 +135,8 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     if radius_m > reach_m:
         raise InputError("--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach")
     parts = parts or assemble(scenario)
-    world, bare = parts.world, _bare(parts.world)
+    world = parts.world
+    bare = world.bare if isinstance(world, Furnished) else world
     if not isinstance(bare, ForestWorld | HallWorld):
         raise InputError("world.kind", f"found {scenario.world.kind}", "forest, plot or hall")
     path_m = _way_m(scenario, parts.motion)
@@ -155,10 +156,6 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
         things=things_near(window, world.shape, trees=trees["id"], path=path, radius_m=far_m),
         seed=scenario.world_seed,
     )
-
-
-def _bare(world: World) -> World:
-    return world.bare if isinstance(world, Furnished) else world
 
 
 def _way_m(scenario: Scenario, motion: Motion) -> F8:
@@ -203,7 +200,7 @@ def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
 
 
 def cells_near(way_xy_m: F8, radius_m: float) -> F8:
-    """Return the middles (n, 2) of the cells of `CELL_M` within a radius of a dense line of points (m, 2).
+    """Return the middles (n, 2) of the cells of `CELL_M` within a radius of a line of points (m, 2).
 
     Their number times `CELL_M` squared is the area around the path.
     """
@@ -211,7 +208,7 @@ def cells_near(way_xy_m: F8, radius_m: float) -> F8:
     high = np.ceil((way_xy_m.max(axis=0) + radius_m) / CELL_M)
     x_m, y_m = (CELL_M * (np.arange(a, b) + 0.5) for a, b in zip(low, high, strict=True))
     cells = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
-    return np.asarray(cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m])
+    return np.asarray(cells[Polyline(way_xy_m).distance_m(cells) <= radius_m])
 
 
 def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
