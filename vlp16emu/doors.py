@@ -1,7 +1,7 @@
-"""Objects that are loaded by name, and only when a scene, a command or an option needs them: ours and those of other packages.
+"""Objects that are loaded by name when a scene, a command or an option needs them, from this and other packages.
 
 Other packages add entry points to the groups `vlp16emu.worlds`, `.motions`, `.sensors`, `.scenes`, `.clouds` and `.verbs`.
-Entry points are looked up only for a name that is not ours: reading the metadata of all installed packages takes 20 ms.
+Entry points are searched only for names that this package lacks: reading the metadata of all packages takes 20 ms.
 """
 
 import logging
@@ -110,7 +110,7 @@ DOORS: dict[str, dict[str, str]] = {  # groups of names, each name with its obje
 def door(name: str, group: str = "parts") -> Any:
     """Return the object behind a name of a group.
 
-    Raises InputError if its part of this package is not installed, or the package that adds it cannot be loaded;
+    Raises InputError if this part of the package is not installed or another package's entry point cannot be loaded;
     KeyError if the group has no such name.
     """
     if name not in DOORS[group]:
@@ -125,7 +125,7 @@ def door(name: str, group: str = "parts") -> Any:
 
 
 def has_door(name: str, group: str = "parts") -> bool:
-    """Return whether a group has a name, and its module is installed."""
+    """Return whether a group has a name whose module is installed."""
     if name not in DOORS[group]:
         return name in _added(group)
     try:
@@ -135,7 +135,7 @@ def has_door(name: str, group: str = "parts") -> bool:
 
 
 def added(group: str) -> Iterator[tuple[str, Any]]:
-    """Yield name and object of all that other packages add to a group, but for what cannot be loaded."""
+    """Yield name and object of each entry point of other packages in a group; those that fail to load are skipped."""
     for name, entry in _added(group).items():
         try:
             yield name, _load(entry)

@@ -1,11 +1,11 @@
-"""Elementary functions of float64 by additions, products, quotients and square roots: the same bits on every processor.
+"""Elementary functions of float64 from IEEE 754 additions, products, quotients and roots: same bits on all processors.
 
-Libraries choose among variants by processor, which differ in the last bits. Here each operation is one of IEEE 754, in
-the order that is written. The algorithms are those of fdlibm (Sun Microsystems, 1993) unless a function says otherwise,
-written without branches, so that one text serves arrays, by numpy, and kernels.
+Libraries choose variants by processor, and these differ in the last bits. Here each operation is defined by IEEE 754 and
+runs in the order that is written. The algorithms are from fdlibm (Sun Microsystems, 1993) unless a function says
+otherwise, written without branches, so that one source serves numpy arrays and kernels.
 
-Every function takes numbers or arrays, which broadcast, and is called alike from Python and in kernels, there with
-float64 only. The errors stated, in units in the last place (ulp), are the largest that `tools/elementary` finds.
+Every function takes numbers or arrays, which broadcast, and is called in the same way from Python and from kernels,
+there with float64 only. Stated errors, in units in the last place (ulp), are the largest that `tools/elementary` finds.
 """
 
 import functools
@@ -23,10 +23,10 @@ from vlp16emu.kernels.compiler import numba
 
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.floating[Any]]
-_WHOLE = 6755399441055744.0  # 1.5 * 2**52: a sum with it is rounded to a whole number, which its lowest bits hold
+_WHOLE = 6755399441055744.0  # 1.5 * 2**52: adding it rounds to a whole number, held in the lowest bits
 _TINY = 2.0**-1022  # smallest normal number
 _HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
-"""pi / 2: three times 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
+"""pi / 2 in three parts of 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
 _LARGEST_RAD = 1e12
 _LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """ln 2: its first 33 bits, so that products with exponents are exact, and the rest."""
@@ -40,10 +40,10 @@ class _Elementary(Protocol):
 
 
 class _Both:
-    """Function of float64 for arrays, and compiled for kernels.
+    """Function of float64 for arrays, also compiled for kernels.
 
-    Compiled it keeps its order, whatever the caller asks for (`fastmath`), and divides by 0 as numpy does. If `inlined`, it
-    becomes a part of each kernel that calls it, as loops need that do four at once.
+    The compiled function keeps its order even if the caller uses `fastmath`, and divides by 0 as numpy does. If `inlined`,
+    it becomes part of each kernel that calls it, which loops with four values per step need.
     """
 
     def __init__(self, function: Callable[..., Any], *, inlined: bool = False) -> None:
@@ -52,11 +52,11 @@ class _Both:
 
     @functools.cached_property
     def compiled(self) -> Any:
-        """The kernels' own; made when the first of them is compiled."""
+        """Compiled function for kernels; made when the first kernel is compiled."""
         return numba.njit(
             cache=True,
             error_model="numpy",
-            fastmath=False,  # else it would be that of the caller
+            fastmath=False,  # else the caller's flag would apply
             forceinline=self._inlined,
             no_cfunc_wrapper=True,
             no_cpython_wrapper=True,
@@ -110,7 +110,7 @@ def _number(bits: Any) -> Any:
 
 
 def _as_instruction(function: Callable[..., Any], typed: Any, emit: Callable[..., Any], *sorts: Any) -> None:
-    """Register the LLVM instruction that kernels take for `function`."""
+    """Register the LLVM instruction that kernels use for `function`."""
     numba.extending.type_callable(function)(lambda _context: typed)
     numba.extending.lower_builtin(function, *sorts)(lambda _context, builder, _typed, values: emit(builder, values))
 
@@ -151,7 +151,7 @@ def around_zero(y: Any) -> tuple[Any, Any]:
 
 @_inlined
 def _cos_sin(x: Any) -> tuple[Any, Any]:
-    """Return cosine and sine by the nearest right angle and what is left, a sum of two numbers."""
+    """Return cosine and sine from the nearest right angle and the remainder, a sum of two numbers."""
     shifted = _pick(abs(x) <= _LARGEST_RAD, x, math.nan) * (2.0 / math.pi) + _WHOLE
     n, quarter = shifted - _WHOLE, _bits(shifted)
     y = (x - n * _HALF_PI[0]) - n * _HALF_PI[1]
@@ -191,7 +191,7 @@ def tan(x: Any) -> Any:
 def atan2(y: Any, x: Any) -> Any:
     """Angle of (x, y) from the x axis, -pi .. pi, within 1.5 ulp; zeros have signs, as in IEEE 754.
 
-    As in s_atan.c and e_atan2.c, the ratio is turned back by one of four known angles, or by none.
+    As in s_atan.c and e_atan2.c, one of four known angles, or none, is subtracted first.
     """
     up, far = abs(y), abs(x)
     t = _pick(up == far, _pick(up == 0.0, 0.0, 1.0), up / far)
@@ -246,14 +246,14 @@ def exp(x: Any) -> Any:
     c = 6.61375632143793436117e-05 + t * (-1.65339022054652515390e-06 + t * c)
     c = r - t * (1.66666666666666019037e-01 + t * (-2.77777777770155933842e-03 + t * c))
     y = 1.0 - ((low - (r * c) / (2.0 - c)) - high)
-    half = 0.5 * n + _WHOLE  # in two steps, so that only the last one rounds a subnormal number
+    half = 0.5 * n + _WHOLE  # two steps, so that only the last one rounds a subnormal number
     other = (n - (half - _WHOLE)) + _WHOLE
     return y * _number((_bits(half) + 1023) << 52) * _number((_bits(other) + 1023) << 52)
 
 
 @_elementary
 def expm1(x: Any) -> Any:
-    """Return exp(x) - 1, within 3 ulp: Kahan's quotient of two values that are off alike (Higham 2002, section 1.14.1)."""
+    """Return exp(x) - 1, within 3 ulp: Kahan's quotient of two values with equal errors (Higham 2002, section 1.14.1)."""
     y = exp(x)
     quotient = (y - 1.0) * x / log(y)
     return _pick(abs(x) < 1.0, _pick(y == 1.0, x, quotient), y - 1.0)
@@ -261,7 +261,7 @@ def expm1(x: Any) -> Any:
 
 @_inlined
 def log_of_normal(x: Any) -> Any:
-    """Logarithm of normal numbers above 0, within 1 ulp: e_log.c; a part of the kernel, where loops do four at once."""
+    """Logarithm of normal numbers above 0, within 1 ulp: e_log.c; inlined, for loops with four values per step."""
     whole = _bits(x) - 0x3FE6A09E667F3BCD >> 52  # so that x / 2**whole is about 1
     f = _number(_bits(x) - (whole << 52)) - 1.0
     e = _number(whole + 0x4338000000000000) - _WHOLE  # as a float
@@ -312,7 +312,7 @@ def hypot(x: Any, y: Any) -> Any:
 
 
 _LOOPS = "cos", "sin", "atan2", "exp", "log", "power"
-"""Functions that are compiled for numbers and arrays too, in the order of `_fill`; the others are few operations on these."""
+"""Functions that are also compiled for numbers and arrays, in the order of `_fill`; the others call these."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[untyped-decorator]  # numba has no types
@@ -334,7 +334,7 @@ def _fill(which: int, x: _Floats, y: _Floats, out: _Floats) -> None:
 
 
 def norm(vectors: _Floats) -> Any:
-    """Return lengths of vectors (..., n), whose squares are summed from the first component on."""
+    """Return lengths of vectors (..., n); squares are summed from the first component on."""
     total = vectors[..., 0] * vectors[..., 0]
     for i in range(1, vectors.shape[-1]):
         total = total + vectors[..., i] * vectors[..., i]
@@ -342,12 +342,12 @@ def norm(vectors: _Floats) -> Any:
 
 
 def matvec(matrix: _Floats, vector: _Floats) -> _Floats:
-    """Turn vectors (..., m) by matrices (..., n, m), summing from the first column on: BLAS chooses by processor."""
+    """Multiply matrices (..., n, m) by vectors (..., m), summing from the first column on: BLAS differs by processor."""
     return matmul(matrix, vector[..., None])[..., 0]
 
 
 def matmul(a: _Floats, b: _Floats) -> _Floats:
-    """Multiply matrices (..., n, m) and (..., m, p), summing from the first column on: BLAS chooses by processor."""
+    """Multiply matrices (..., n, m) and (..., m, p), summing from the first column on: BLAS differs by processor."""
     out = a[..., :, :1] * b[..., :1, :]
     for i in range(1, a.shape[-1]):
         out = out + a[..., :, i : i + 1] * b[..., i : i + 1, :]

@@ -1,6 +1,6 @@
-"""Everything that can go wrong, in one tree; every message says where, what was found and what was expected.
+"""All errors in one tree; every message says where, what was found and what was expected.
 
-The command line exits with 2 for what the user gave (`InputError`, `MissingExtraError`), with 1 for a run that failed.
+The command line exits with 2 for bad input (`InputError`, `MissingExtraError`) and with 1 for a run that failed.
 """
 
 import stat
@@ -18,7 +18,7 @@ _KINDS = {
     stat.S_IFBLK: "is a device",
 }
 _LONGEST, _LONGEST_FOUND = 1_000, 120
-"""Characters shown of a part of an error line: the names of files and keys, and what stands there."""
+"""Most characters shown of the parts of an error line: file or key, and finding."""
 
 
 class Vlp16emuError(Exception):
@@ -28,13 +28,13 @@ class Vlp16emuError(Exception):
 
 
 class InputError(Vlp16emuError):
-    """Bad input, reported in one line; its parts are cut where they are long.
+    """Bad input, reported in one line; long parts are truncated.
 
     Parameters
     ----------
     where : file, key path, packet number or argument
-    found : what stands there
-    expected : what would have been right; left out where the finding says it all
+    found : what was found there
+    expected : what was expected; None if the finding alone is clear
     """
 
     exit_code = 2
@@ -58,15 +58,15 @@ class GeometryError(InputError):
 
 
 class TrajectoryError(InputError):
-    """A path that nobody can walk."""
+    """A path or trajectory that cannot be followed."""
 
 
 class PacketError(InputError):
-    """Bytes that are no VLP-16 packet."""
+    """Bytes that are not a VLP-16 packet."""
 
 
 class CaptureError(InputError):
-    """A file that is no readable capture."""
+    """A file that is not a readable capture."""
 
 
 class OutputError(InputError):
@@ -101,9 +101,9 @@ class RunError(Vlp16emuError):
 def readable(
     path: Path, expected: str, kind: type[InputError], *, most_bytes: int = LARGEST_TEXT_BYTES
 ) -> Iterator[None]:
-    """Report a user's file that cannot be read, or is no text where text is read, as an error of a kind.
+    """Report a user's file that cannot be read, or is not text when text is read, as an error of class `kind`.
 
-    What is no file of finite length, or a longer one than `most_bytes`, is refused before it is opened.
+    A path that is not a regular file, or a file longer than `most_bytes`, is refused before it is opened.
     """
     try:
         try:

@@ -1,4 +1,4 @@
-"""From what pydantic finds to one line in the words of the user's file."""
+"""Conversion of pydantic's findings into one line in the terms of the user's file."""
 
 import difflib
 import json
@@ -14,17 +14,17 @@ Node = dict[str, Any]
 
 _MISSING = "missing"
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-"""Pydantic's names of the error "unknown key" of a model and of a dataclass."""
-_MOST_PLACES = 3  # most tables with a key that one line names: beyond, it says too little where the key belongs
-_MOST_KEYS = 8  # most keys of another kind of table that one line names
+"""Pydantic's names for the error "unknown key", of a model and of a dataclass."""
+_MOST_PLACES = 3  # most tables with a key that one line names: more would not help
+_MOST_KEYS = 8  # most keys of another table that one line names
 
 
 def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
-    """Return key path, finding and expectation of the error that helps most; of missing keys, all of them.
+    """Return key path, finding and expectation of the most helpful error; for missing keys, of all of them.
 
     The message of a validator of our own is the expectation. `schema` is the JSON Schema of the file.
     """
-    # A misspelt key is also a missing one; the misspelling is the better news.
+    # A misspelt key is also reported as missing; the misspelling is the more helpful message.
     findings = sorted(error.errors(include_url=False), key=lambda e: e["type"] not in _UNKNOWN)
     first, *others = (_in_words(finding, schema) for finding in findings)
     missing = [first, *(other for other in others if other[1] == first[1])]
@@ -56,7 +56,7 @@ def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
 
 
 def expected(node: Node) -> str:
-    """Return in words what a node of the schema admits."""
+    """Return in words the values that a node of the schema admits."""
     if "enum" in node or "const" in node:
         *others, last = [_shown(value) for value in node.get("enum", [node.get("const")])]
         return f"{', '.join(others)} or {last}" if others else last
@@ -77,7 +77,7 @@ def expected(node: Node) -> str:
 
 
 def resolved(node: Node, schema: Node) -> Node:
-    """Return the node behind a reference; of an optional one, the type of its value."""
+    """Return the node behind a reference; for an optional node, the type of its value."""
     node = node["anyOf"][0] if "anyOf" in node else node
     return schema["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
@@ -87,7 +87,7 @@ def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], No
     keys: list[int | str] = []
     parent = node = resolved(schema, schema)
     for part in loc:
-        if "discriminator" in node:  # pydantic puts the union's tag into the path; no file has it
+        if "discriminator" in node:  # pydantic puts the union's tag into the path; the file does not have it
             node = resolved({"$ref": node["discriminator"]["mapping"][part]}, schema)
             continue
         keys.append(part)
@@ -105,7 +105,7 @@ def _path(keys: list[int | str]) -> str:
 
 
 def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
-    """Return for an unknown key the kind of table that has it, the other tables that have it, or the nearest known key."""
+    """Return, for an unknown key, the kind of table or the other tables that have it, or the nearest known key."""
     homes = [(path, tag) for path, tag in _all_keys(schema, schema) if path[-1] == keys[-1]]
     if beside := [tag for path, tag in homes if list(path) == keys and tag is not None]:
         name, _, own = beside[0]
@@ -120,7 +120,7 @@ def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
     return f"{near[0]}, the nearest known one" if near else f"one of {', '.join(parent['properties'])}"
 
 
-Tag = tuple[str, str, list[str]]  # key and value by which a table is one of several kinds, and its keys
+Tag = tuple[str, str, list[str]]  # key and value that select the kind of a table, and its keys
 
 
 def _all_keys(
@@ -142,7 +142,7 @@ def _variants(node: Node) -> list[tuple[str, Node]]:
 
 
 def _key_of(value: object, node: Node, schema: Node) -> str | None:
-    """Return the key of a table that admits a word which was given in place of the table."""
+    """Return the key of a table that admits `value`, which was given in place of the table."""
     if isinstance(value, str):
         for kind in (node, *(resolved(variant, schema) for _, variant in _variants(node))):
             for name, inner in kind.get("properties", {}).items():

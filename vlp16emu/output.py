@@ -1,4 +1,4 @@
-"""Outputs of runs: written beside their names, which they take when they are whole, by one run at a time."""
+"""Outputs of runs: written under temporary names, renamed when complete, by one run at a time."""
 
 import errno
 import fcntl
@@ -16,7 +16,7 @@ from vlp16emu.errors import OutputError, RunError
 
 STDOUT = Path("-")  # stands for standard output, as for tcpdump and tshark
 
-_LONGEST_NAME_BYTES = 240  # of the 255 bytes of a name (NAME_MAX of Linux), 14 are for what is added
+_LONGEST_NAME_BYTES = 240  # 255 bytes (NAME_MAX of Linux) minus the longest suffix
 _RIGHTS = 0o777
 
 _log = logging.getLogger(__name__)
@@ -25,17 +25,17 @@ _log = logging.getLogger(__name__)
 class OutputFile:
     """A file to be written; a context manager.
 
-    It is written as NAME.xxxxxxxx.part, a new file beside its name, and takes the name when it is kept. Until then the
-    earlier file stays, whatever ends the run. It gets the rights of the file that it replaces, and a link stays a
-    link. A pipe or a device is written straight. Raises OutputError if it cannot be opened, is one of the inputs, or another
-    run writes it.
+    It is written as NAME.xxxxxxxx.part, a new file in the same folder, and renamed when it is kept. Until then an
+    earlier file stays, even if the run fails. It gets the permissions of the file that it replaces, and a link stays a
+    link. A pipe or a device is written directly. Raises OutputError if it cannot be opened, is one of the inputs, or is
+    being written by another run.
 
     Parameters
     ----------
     path : the file, or `STDOUT`
-    where : its name in error lines; `path` if left out
+    where : its name in error lines; by default `path`
     buffering : as for `open`
-    inputs : files that the run reads, and that may not be replaced
+    inputs : files that the run reads, which must not be replaced
     """
 
     def __init__(
@@ -61,12 +61,12 @@ class OutputFile:
 
     @property
     def place(self) -> str:
-        """Name under which the bytes stand until the file is kept."""
+        """Name of the file until it is kept."""
         return self._where if self._final is None else str(self.file.name)
 
     @contextmanager
     def writing(self) -> Iterator[BinaryIO]:
-        """Write the whole file, which is then kept; raises RunError if it cannot be written to its end."""
+        """Write the whole file and keep it; raises RunError if it cannot be written completely."""
         try:
             yield self.file
             self.keep()
@@ -75,26 +75,26 @@ class OutputFile:
             raise RunError(f"{self._where}: {error.strerror or error}; {left}") from error
 
     def keep(self) -> None:
-        """Close the file and give it its name.
+        """Close the file and rename it to its final name.
 
-        Raises OSError if the buffered rest cannot be written; RunError if it cannot take its name.
+        Raises OSError if buffered data cannot be written; RunError if it cannot be renamed.
         """
         self.file.flush()
         try:
             if self._final is not None:
-                Path(self.file.name).replace(self._final)  # before it is closed, which ends the lock
+                Path(self.file.name).replace(self._final)  # before closing, which ends the lock
         except OSError as error:
             raise RunError(f"{self._where}: {error.strerror}; it is left as {self.file.name}") from error
         finally:
             self.file.close()
 
     def leave(self) -> None:
-        """Close an incomplete file that is worth keeping; it stays without its final name, at `place`."""
-        with suppress(OSError):  # a full disk, which has been reported
+        """Close an incomplete file that is worth keeping; it stays at `place`."""
+        with suppress(OSError):  # disk full; already reported
             self.file.close()
 
     def discard(self) -> None:
-        """Close and remove a file that is neither kept nor left."""
+        """Close and remove a file that is not kept."""
         if self.file.closed:
             return
         with suppress(OSError):
@@ -104,13 +104,13 @@ class OutputFile:
 
 
 def write_json(path: Path, tree: Mapping[str, Any]) -> None:
-    """Write a file of one JSON object, in place of an earlier one; errors as for `OutputFile`."""
+    """Write a file of one JSON object, in place of an earlier one; raises the errors of `OutputFile`."""
     with OutputFile(path) as output, output.writing() as file:
         file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
 
 
 def final_name(path: Path) -> Path:
-    """Return the name that an output takes, behind all links; `OSError` for links in a circle."""
+    """Return the final name of an output with all links resolved; `OSError` for a loop of links."""
     final = Path(os.path.realpath(path))
     if final.is_symlink():
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
@@ -118,7 +118,7 @@ def final_name(path: Path) -> Path:
 
 
 def spare(inputs: Iterable[Path], output: Path) -> None:
-    """Raise OutputError if `output` is one of the files that are read, by device and inode, whatever its name."""
+    """Raise OutputError if `output` is one of the input files, compared by device and inode."""
     for file in inputs:
         with suppress(OSError):  # one of them does not exist
             if file.samefile(output):
@@ -126,9 +126,9 @@ def spare(inputs: Iterable[Path], output: Path) -> None:
 
 
 def lock(opened: int, where: str) -> None:
-    """Keep other runs off a file or folder, by its descriptor, until it is closed; warn if its file system has no locks.
+    """Lock a file or folder, by its descriptor, until it is closed; warn if its file system has no locks.
 
-    Raises OutputError, in the name of `where`, if another run has locked it.
+    Raises OutputError for `where` if another run has locked it.
     """
     try:
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -140,7 +140,7 @@ def lock(opened: int, where: str) -> None:
 
 
 def _holder(opened: int) -> str:
-    """Name the process that has locked a file, if the system says so."""
+    """Return the process that has locked a file, if the system reports it."""
     state = os.fstat(opened)
     file = f"{os.major(state.st_dev):02x}:{os.minor(state.st_dev):02x}:{state.st_ino}"
     with suppress(OSError):
@@ -153,7 +153,7 @@ def _holder(opened: int) -> str:
 
 @contextmanager
 def opening(where: str, expected: str) -> Iterator[None]:
-    """Raise OutputError in the name of `where` if the block cannot open something."""
+    """Raise OutputError for `where` if the block cannot open a file."""
     try:
         yield
     except (OSError, ValueError) as error:  # a name with a NUL or half a character is a ValueError
@@ -165,23 +165,23 @@ def _stem(final: Path) -> str:
     name = os.fsencode(final.name)
     if len(name) <= _LONGEST_NAME_BYTES:
         return final.name
-    from hashlib import sha256  # here: it loads OpenSSL, which no help needs
+    from hashlib import sha256  # here: it loads OpenSSL, which `--help` does not need
 
     return sha256(name).hexdigest()
 
 
 def part_beside(final: Path) -> Path:
-    """Return a new name beside `final` for what is not whole yet."""
+    """Return a new temporary name beside `final` for an incomplete output."""
     return final.with_name(f"{_stem(final)}.{os.urandom(4).hex()}.part")
 
 
 def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
-    """Open a new file beside `final`, with the rights of the one that is there."""
+    """Open a new file beside `final`, with the permissions of the existing one."""
     before = final.stat() if final.exists() else None
     if before and not os.access(final, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     part = part_beside(final)
-    file = part.open("xb", buffering)  # which neither empties a file nor follows a link
+    file = part.open("xb", buffering)  # never truncates a file or follows a link
     try:
         claim(file.fileno(), part, final, where)
     except OutputError:
@@ -194,16 +194,16 @@ def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
 
 
 def take_rights(opened: int, before: os.stat_result) -> None:
-    """Give a new file or folder owner, group and mode of the one that it replaces, as far as that is allowed."""
+    """Copy owner, group and mode from the file or folder that is replaced, as far as allowed."""
     for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
-        with suppress(OSError):  # only root may give files away
+        with suppress(OSError):  # only root may change the owner
             os.fchown(opened, owner, group)
     with suppress(OSError):
         os.fchmod(opened, before.st_mode & _RIGHTS)
 
 
 def claim(opened: int, part: Path, final: Path, where: str) -> None:
-    """Lock a new file or folder, and refuse it if another run is writing one of the same final name."""
+    """Lock a new file or folder; refuse it if another run is writing the same final name."""
     lock(opened, where)
     ours = re.compile(rf"{re.escape(_stem(final))}\.[0-9a-f]{{8}}\.part")
     for path in final.parent.iterdir():

@@ -1,9 +1,9 @@
-"""Random numbers keyed by what they are for: seed, purpose and counters, such as a firing number and a laser.
+"""Counter-based random numbers, keyed by seed, purpose and counters, such as a firing number and a laser.
 
-Any number can be drawn at any time, in any order and on any thread, which makes a run independent of batches and workers.
+Any number can be drawn at any time, in any order and on any thread, so a run is independent of batches and workers.
 
 The generator is Philox 4x32 with 10 rounds: Salmon, Moraes, Dror, Shaw, "Parallel Random Numbers: As Easy as 1, 2, 3",
-SC 2011, section 3.2 and table 2. Tests hold it to the authors' known answers.
+SC 2011, section 3.2 and table 2. Tests compare it with the authors' known answers.
 """
 
 import math
@@ -19,9 +19,9 @@ from vlp16emu.trig import in_quarter
 
 
 class Purpose(IntEnum):
-    """Purposes of random numbers. Values are part of the output: never renumber, only append.
+    """Purposes of random numbers. Values determine the output: never renumber, only append.
 
-    Those of forests are in `vlp16emu.forest.purpose`.
+    Purposes of forests are in `vlp16emu.forest.purpose`.
     """
 
     AZIMUTH_READING = 1
@@ -70,7 +70,7 @@ _Word = int | np.uint32
 _Size = int | tuple[int, ...] | None
 
 _NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
-"""Numbers beyond come from logarithms (numpy/random/src/distributions/ziggurat_constants.h)."""
+"""Edges beyond which numbers come from logarithms (numpy/random/src/distributions/ziggurat_constants.h)."""
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
@@ -114,10 +114,10 @@ def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, flo
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def box_muller(a: float, b: float) -> tuple[float, float]:
-    """Turn two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
+    """Convert two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 
-    Logarithm, cosine and sine are computed here by additions, products and one quotient, which round alike everywhere.
-    There is no branch and no call, so that a loop over lanes draws four at once.
+    Logarithm, cosine and sine use additions, products and one quotient, which round equally on all processors.
+    There is no branch and no call, so that a loop over lanes processes four per step.
     """
     radius = math.sqrt(-2.0 * log_of_normal(1.0 - a))  # 1 - a is exact
     quarter = math.floor(4.0 * b + 0.5)
@@ -134,7 +134,7 @@ def normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, floa
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def normal_pairs(seed: int, purpose: int, n: int, first: NDArray[np.float64], second: NDArray[np.float64]) -> None:
-    """Fill (lanes,) each with the numbers of `normal_pair`, in a quarter of its time."""
+    """Fill two arrays (lanes,) with the numbers of `normal_pair`, in a quarter of its time."""
     for lane in range(first.shape[0]):
         a, b = uniform_pair(seed, purpose, n, lane)
         first[lane], second[lane] = box_muller(a, b)
@@ -142,7 +142,7 @@ def normal_pairs(seed: int, purpose: int, n: int, first: NDArray[np.float64], se
 
 @numba.njit(cache=True, nogil=True)
 def _fill(out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, first: int, lane: int) -> None:
-    """Fill (n,): one number per counter, computed alone so that neighbours cannot matter."""
+    """Fill (n,) with one number per counter, each computed independently."""
     for i in range(out.shape[0]):
         if gaussian:
             out[i] = normal_pair(seed, purpose, first + i, lane)[0]
@@ -156,12 +156,12 @@ def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) 
     Parameters
     ----------
     seed : scenario seed, 0 .. 2**63 - 1
-    purpose : what they are for
+    purpose : purpose of the numbers
     first : counter of the first number, for instance a firing-sequence number
     lane : second counter, for instance a laser
     """
     out = np.empty(count)
-    _fill(out, False, seed, int(purpose), first, lane)  # numba looks through the whole of an enum
+    _fill(out, False, seed, int(purpose), first, lane)  # numba would process the whole enum
     return out
 
 
@@ -175,10 +175,10 @@ def normal(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -
 class _Generator(np.random.Generator):
     """Numpy's generator with the same bits on every processor.
 
-    Numpy draws normal and exponential numbers by ziggurats (Marsaglia and Tsang 2000), which take products except in the
+    Numpy draws normal and exponential numbers by ziggurats (Marsaglia and Tsang 2000), which use products except in the
     tails, 1 number in 3700 and in 2200. There, and for beta numbers, libm computes logarithms and powers, and its last bit
-    differs between processors. These numbers are rounded to steps of 2**-24: that bit moves fewer than 1 of 1e8 to another
-    step. Elsewhere, in `poisson` too, libm only decides whether a number is drawn again: its last bit turns 1 of 1e14.
+    differs between processors. These numbers are rounded to steps of 2**-24: that bit moves fewer than 1 in 1e8 to another
+    step. Elsewhere, also in `poisson`, libm only decides whether a number is redrawn: its last bit changes 1 in 1e14.
     """
 
     def standard_normal(self, size: _Size = None) -> Any:  # type: ignore[override]  # float64 alone
@@ -194,20 +194,20 @@ class _Generator(np.random.Generator):
         return _rounded_beyond(_EXPONENTIAL_TAIL, super().standard_exponential(size))
 
     def rayleigh(self, scale: Any = 1.0, size: _Size = None) -> Any:  # type: ignore[override]  # any array
-        """Draw numbers of Rayleigh's distribution."""
+        """Draw Rayleigh-distributed numbers."""
         return scale * np.sqrt(2.0 * self.standard_exponential(np.shape(scale) if size is None else size))
 
     def beta(self, a: Any, b: Any, size: _Size = None) -> Any:  # type: ignore[override]  # any array
-        """Draw numbers of a beta distribution."""
+        """Draw beta-distributed numbers."""
         return _rounded_beyond(0.0, super().beta(a, b, size))
 
 
 def _rounded_beyond(edge: float, numbers: Any) -> Any:
-    """Round numbers that are farther from 0 than an edge to steps of 2**-24."""
+    """Round numbers farther from 0 than an edge to steps of 2**-24."""
     return np.where(np.abs(numbers) > edge, np.rint(numbers * 16777216.0) / 16777216.0, numbers)[()]
 
 
 def generator(seed: int, purpose: IntEnum, *key: int) -> np.random.Generator:
-    """Return a numpy generator for a thing that stands still, such as a tile or a tree, named by integers of either sign."""
+    """Return a numpy generator for a static object, such as a tile or a tree, identified by signed integers."""
     words = [seed & 0xFFFFFFFF, seed >> 32, int(purpose), *(k & 0xFFFFFFFFFFFFFFFF for k in key)]
     return _Generator(np.random.Philox(np.random.SeedSequence(words)))

@@ -26,16 +26,16 @@ from pydantic_core.core_schema import tagged_union_schema, union_schema, with_in
 
 from vlp16emu.doors import DOORS, added, door, has_door
 
-DEEPEST = 100  # tables and lists in one another; of a key, the names between its dots
+DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
 _DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII)
-"""A dotted key too deep to be read: the time for one grows with the square of its names."""
+"""A dotted key that is too deep: parsing time grows with the square of its names."""
 
 
 def toml(text: str) -> dict[str, Any]:
     """Parse TOML.
 
-    Raises ValueError if it is none, or a key has more than `DEEPEST` names; RecursionError if lists or tables are
-    nested much deeper still.
+    Raises ValueError if it is not valid, or a key has more than `DEEPEST` names; RecursionError if lists or tables are
+    nested much deeper.
     """
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -49,11 +49,11 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     either_or: ClassVar[frozenset[str]] = frozenset()
-    """Keys that exclude one another."""
+    """Sets of keys that exclude one another."""
 
     @model_serializer(mode="wrap")
-    def _without_what_is_ruled_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what another key rules out, so that a scenario that is written can be read again."""
+    def _without_excluded_keys(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out keys that another key excludes, so that a written scenario can be read again."""
         tree: dict[str, Any] = write(self)
         given = self.either_or & self.model_fields_set
         ruled_out = self.either_or - given if given else frozenset()
@@ -61,7 +61,7 @@ class Section(BaseModel):
 
 
 class Preset(Section):
-    """A table with a key that gives the values of the keys that are not given beside it."""
+    """A table with a key that sets the values of all keys that are not given."""
 
     presets: ClassVar[Mapping[str, Mapping[str, object]]]
     preset_key: ClassVar[str] = "preset"
@@ -77,13 +77,13 @@ class Preset(Section):
 
 @dataclass(frozen=True)
 class OneOf:
-    """Annotation of a table that is one of several sections, selected by its tag: ours, a program's own, another package's.
+    """Annotation of a table of one of several sections, selected by its tag: from this or another package, or a program.
 
-    Sections of other kinds than the one at hand are neither imported nor looked for.
+    Only the selected section is searched and imported.
     """
 
     base: type[Section]
-    """Base class of the sections; a class that a program defines is known by the value of its tag."""
+    """Base class of the sections; a class that a program defines is found by the value of its tag."""
     group: str
     """Group of `doors.DOORS`."""
     tag: str = "kind"
@@ -99,7 +99,7 @@ class OneOf:
         return handler(tagged_union_schema(choices, discriminator=self.tag))
 
     def sections(self) -> dict[Any, type[Section]]:
-        """Return all sections by the words that select them, ours first, whatever has been loaded before."""
+        """Return all sections by the words that select them, ours first."""
         own = {word: door(word, self.group) for word in DOORS[self.group] if has_door(word, self.group)}
         return {**own, **dict(added(self.group)), **dict(self._defined(self.base)), **own}
 
@@ -128,14 +128,14 @@ class OneOf:
             raise PydanticKnownError("union_tag_invalid", {"discriminator": self.tag, "tag": "", "expected_tags": ""})
         try:
             return section.model_validate(table, context=info.context)
-        except ValidationError as error:  # with the word in the path, as pydantic's own unions have it
+        except ValidationError as error:  # with the word in the path, as in pydantic's own unions
             findings: list[Any] = [{**e, "loc": (table[self.tag], *e["loc"])} for e in error.errors(include_url=False)]
             raise ValidationError.from_exception_data(error.title, findings) from None
 
 
 @dataclass(frozen=True)
 class LazySection:
-    """Annotation of a table whose section stands outside the core, and is loaded by the first scene that has the table."""
+    """Annotation of a table whose section is outside the core and is loaded by the first scene with that table."""
 
     name: str
     """Name in `doors.DOORS`, group "parts"."""
@@ -144,7 +144,7 @@ class LazySection:
         return with_info_plain_validator_function(self._validate)
 
     def __get_pydantic_json_schema__(self, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        # Of a union with one member the page has a reference; a section alone would be written out each time.
+        # A union with one member gives a reference in the page; a section alone would be written out each time.
         return handler(union_schema([self.section.__pydantic_core_schema__])) if has_door(self.name) else {}
 
     @property
@@ -157,19 +157,19 @@ class LazySection:
         return value if isinstance(value, self.section) else self.section.model_validate(value, context=info.context)
 
 
-def _beside_the_scene(file: str, info: ValidationInfo) -> str:
+def _from_scene_folder(file: str, info: ValidationInfo) -> str:
     return str(Path(info.context["folder"], file)) if info.context else file
 
 
-SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_beside_the_scene)]
+SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_from_scene_folder)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Place = Annotated[float, Field(ge=-2e7, le=2e7)]
-"""A coordinate in the world, in m; those of maps are no larger than half the earth's circumference."""
+"""A coordinate in the world, in m; map coordinates are within half the earth's circumference."""
 MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]  # easting, northing and height, in m
-Size = Annotated[float, Field(ge=1e-3, le=1e4)]  # an extent of something in the world, in m
+Size = Annotated[float, Field(ge=1e-3, le=1e4)]  # an extent in the world, in m
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -186,5 +186,5 @@ def merged(base: Table, own: Table) -> dict[str, Any]:
 
 
 def _same_kind(base: Table, own: Table) -> bool:
-    # a relief brings numbers of its own
+    # a relief has its own numbers
     return "relief" not in own and bool(own.get("kind", base.get("kind")) == base.get("kind"))

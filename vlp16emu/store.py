@@ -1,6 +1,6 @@
-"""Files kept from run to run, compiled kernels and parts of worlds: whole or as good as none, where nobody but the user writes.
+"""Cache files, compiled kernels and parts of worlds: complete or ignored, in a folder that only the user can write.
 
-The name of a file says all that decides its content, and so which files of the package and which libraries made it. A file is
+The name of a file is a digest of all inputs of its content, with the package's files and the libraries that made it. A file is
 a marker, the SHA-256 of its name and its content, and the content: a pickle, which runs code when it is read. So a
 folder that others can write in is not used.
 """
@@ -23,7 +23,7 @@ from platformdirs import user_cache_path
 
 T = TypeVar("T")
 PACKAGE = Path(__file__).parent
-MAKERS = (  # files and folders of the package that decide what worlds consist of
+MAKERS = (  # files and folders of the package that determine the content of worlds
     "elementary.py",
     "engine",
     "extras/meshes",
@@ -47,23 +47,25 @@ _DEFAULT_BYTES = 1_000_000_000
 
 
 class Store:
-    """Files in a folder of the user's own, which is made when it is first needed.
+    """Files in a folder of the user, which is made when it is first needed.
 
     Parameters
     ----------
-    folder : None keeps nothing, as does one in which others can write
-    suffix : of the names of the files
-    most_bytes : the least recently used files beyond it are removed
+    folder : None disables the store, as does a folder in which others can write
+    suffix : suffix of file names
+    most_bytes : size limit; the least recently used files beyond it are removed
     """
 
     def __init__(self, folder: Path | None, suffix: str, most_bytes: int) -> None:
         self.folder, self.suffix, self.most_bytes = folder, suffix, most_bytes
-        self._unlooked = most_bytes  # bytes written since sizes were last added up; at first those of other runs count
+        self._unsummed_bytes = (
+            most_bytes  # bytes written since sizes were last summed; starts at the limit because of other runs
+        )
         self._writer: ThreadPoolExecutor | None = None
 
     @cached_property
     def own(self) -> Path | None:
-        """The folder, if nobody but the user, or root, can write in it or put another one in its place."""
+        """The folder, if only the user or root can write in it or replace it."""
         if self.folder is None:
             return None
         with suppress(OSError):
@@ -76,7 +78,7 @@ class Store:
         return None
 
     def read(self, name: str) -> memoryview | None:
-        """Read a file; None if it is not there or is not what was written."""
+        """Read a file; None if it is missing or damaged."""
         if self.own is None or (content := read_checked(self.own / name)) is None:
             return None
         with suppress(OSError):
@@ -84,7 +86,7 @@ class Store:
         return content
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file; a full disk, or a folder of root's, is no error."""
+        """Write a file; a full disk, or a read-only folder, is not an error."""
         if self.own is None:
             return
         aside = self.own / f"{name}.{os.getpid()}.part"  # programs may share the folder
@@ -95,21 +97,21 @@ class Store:
         except OSError:
             with suppress(OSError):
                 aside.unlink()
-        self._unlooked += len(content)
-        if self._unlooked > self.most_bytes / 16:
-            self._unlooked = 0
+        self._unsummed_bytes += len(content)
+        if self._unsummed_bytes > self.most_bytes / 16:
+            self._unsummed_bytes = 0
             files = sorted(self._files(), key=lambda file: file[1].st_mtime, reverse=True)
             totals = np.cumsum([state.st_size for _, state in files])
             _remove(files[np.searchsorted(totals, self.most_bytes, "right") :])
 
     def keep(self, name: str, thing: object) -> None:
-        """Pickle a thing into a file, soon: on a thread of its own, so nobody may change it any more."""
+        """Pickle an object into a file on a separate thread; the object must not be changed any more."""
         self._writer = self._writer or ThreadPoolExecutor(1, "keep")
         with suppress(RuntimeError):  # the program ends
             self._writer.submit(lambda: self.write(name, pickle.dumps(thing, protocol=5)))
 
     def flush(self) -> None:
-        """Wait until all is written."""
+        """Wait until all files are written."""
         if self._writer is not None:
             self._writer.submit(int).result()
 
@@ -119,7 +121,7 @@ class Store:
         return len(sizes), sum(sizes)
 
     def clear(self) -> tuple[int, int]:
-        """Remove all files, which are known by name and first bytes; say how many and how many bytes went."""
+        """Remove all files, identified by name and first bytes; return their number and total size."""
         return _remove(self._files())
 
     def _files(self) -> Iterator[tuple[Path, os.stat_result]]:
@@ -132,7 +134,7 @@ class Store:
 
 
 def read_checked(path: Path) -> memoryview | None:
-    """Read the content of a file; None if it is not there or is not what was written."""
+    """Read the content of a file; None if it is missing or damaged."""
     try:
         data = memoryview(path.read_bytes())
     except OSError:
@@ -156,7 +158,7 @@ def _remove(files: Iterable[tuple[Path, os.stat_result]]) -> tuple[int, int]:
 
 
 def digest_of(sources: Iterable[str], *more: object) -> str:
-    """Name the state of files and folders of the package, whatever their place and time stamps, and of what else decides."""
+    """Return a digest of files and folders of the package, regardless of path and time stamps, and of further values."""
     digest = hashlib.sha256(repr(more).encode())
     for source in sources:
         path = PACKAGE / source
@@ -168,16 +170,16 @@ def digest_of(sources: Iterable[str], *more: object) -> str:
 
 
 def user_folder(name: str) -> Path:
-    """Return a folder in the user's cache, where the system has it."""
+    """Return a folder in the user's cache, at the system's location."""
     return user_cache_path("vlp16emu", appauthor=False) / name
 
 
 @cache
 def user_store() -> Store:
-    """Return the user's parts of worlds: in `VLP16EMU_CACHE_DIR`, of `VLP16EMU_CACHE_MB`, or else in the user's cache, of 1 GB."""
+    """Return the store of parts of worlds, in `VLP16EMU_CACHE_DIR` or the user's cache, up to `VLP16EMU_CACHE_MB` or 1 GB."""
     try:
         most_bytes = max(int(float(os.environ.get("VLP16EMU_CACHE_MB", "")) * 1e6), 0)
-    except (ValueError, OverflowError):  # of what is no finite number
+    except (ValueError, OverflowError):  # not a finite number
         most_bytes = _DEFAULT_BYTES
     chosen = os.environ.get("VLP16EMU_CACHE_DIR")
     folder = Path(chosen) if chosen else user_folder("world")
@@ -190,13 +192,13 @@ def recalled(
     pack: Callable[[T], Any] = lambda thing: thing,
     unpack: Callable[[Any], T] = lambda thing: thing,
 ) -> T:
-    """Take a thing from the user's store, or make it and keep it there.
+    """Return an object from the user's store, or make it and keep it there.
 
     Parameters
     ----------
-    name : states all that decides it; empty if it is not kept
-    make : makes it
-    pack, unpack : turn it into what can be pickled, and back
+    name : text with all its inputs; empty if it is not kept
+    make : function that makes it
+    pack, unpack : convert it into an object that can be pickled, and back
     """
     if not name or (store := user_store()).folder is None:
         return make()
@@ -210,7 +212,7 @@ def recalled(
 
 @cache
 def _state() -> str:
-    """Name the state of the files that decide worlds, of libraries that draw and round, and of the machine."""
+    """Return a digest of the files that determine worlds, of numerical libraries, and of the machine."""
     return digest_of(
         MAKERS, np.__version__, version("scipy"), os.uname().machine, sys.byteorder, sys.implementation.cache_tag
     )

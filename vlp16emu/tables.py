@@ -1,7 +1,7 @@
-"""Tables that users bring: lists of stems, waypoints and poses, as spreadsheets and statistics programs write them.
+"""Tables from users: lists of stems, waypoints and poses, as written by spreadsheets and statistics programs.
 
-Semicolons, tabs, commas or blanks stand between columns, and quotation marks may stand around cells. Between all but commas
-a decimal comma is read as well as a point.
+Columns are separated by semicolons, tabs, commas or blanks, and cells may have quotation marks. Unless commas separate
+columns, a decimal comma is accepted as well as a point.
 """
 
 import csv
@@ -20,12 +20,12 @@ from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
 LARGEST = 1e8
-"""No coordinate of a map is larger (EPSG:4647, with the zone in front, has 3.4e7 m), and squares are far from overflow."""
+"""Upper limit of map coordinates (EPSG:4647, with the zone in front, has 3.4e7 m), with squares far from overflow."""
 _LARGEST_NS = 2**62
-_MARKS = (";", "\t", ",", " ")  # between columns; if two of them fit equally well, the first is taken
+_MARKS = (";", "\t", ",", " ")  # column separators; if two fit equally well, the first is taken
 _MISSING = frozenset(("", "na", "n/a", "#n/a", "<na>", "nan", "null", "none", "#nv"))
 """Cells without a value, in lower case, as R, pandas and Excel write them (`#NV` in German)."""
-_ALIKE = 0.8  # from this ratio of `difflib` on, an unknown name is taken for a slip of a known one
+_ALIKE = 0.8  # least `difflib` ratio at which an unknown name counts as a misspelt known one
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +33,16 @@ class Column:
     """A column that a table may have."""
 
     units: Mapping[str, float]
-    """Names that it may go by, in lower case, each with the factor to the unit of what is returned."""
+    """Possible names in lower case, each with the factor to the unit of returned values."""
     low: float = -LARGEST
     high: float = LARGEST
-    """Limits in the unit of what is returned: beyond them a value is more likely a slip of the unit."""
-    is_needed: bool = True  # true if the table must have it
-    is_filled: bool = True  # true if each row must have a value
+    """Limits in the unit of returned values: beyond them a wrong unit is more likely."""
+    is_needed: bool = True  # True if the table must have it
+    is_filled: bool = True  # True if each row must have a value
 
 
 def optional(*names: str) -> Column:
-    """Column that a table need not have, and whose cells may be empty."""
+    """Column that may be missing, and whose cells may be empty."""
     return Column(dict.fromkeys(names, 1.0), is_needed=False, is_filled=False)
 
 
@@ -52,12 +52,12 @@ class Table:
 
     Parameters
     ----------
-    path : of the file, for messages
-    error : kind of error that is raised for a wrong cell
-    columns : by the name that the caller gives them
-    names : what columns are called in the file; those that it does not have are missing
+    path : path of the file, for messages
+    error : class of error for a wrong cell
+    columns : columns by the caller's names
+    names : names of columns in the file, without missing columns
     lines : (n,) line of each row, from 1
-    cells : (n,) texts of each column in `names`; empty if a value is missing
+    cells : (n,) texts of each column in `names`; empty for a missing value
     """
 
     path: Path
@@ -73,7 +73,7 @@ class Table:
         return len(self.lines)
 
     def where(self, row: int, column: str = "") -> str:
-        """Name a row, or a cell of it, in messages."""
+        """Return the location of a row, or of a cell, for messages."""
         name = self.names.get(column)
         return f"{self.path}, line {self.lines[row]}" + (f", column {name}" if name else "")
 
@@ -94,7 +94,7 @@ class Table:
         return table if len(columns) > 1 else table[:, 0]
 
     def times_ns(self, column: str) -> list[int]:
-        """Return times in seconds as nanoseconds (n,), every digit of them: float64 keeps UTC to a microsecond only."""
+        """Return times in seconds as nanoseconds (n,), with all digits: float64 would keep UTC to a microsecond only."""
         times_ns = []
         for row, cell in enumerate(self.cells[column]):
             try:
@@ -125,7 +125,7 @@ class Table:
         return number * factor
 
     def _pointed(self, row: int, column: str, cell: str) -> str:
-        """Write a number with a decimal point; a table has one decimal mark, for the other one may group thousands."""
+        """Return a number with a decimal point; a table has one decimal mark, as the other one may group thousands."""
         marks = {mark for mark in ".," if mark in cell} | {*self._decimal}
         if self._has_commas and marks == {","}:
             expected = "a decimal point; decimal commas need ; or a tab between columns"
@@ -141,15 +141,15 @@ def read_table(
 ) -> Table:
     """Read a table of UTF-8 text.
 
-    The header has the columns in any order and case; others beside them are left out. It may have a name less than rows have
-    cells, as R writes it before names of rows. Without a header, rows have all columns in their order. Lines that are empty
-    or begin with `#` are left out.
+    The header has the columns in any order and case; other columns are ignored. It may have one name less than rows have
+    cells, as R writes it with row names. Without a header, rows have all columns in order. Lines that are empty
+    or begin with `#` are ignored.
 
     Parameters
     ----------
-    columns : by the name that the caller gives them
-    expected : what the file should be, for messages
-    error : kind of error that is raised for a file, a header or a cell that is wrong
+    columns : columns by the caller's names
+    expected : description of the file, for messages
+    error : class of error for a wrong file, header or cell
     """
     with readable(path, expected, error):
         content = path.read_bytes()
@@ -159,7 +159,7 @@ def read_table(
 
     def header(mark: str) -> tuple[int, list[str]]:
         for line, (first, *others) in records(mark):
-            names = [name.lower() for name in (first.lstrip("# "), *others)]  # of numpy.savetxt it begins with #
+            names = [name.lower() for name in (first.lstrip("# "), *others)]  # numpy.savetxt begins it with #
             if known & {*names} or not first.lower().startswith(("#", "sep=")):
                 return line, names
         return 0, []
@@ -167,7 +167,7 @@ def read_table(
     if has_header:
         mark = max(_MARKS, key=lambda mark: len(known & {*header(mark)[1]}))
         first, names = header(mark)
-        if not known & {*names}:  # some other file; nothing of it is shown
+        if not known & {*names}:  # a file of another kind is not quoted
             raise error(f"{path}, line 1", "none of the columns", expected)
         called = _columns_of(names, columns, f"{path}, line {first}", error)
     else:
@@ -175,7 +175,7 @@ def read_table(
         mark, first, names, called = next(fits, " "), 0, list(columns), {name: name for name in columns}
     rows = [row for row in records(mark) if row[0] > first and not row[1][0].startswith("#")]
     if rows and has_header and len(rows[0][1]) == len(names) + 1 and rows[0][1][-1]:
-        names = ["", *names]  # the names of the rows have none
+        names = ["", *names]  # the column of row names has no name
     needed = 1 + max(map(names.index, called.values()))
     for line, cells in rows:
         # Excel leaves out cells at the ends of rows that are empty for long (Microsoft KB 77295).
@@ -190,7 +190,7 @@ def read_table(
 def _records(
     path: Path, lines: Sequence[str], expected: str, error: type[InputError], mark: str
 ) -> Iterator[tuple[int, list[str]]]:
-    """Yield line and cells of each record that is not empty."""
+    """Yield line and cells of each non-empty record."""
     if mark == " ":
         lines = [" ".join(line.split()) for line in lines]
     reader = csv.reader(lines, delimiter=mark, skipinitialspace=True)
@@ -206,7 +206,7 @@ def _records(
 def _columns_of(
     names: Sequence[str], columns: Mapping[str, Column], where: str, error: type[InputError]
 ) -> dict[str, str]:
-    """Return the name of each column that a header has, from the caller's."""
+    """Return the header's name for each of the caller's columns that it has."""
     called = dict[str, str]()
     for column, of in columns.items():
         found = [name for name in names if name in of.units]
@@ -236,7 +236,7 @@ def _decoded(path: Path, content: bytes, error: type[InputError]) -> str:
 
 
 def _float(text: str) -> float:
-    """Read a number as files write it, NaN if it is none; Python's own may have underscores."""
+    """Parse a number as files write it, NaN if it is none; Python's own syntax would allow underscores."""
     try:
         return math.nan if "_" in text else float(text)
     except ValueError:

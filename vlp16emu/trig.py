@@ -1,7 +1,7 @@
-"""Cosine and sine without a library: additions and products, which round alike everywhere and run four at once.
+"""Cosine and sine from additions and products, which round equally on all processors and vectorize.
 
-And a triangular wave, and a zero for kernels that is no literal. Without `fastmath=False` numba would compile them with
-the options of the first kernel that calls them.
+The module also has a triangular wave, and a non-literal zero for kernels. Without `fastmath=False` numba would compile the
+functions with the options of the first kernel that calls them.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from vlp16emu.elementary import around_zero
 from vlp16emu.kernels.compiler import numba
 
-ZERO = cast("int", np.int64(0))  # a zero that is no literal: numba compiles a function once more for the literal 0
+ZERO = cast("int", np.int64(0))  # not a literal: numba compiles a function again for the literal 0
 
 _HALF_PI = 1.57079632673412561417, 6.07710050650619224932e-11
 """pi / 2: its first 33 bits, so that products with whole numbers below 2**20 are exact, and the rest."""
@@ -30,7 +30,7 @@ def in_quarter(quarter: float, y: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, fastmath=False, _nrt=False)
 def cos_sin(angle_rad: float) -> tuple[float, float]:
-    """Return cosine and sine of an angle, within 2e-16, beyond a million radians within its last bit; for use in kernels."""
+    """Return cosine and sine of an angle, within 2e-16; beyond a million radians within its last bit; for kernels."""
     quarters = math.floor(angle_rad * (2.0 / math.pi) + 0.5)
     y = (angle_rad - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]
     return in_quarter(quarters - 4.0 * math.floor(0.25 * quarters), y)

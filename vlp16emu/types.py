@@ -1,4 +1,4 @@
-"""The types that travel between the rooms. Frozen, slots, shapes checked once when made.
+"""The types that the rooms exchange: frozen, with slots, shapes checked once when made.
 
 Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n anything else.
 Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose azimuth 0 is forward
@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-# Arrays by numpy's codes of what is in them
+# Arrays by numpy's type codes
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -33,7 +33,7 @@ class ReturnMode(StrEnum):
 
 
 class SensorModel(StrEnum):
-    """Sensors whose packets we make."""
+    """Sensor models whose packets can be made."""
 
     VLP_16 = "vlp-16"
     PUCK_LITE = "puck-lite"
@@ -41,7 +41,7 @@ class SensorModel(StrEnum):
 
 
 class PpsState(IntEnum):
-    """State of the pulse-per-second input, with the value it has on the wire (63-9243 Rev D, section 9.3.3)."""
+    """State of the pulse-per-second input, with its value on the wire (63-9243 Rev D, section 9.3.3)."""
 
     ABSENT = 0
     SYNCHRONIZING = 1
@@ -50,7 +50,7 @@ class PpsState(IntEnum):
 
 
 class PacketKind(StrEnum):
-    """Kind of a packet: of the sensor, a sentence of the receiver, the level after an edge of its pulse, an inertial sample."""
+    """Kind of a packet: from the sensor, a GPS sentence, the level after an edge of the pulse, an inertial sample."""
 
     DATA = "data"
     POSITION = "position"
@@ -86,21 +86,21 @@ class PlantPart(IntEnum):
 
 SURFACE = np.dtype(
     [
-        ("reflectance", "<f4"),  # at 903 nm: of a white Lambertian surface 1, above it a retroreflector
+        ("reflectance", "<f4"),  # at 903 nm: 1 for a white Lambertian surface, more for a retroreflector
         ("material", "<u2"),  # number in the world's list of materials
         ("semantic", "u1"),  # Semantic
         ("part", "u1"),  # PlantPart
         ("instance", "<u4"),  # 0 none, else unique per plant, stone or object
         ("species", "<u2"),  # 0 none, else number in the species table
-        ("texture", "<f4"),  # by what share its reflectance varies from place to place, one sigma
-        ("relief_m", "<f4"),  # how far it stands out from its mesh or back from place to place, one sigma
+        ("texture", "<f4"),  # relative local variation of reflectance, one sigma
+        ("relief_m", "<f4"),  # local offset from its mesh, one sigma
     ]
 )
 """One row of a window's surface table."""
 
 NO_SURFACE = np.uint32(0xFFFFFFFF)  # Surface of a pulse that hit nothing
-FIRST_FREE_INSTANCE = 0xFFFF0000  # First instance of the user's own things and of people; worlds number theirs below
-ShapeKey = Hashable  # Name of a shape: the same key always means the same bytes of geometry
+FIRST_FREE_INSTANCE = 0xFFFF0000  # First instance of the user's objects and of people; worlds number theirs below
+ShapeKey = Hashable  # Key of a shape: equal keys mean equal bytes of geometry
 
 
 def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
@@ -139,13 +139,13 @@ class Firings:
 
     index: int  # Number of the first firing sequence since the run began
     t_ns: I8  # (k, L) UTC of each pulse
-    clock_ns: I8  # (k,) what the sensor's own clock shows at the first laser, ns past its hour
+    clock_ns: I8  # (k,) sensor's clock at the first laser, ns past its hour
     azimuth_deg: F8  # (k, L) true rotor angle of each pulse, [0, 360)
-    reading_deg: F8  # (k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors
+    reading_deg: F8  # (k,) encoder reading at the first laser, [0, 360); the true angle plus encoder errors
     origin_m: F8  # (k, L, 3) world; the point on the spin axis from which the range is measured
     direction: F8  # (k, L, 3) world, unit length
     beam_axis: F8 | None
-    """(k, L, 3) like `direction`, perpendicular to it, level in the sensor, to greater azimuths; None for pulses of one line."""
+    """(k, L, 3) as `direction`, perpendicular to it, level in the sensor, towards greater azimuths; None for single rays."""
 
     def __post_init__(self) -> None:
         k, lasers = self.t_ns.shape
@@ -157,7 +157,7 @@ class Firings:
 
     @classmethod
     def rays(cls, t_ns: int, origin_m: F8, direction: F8) -> Self:
-        """Make rays of no sensor, all at one instant; places and directions broadcast to (k, L, 3)."""
+        """Make rays without a sensor, all at one instant; origins and directions broadcast to (k, L, 3)."""
         origin_m, direction = (np.ascontiguousarray(of) for of in np.broadcast_arrays(origin_m, direction))
         shape = direction.shape[:2]
         angle_deg, n = np.zeros(shape), np.zeros(shape[0], np.int64)
@@ -166,12 +166,12 @@ class Firings:
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """Hits of sub-rays, pulse by pulse in order of sequence, then of laser. Those of a pulse carry equal energy."""
+    """Hits of sub-rays, pulse by pulse in order of sequence, then of laser. Sub-rays of a pulse have equal energy."""
 
     count: U2  # (k, L) sub-rays of each pulse, at least 1; n in all
-    range_m: F4  # (n,) from the pulse's origin; +inf where nothing was met
-    surface: U4  # (n,) row of the window's surface table; `NO_SURFACE` where nothing was met
-    cos_incidence: F4  # (n,) between the ray and the surface normal, 0..1; 0 where nothing was met
+    range_m: F4  # (n,) from the pulse's origin; +inf without a hit
+    surface: U4  # (n,) row of the window's surface table; `NO_SURFACE` without a hit
+    cos_incidence: F4  # (n,) between the ray and the surface normal, 0..1; 0 without a hit
 
     def __post_init__(self) -> None:
         n = len(self.range_m)
@@ -181,7 +181,7 @@ class Hits:
 
     @classmethod
     def one_ray_each(cls, range_m: F4, surface: U4, cos_incidence: F4) -> Self:
-        """Make hits of pulses that are one ray each, from arrays (k, L)."""
+        """Make hits of pulses with one ray each, from arrays (k, L)."""
         count = np.ones(range_m.shape, np.uint16)
         return cls(count, range_m.reshape(-1), surface.reshape(-1), cos_incidence.reshape(-1))
 
@@ -191,12 +191,12 @@ class Returns:
     """Returns of the detector. Last axis: strongest, last, second strongest."""
 
     firings: Firings
-    distance_m: F4  # (k, L, 3) not yet on the 2 mm grid; 0 where there is no such return
+    distance_m: F4  # (k, L, 3) not yet on the 2 mm grid; 0 without such a return
     reflectivity: U1  # (k, L, 3) 0..100 diffuse, 101..255 retroreflective
-    surface: U4 | None = None  # (k, L, 3) truth, only when asked for, as all that follows
-    surfaces: NDArray[np.void] | None = None  # (m,) `SURFACE`, the table that `surface` points into
-    range_m: F4 | None = None  # (k, L, 3) before errors of range; 0 where there is no such return
-    share: F4 | None = None  # (k, L, 3) of the footprint that met the surface, wherever
+    surface: U4 | None = None  # (k, L, 3) ground truth, only on request, like all fields below
+    surfaces: NDArray[np.void] | None = None  # (m,) `SURFACE`, the table that `surface` indexes
+    range_m: F4 | None = None  # (k, L, 3) without range errors; 0 without such a return
+    share: F4 | None = None  # (k, L, 3) share of the footprint on the surface, at any range
 
     def __post_init__(self) -> None:
         shape = *self.firings.t_ns.shape, 3
@@ -212,34 +212,34 @@ class Packet:
     """Bytes and the instant at which a real sensor would have sent them."""
 
     kind: PacketKind
-    due_ns: int  # UTC at which the last byte has been produced and the datagram leaves
+    due_ns: int  # UTC at which the last byte has been produced and the datagram is sent
     payload: bytes
-    unit: int = 0  # Place in the rig of the sensor that sends it, from 0
-    fired_ns: int | None = None  # UTC of the first pulse in a data packet of ours
-    number: int = 0  # of a position packet: how many its unit could have sent before; the frame carries it
-    slots: NDArray[np.void] | None = None  # (384,) of a data packet: what is behind each record, only when asked for
+    unit: int = 0  # Index in the rig of its sensor, from 0
+    fired_ns: int | None = None  # UTC of the first pulse in an emulated data packet
+    number: int = 0  # of a position packet: count of its unit's earlier ones, also unsent; part of the frame
+    slots: NDArray[np.void] | None = None  # (384,) of a data packet: ground truth of each record, only on request
 
 
 class PacketSink(Protocol):
-    """A destination of packets: a context manager that is open from the moment it is made.
+    """A destination of packets: a context manager that is open once it is made.
 
-    Classes derived from it have nothing to close unless they say so.
+    Derived classes have nothing to close unless they override `__exit__`.
     """
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close what was opened."""
+        """Close the sink."""
         return
 
     def send(self, packet: Packet) -> None:
-        """Let one packet leave at once."""
+        """Send one packet at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """Ground truth of n points: the surface that each was reflected by."""
+    """Ground truth of n points: the reflecting surface of each."""
 
     semantic: U1  # (n,) `Semantic`
     part: U1  # (n,) `PlantPart`
@@ -250,29 +250,29 @@ class Labels:
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """One revolution: n points in the order of their pulses; pulses without return make no point.
+    """One revolution: n points in the order of their pulses; pulses without return give no point.
 
-    A revolution begins with the first azimuth reading (the sensor takes one in two firing sequences) that has passed
-    0. In dual return each echo is there once, the last one first.
+    A revolution begins with the first azimuth reading (one in two firing sequences) that has passed
+    0. In dual return each echo is present once, the last one first.
 
     Each point is in the sensor's frame at the instant of its own pulse. `world_T_sensor` is the pose at `start_ns`
-    alone: on a moving sensor it takes only the scan's first points to their places in the world. Those of all are
+    alone: on a moving sensor it is valid only for the scan's first points. The poses of all points are
     `Emulator.world_T_sensor(scan.t_ns)`.
     """
 
     start_ns: int  # UTC of the revolution's first pulse, whether or not it has a return
     t_ns: I8
-    """(n,) UTC of the pulse. Of a capture: by the clock that is chosen for `decode`, in whole microseconds for each packet."""
+    """(n,) UTC of the pulse. For a capture: by the clock chosen for `decode`, in whole microseconds for each packet."""
     xyz_m: F4  # (n, 3) in the sensor: x forward at azimuth 0, y left, z up
     distance_m: F4  # (n,) from the centre of the sensor
     azimuth_deg: F8  # (n,) at the instant of the pulse, [0, 360)
     ring: U2  # (n,) by elevation, 0 the lowest
     reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
     is_last: NDArray[np.bool_]
-    """(n,) a last return; else the strongest, or in dual return, where that is the last, the second strongest."""
+    """(n,) True for a last return; else the strongest, or in dual return, if that is the last, the second strongest."""
     world_T_sensor: F8 | None = None
-    """(4, 4) takes `xyz_m` to the world (local east, north, up), at `start_ns`; None for a capture."""
-    labels: Labels | None = None  # Where the truth was asked for
+    """(4, 4) transform of `xyz_m` to the world (local east, north, up) at `start_ns`; None for a capture."""
+    labels: Labels | None = None  # Only with `truth`
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +289,7 @@ class GnssFix:
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """Faces of one surface, in the coordinates of the shape they belong to."""
+    """Faces of one surface, in the coordinates of its shape."""
 
     vertices_m: F4  # (v, 3)
     faces: U4  # (f, 3) triangles or (f, 4) planar quads, counter-clockwise seen from outside
@@ -301,7 +301,7 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Sway:
-    """Motion of m placements of a window: sheared, a point h over a foot by h times `shear`, linear between knots."""
+    """Motion of m placements of a window: a point at height h over the foot moves by h * `shear`, linear between knots."""
 
     start_ns: int  # UTC of the first knot
     step_ns: int  # Time from knot to knot
@@ -322,7 +322,7 @@ class Window:
     A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] + j`.
     """
 
-    origin_m: F8  # (3,) world; geometry is handed to the caster relative to it
+    origin_m: F8  # (3,) world; the caster's geometry is relative to it
     shapes: tuple[ShapeKey, ...]
     shape: I4  # (n,) index into `shapes`
     world_T_shape: F8  # (n, 3, 4) affine; rigid, or scaled for crowns
@@ -337,7 +337,7 @@ class Window:
         _check(self, "f8", origin_m=(3,), world_T_shape=(n, 3, 4))
 
     def with_more(self, count: int) -> dict[str, Any]:  # noqa: ARG002  # windows with more fields need it
-        """Return the further fields of the window for `count` placements that are added behind its own."""
+        """Return the other fields of the window for `count` placements that are appended."""
         return {}
 
 
@@ -349,17 +349,17 @@ class World(Protocol):
 
     @property
     def near_m(self) -> float:
-        """Range beyond which it is a far medium, square by square (`vlp16emu.foliage.tiles`); inf for a world that has none."""
+        """Range beyond which it is a far medium, square by square (`vlp16emu.foliage.tiles`); inf for none."""
 
     @property
     def seed(self) -> int:
         """Seed of the world's random numbers."""
 
     def shape_name(self, key: ShapeKey) -> str:
-        """Return all that decides a shape, in words; empty if it is not kept on disk."""
+        """Return a text with all inputs of a shape; empty if it is not kept on disk."""
 
     def window(self, track_m: F8) -> Window:
-        """Return everything within reach of sensor positions (n, 3); it depends on nothing else."""
+        """Return the window within reach of sensor positions (n, 3); it depends on nothing else."""
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Grow the meshes of a shape; the same key always gives the same bytes, on any thread."""

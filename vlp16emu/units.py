@@ -1,4 +1,4 @@
-"""Named factors between units, exact wherever the unit is.
+"""Named factors between units, exact if the unit is exact.
 
 Time inside the program is int64 nanoseconds since 1970-01-01 UTC without leap seconds.
 """
@@ -12,7 +12,7 @@ MS_NS = 1_000_000
 S_NS = 1_000_000_000
 HOUR_NS = 3_600 * S_NS
 INCLUSIVE = 1.0 + 2.0**-21
-"""Factor on a greatest range: what lies just there is within it, although geometry is rounded to float32."""
+"""Factor on a greatest range, so that a surface exactly there is included in spite of float32 rounding."""
 
 
 def seconds_to_ns(seconds: float) -> int:

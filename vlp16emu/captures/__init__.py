@@ -1,4 +1,4 @@
-"""Captures of VLP-16 traffic, read: datagrams and the sensors that sent them, the UTC of their packets, and their points."""
+"""Reading of VLP-16 captures: datagrams, the sensors that sent them, the UTC of packets, and points."""
 
 from vlp16emu.captures.capture import Capture, chosen_unit, units_in
 from vlp16emu.captures.reading import (

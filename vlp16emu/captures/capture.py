@@ -1,6 +1,6 @@
 """Captures: numbered UDP datagrams with their stamps and headers, and the sensors that sent them.
 
-Classic pcap of Ethernet, as this package writes it, is read here; other files and links by `vlp16emu.extras.captures`.
+Classic pcap of Ethernet, as this package writes it, is read here; `vlp16emu.extras.captures` reads the rest.
 """
 
 import glob
@@ -43,9 +43,9 @@ _UNFRAGMENTED = b"\x40\0", b"\0\0"
 _TUNNELS = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of VXLAN and Geneve (RFC 7348, RFC 8926)
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
 _RECENT = 512
-"""Packets in which a repeat is found: those of 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within milliseconds."""
+"""Packets among which a repeat is found: 0.7 s of one sensor. Bridges, bonds and `-i any` repeat within milliseconds."""
 _STRAY = 0.02  # smallest share of the data packets of the busiest unit that counts as a unit; fewer are an accident
-_POLL_S = 0.1  # between two looks at the event that ends the wait for a pipe
+_POLL_S = 0.1  # interval at which a wait for a pipe checks its stop event
 _NAMED = 16  # units listed in an error line; as many as a rig may have
 _CUT_SHORT = "frames that were captured in part (capture with `tcpdump -s 0`)"
 
@@ -60,10 +60,10 @@ class Frame(NamedTuple):
 
 
 class Datagram(NamedTuple):
-    """One UDP datagram, as captured; one that came in fragments is put together."""
+    """A captured UDP datagram; fragments are reassembled."""
 
     number: int
-    """Number of its frame (of its last fragment) in the file, from 1, as Wireshark counts; files of one capture count on."""
+    """Frame number (of the last fragment), from 1, as in Wireshark; it counts on over the files of one capture."""
     stamp_ns: int  # UTC
     captured_bytes: int  # Length of the frame in the file
     wire_bytes: int  # Length of the frame on the wire
@@ -98,30 +98,30 @@ class Datagram(NamedTuple):
 
 
 def is_capture_name(name: str | Path) -> bool:
-    """Return whether a name ends as captures do: .pcap, .pcapng or .cap, also with a number of rotation or compressed."""
+    """Return whether a name ends in .pcap, .pcapng or .cap, or in these with a rotation number or compression suffix."""
     return _ENDING.search(str(name)) is not None
 
 
 class Capture:
     """UDP datagrams of a capture: pcap or pcapng, plain or compressed, of any link type that carries IP.
 
-    A context manager to be iterated over once. Other frames are counted and passed over, and so are packets that the
-    capture has seen before.
+    A context manager to be iterated over once. Other frames, and packets that the capture holds twice, are skipped and
+    counted.
 
     Parameters
     ----------
     path : the file; a pattern with `*` or `?` in its name stands for the files of one walk, read in order of their first stamps
-    repeats : also yield packets that come again
-    stop : an event that ends the wait for the bytes of a pipe, as if it ended there
+    repeats : also yield repeated packets
+    stop : an event that ends the wait for the bytes of a pipe, as if the pipe ended there
 
-    Raises CaptureError if a file cannot be read, or is no capture; while iterating, if a record is damaged.
+    Raises CaptureError if a file cannot be read or is not a capture; while iterating, if a record is damaged.
     """
 
     def __init__(self, path: Path, *, repeats: bool = False, stop: Event | None = None) -> None:
         self.path, self._keeps_repeats, self._stop = path, repeats, stop or Event()
-        self.frames = 0  # Frames read so far, whatever they hold
+        self.frames = 0  # Frames read so far, of all kinds
         self.cut = False  # True if a file ended in the middle of a record; what came before it is whole
-        self.repeated = 0  # Packets left out as they came before
+        self.repeated = 0  # Repeated packets that were skipped
         self._files = _files(path)
         self._unwrapper: Any = None  # made for the first frame that is not plain
         self._cut_short = 0
@@ -146,17 +146,17 @@ class Capture:
 
     @property
     def missed(self) -> str:
-        """Why packets could not be read, with the remedy; empty if there is nothing to say."""
+        """Reason why packets could not be read, with the remedy; empty if all were read."""
         counts = Counter(self._unwrapper.missed if self._unwrapper else ()) + Counter({_CUT_SHORT: self._cut_short})
         return "; ".join(f"{number} {what}" for what, number in counts.items())
 
     def no_data(self) -> CaptureError:
-        """Return the error of a capture without data packets, with the cause if it is known."""
+        """Return the error for a capture without data packets, with the cause if it is known."""
         found = f"no data packet, but {self.missed}" if self.missed else "no data packet"
         return CaptureError(str(self.path), found, "UDP payloads of 1206 bytes")
 
     def _datagram(self, frame: Frame) -> Datagram | None:
-        """Parse one frame, or None if no UDP datagram is complete with it."""
+        """Parse one frame; None if it completes no UDP datagram."""
         _, link_type, wire_bytes, content = frame
         at, body = _IP_AT, _UDP_AT
         if not _is_plain(link_type, content):
@@ -164,7 +164,7 @@ class Capture:
                 self._unwrapper = door("unwrapper")()
             if not self._unwrapper or (found := self._unwrapper.udp_in(link_type, content)) is None:
                 return None
-            if found[0] is not content:  # put together of fragments
+            if found[0] is not content:  # reassembled from fragments
                 wire_bytes = len(found[0])
             content, at, body = found
         if len(content) < body + 8:
@@ -177,7 +177,7 @@ class Capture:
         return Datagram(self.frames, frame.stamp_ns, *lengths, at, *ports, *parts, link_type)
 
     def _is_repeat(self, datagram: Datagram) -> bool:
-        """Count a packet whose payload the same sender has sent to the same port just before: stamps make each one new."""
+        """Count a packet if its sender has just sent the same payload to that port: time stamps make payloads unique."""
         payload = datagram.payload
         if len(payload) != POSITION_BYTES and not (len(payload) == DATA_BYTES and payload.startswith(_FLAG)):
             return False
@@ -188,12 +188,12 @@ class Capture:
         self._recent.add(known)
         self._order.append(known)
         if len(self._order) > _RECENT:
-            self._recent.discard(self._order.popleft())  # so that memory stays small however long the capture
+            self._recent.discard(self._order.popleft())  # bounds the memory for long captures
         return False
 
 
 def _is_plain(link_type: int, frame: bytes) -> bool:
-    """Return whether a frame is whole UDP over IPv4 without options, on Ethernet without tags, in no tunnel: nearly all are."""
+    """Return whether a frame is complete UDP over IPv4 without options, VLAN tags or a tunnel, as nearly all are."""
     return (
         link_type == _ETHERNET
         and frame[12:15] == b"\x08\x00\x45"
@@ -204,7 +204,7 @@ def _is_plain(link_type: int, frame: bytes) -> bool:
 
 
 def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
-    """Yield a datagram; if a network card has merged several data packets into it (UDP GRO of Linux), each of them."""
+    """Yield a datagram, or each data packet in it if the network card has merged several (UDP GRO of Linux)."""
     if datagram is None:
         return ()
     payload, size = datagram.payload, DATA_BYTES
@@ -218,7 +218,7 @@ def _merged(datagram: Datagram | None) -> Iterable[Datagram]:
 def _files(path: Path) -> list[Path]:
     """Return the files of a capture, in order of their first stamps."""
     if path.is_fifo():
-        return [path]  # which can be read only once
+        return [path]  # a pipe can be read only once
     is_pattern = not path.exists() and glob.has_magic(path.name)  # a file may have brackets in its name
     found = sorted(path.parent.glob(path.name)) if is_pattern else []
     firsts = {file: next(_frames_in(file), None) for file in found or [path]}
@@ -226,7 +226,7 @@ def _files(path: Path) -> list[Path]:
 
 
 class _Pipe(io.RawIOBase):
-    """A pipe that ends when an event is set: for a writer and its bytes Python goes on waiting after a signal (PEP 475)."""
+    """A pipe that ends when an event is set: Python's own read resumes its wait after a signal (PEP 475)."""
 
     def __init__(self, path: Path, stop: Event) -> None:
         self._opened, self._stop = os.open(path, os.O_RDONLY | os.O_NONBLOCK), stop
@@ -247,14 +247,14 @@ class _Pipe(io.RawIOBase):
 
 
 def _frames_in(path: Path, stop: Event | None = None) -> Iterator[Frame | None]:
-    """Yield the frames of a file; None at its end if that is in the middle of a record.
+    """Yield the frames of a file; a last None if the file ends in the middle of a record.
 
-    Raises CaptureError if it cannot be read, is no capture, or a record is damaged.
+    Raises CaptureError if it cannot be read, is not a capture, or a record is damaged.
     """
     try:
         with io.BufferedReader(_Pipe(path, stop)) if stop and path.is_fifo() else path.open("rb") as file:
             yield from pcap_frames(path, file) if file.peek(4)[:4] in PCAP else door("frames")(path, file)
-    except OSError as error:  # gzip and bz2 report damage so, too
+    except OSError as error:  # gzip and bz2 also report damage this way
         raise CaptureError(str(path), error.strerror or f"{error}", EXPECTED) from error
 
 
@@ -265,9 +265,9 @@ def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
         raise not_a_capture(path, header)
     order, unit_ns, form = PCAP[header[:4]]
     record, word, number = struct.Struct(order + form), struct.Struct(f"{order}I"), 0
-    link_type = word.unpack_from(header, 20)[0] & 0xFFFF  # above are flags of the check sequence
+    link_type = word.unpack_from(header, 20)[0] & 0xFFFF  # the upper bits describe the frame check sequence
     while head := read(file, record.size):
-        if head.startswith(header[:8]):  # another file behind this one, as `cat` puts it there
+        if head.startswith(header[:8]):  # a second file appended to this one with `cat`
             head += read(file, _PCAP_HEADER_BYTES - len(head))
             if len(head) == _PCAP_HEADER_BYTES:
                 link_type = word.unpack_from(head, 20)[0] & 0xFFFF
@@ -288,7 +288,7 @@ def pcap_frames(path: Path, file: BinaryIO) -> Iterator[Frame | None]:
 
 
 def read(file: BinaryIO, size: int) -> bytes:
-    """Read `size` bytes, fewer at the end of a file, of a pipe, or of an archive that is cut."""
+    """Read `size` bytes, or fewer at the end of a file, a pipe or a truncated archive."""
     parts = []
     while size > 0:
         try:
@@ -303,12 +303,12 @@ def read(file: BinaryIO, size: int) -> bytes:
 
 
 def not_a_capture(path: Path, head: bytes) -> CaptureError:
-    """Return the error of a file that begins with other bytes than captures do."""
+    """Return the error for a file that does not begin as a capture does."""
     return CaptureError(str(path), f"no capture, it begins with {head[:4].hex(' ') or 'nothing'}", EXPECTED)
 
 
 class CapturedUnit(NamedTuple):
-    """A sensor, known by its address and the port of its data packets; if two share these, by its MAC address too."""
+    """A sensor, identified by its address and data port; if two sensors share these, by its MAC address too."""
 
     source: bytes  # IP address, 4 bytes, or 16 of IPv6
     data_port: int
@@ -327,33 +327,33 @@ class CapturedUnit(NamedTuple):
 
 @dataclass(slots=True)
 class _Stream:
-    """Datagrams of the length of data packets, from one sender to one port."""
+    """Datagrams as long as data packets, from one sender to one port."""
 
     first: int
     last: int = 0
-    packets: int = 0  # Those that begin as data packets of Velodyne do
+    packets: int = 0  # Datagrams that begin as Velodyne data packets do
 
 
 def units_in(path: Path, *, required: bool = False) -> list[CapturedUnit]:
-    """Find the sensors in a capture by reading all of it, in order of address, port and MAC address.
+    """Find the sensors in a capture, in order of address, port and MAC address; reads the whole file.
 
-    Of two that share an address, as behind a router, the one with the lower data port has the lower
+    If two sensors share an address, as behind a router, the one with the lower data port has the lower
     position port.
 
-    Raises CaptureError if the file is no capture, or is damaged, or there is no sensor in it and one is required.
+    Raises CaptureError if the file is not a capture or is damaged, or if one is `required` and it holds no sensor.
     """
     return _units_and_others(path, required=required)[0]
 
 
 def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> CapturedUnit | None:
-    """Find one sensor of a capture; None in a capture of a single one, unless it is named or others send packets of that length.
+    """Find one sensor of a capture; None if it is the only sender of packets of that length and no unit is named.
 
     Parameters
     ----------
     unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
     where : the option's name in error lines
 
-    Raises CaptureError if the file is no capture, or is damaged; InputError if there is no such unit, or there are
+    Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, or if there are
     several and none is named.
     """
     units, others = ([], False) if path.is_fifo() else _units_and_others(path)  # a pipe can be read only once
@@ -369,7 +369,7 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
 
 
 def _units_and_others(path: Path, *, required: bool = False) -> tuple[list[CapturedUnit], bool]:
-    """Find the sensors, and whether somebody else sends datagrams as long as data packets."""
+    """Find the sensors, and whether other senders have datagrams as long as data packets."""
     streams: dict[tuple[bytes, int], dict[bytes, _Stream]] = defaultdict(dict)
     position = defaultdict[bytes, set[int]](set)
     capture = Capture(path)
@@ -399,7 +399,7 @@ def _units_and_others(path: Path, *, required: bool = False) -> tuple[list[Captu
 
 
 def _macs(streams: dict[bytes, _Stream], least: float) -> list[bytes]:
-    """Return the MAC addresses of sensors that send at the same time; of one that is replaced by another, none."""
+    """Return the MAC addresses of sensors that send at the same time; empty if one sensor replaces another."""
     busy = {mac: stream for mac, stream in streams.items() if stream.packets >= least}
     latest_first, earliest_last = (max(one.first for one in busy.values()), min(one.last for one in busy.values()))
     return sorted(busy) if len(busy) > 1 and latest_first < earliest_last else [b""]

@@ -1,7 +1,7 @@
-"""Captures read back: the UTC of their packets, their points chunk by chunk, and what they hold in numbers.
+"""Captures read back: the UTC of packets, points chunk by chunk, and a summary in numbers.
 
-A packet says when it was fired past an hour that it does not name, on a clock that follows UTC only with lock to GPS. So UTC
-is by the sensor's clock, by the sentences of its GPS receiver, or by the host that captured the packets.
+The time stamp of a packet counts from a full hour that the packet does not name, on a clock that follows UTC only if it is
+locked to GPS. So UTC comes from the sensor's clock, the sentences of its GPS receiver, or the host that captured the packets.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,25 +36,25 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import I8, U1, U2, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-_STEADY_NS = S_NS  # steps of the sensor's clock up to this leave its hour alone, whatever the host's clock does
-_CLOSE_NS = S_NS  # a clock so close to the host's is taken for one that follows UTC, if no position packet says it
-_LOOKED_AT = 10_000  # packets of a unit among which its first position packet is looked for: 7 s in dual return
+_STEADY_NS = S_NS  # up to this step of the sensor's clock its hour is kept, even if the host's clock jumps
+_CLOSE_NS = S_NS  # without position packets, a clock this close to the host's is taken as UTC
+_LOOKED_AT = 10_000  # the first position packet is looked for among this many packets of a unit: 7 s in dual return
 _PERIOD_NS = {layout.RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in layout.SEQUENCES_PER_PACKET.items()}
 _CHUNK = 2_000  # packets decoded at once: 0.8 million records, some 50 MB of points
 _BLOCK_RECORDS = 32
 
 
 class Clock(StrEnum):
-    """Source of the time of packets."""
+    """Time source for packets."""
 
-    SENSOR = "sensor"  # The sensor's clock, in the hour that is nearest to the capture's stamp
-    GPS = "gps"  # The sensor's clock, in the hour that the first valid sentence of the GPS receiver names
+    SENSOR = "sensor"  # The sensor's clock, in the hour nearest to the capture stamp
+    GPS = "gps"  # The sensor's clock, in the hour of the first valid GPS sentence
     HOST = "host"
-    """The capture's stamp, less the time in which a packet fills: as a ROS driver without `gps_time` sees it."""
+    """The capture stamp minus the duration of a packet, as a ROS driver without `gps_time` computes it."""
 
 
 class PacketClock:
-    """Turns the stamps of the packets of one sensor into UTC by a clock, packet by packet in order.
+    """Converts the packet stamps of one sensor into UTC by a chosen clock, packet by packet in order.
 
     The hour is chosen as if capture stamps were behind UTC by `host_behind_ns`.
     """
@@ -63,10 +63,10 @@ class PacketClock:
         self.clock, self._host_behind_ns = clock, host_behind_ns
         self._before: tuple[int, int] | None = None
         self.host_ahead_ns: int | None = None
-        """Capture stamp of the first packet less its end on the sensor's clock; None before the first one."""
+        """Capture stamp of the first packet minus its end on the sensor's clock; None before the first packet."""
 
     def sensor_ns(self, stamp_ns: int, timestamp_us: int) -> int:
-        """Return UTC of a packet's first pulse by the sensor's clock; the hour is found again after each gap."""
+        """Return UTC of a packet's first pulse by the sensor's clock; after each gap the hour is determined again."""
         clock_ns = timestamp_us * US_NS
         near_ns = stamp_ns + self._host_behind_ns
         if self._before is not None:
@@ -90,15 +90,15 @@ class PacketClock:
 
 
 class UnitClock(NamedTuple):
-    """Clock of a unit, by its first packets."""
+    """Clock of a unit, chosen from its first packets."""
 
-    clock: Clock  # The chosen one, or the default: the sensor's if it is locked, else the host's
-    locked: bool | None  # State of the pulse per second in the first position packet; None without one
+    clock: Clock  # Chosen by name, or the default: the sensor's clock if it is locked, else the host's
+    locked: bool | None  # The first position packet reports a locked pulse per second; None without one
     host_behind_ns: int
     first_ns: int  # UTC of the first data packet by the clock
 
     def make(self) -> PacketClock:
-        """Return a clock for the unit's packets, from the first on."""
+        """Return a clock for all packets of the unit, from the first."""
         return PacketClock(self.clock, self.host_behind_ns)
 
 
@@ -110,11 +110,11 @@ def unit_clocks(
     Parameters
     ----------
     units : None stands for all packets
-    name : "sensor", "gps" or "host"; without one the sensor's clock for a unit that is locked to GPS, or that has no position
-        packets and is within a second of the host; else the host's, in which everything else of a recording is stamped
-    where : how error lines call the choice
+    name : "sensor", "gps" or "host"; by default the sensor's clock if the unit is locked to GPS, or if it has no position
+        packets and is within a second of the host; else the host's clock, which stamps everything else of a recording
+    where : name of the option in error lines
 
-    Raises CaptureError if the file is no capture; InputError if there is no such clock, or no valid sentence for "gps".
+    Raises CaptureError if the file is not a capture; InputError if there is no such clock, or no valid sentence for "gps".
     """
     if name not in (None, *Clock):
         raise InputError(where, f"found {name}", ", ".join(Clock))
@@ -132,7 +132,7 @@ def unit_clocks(
 def packet_clock(
     path: Path, unit: CapturedUnit | None, name: str | None = None, *, where: str = "clock"
 ) -> PacketClock:
-    """Return the clock for the packets of one unit, as `unit_clocks`; by default the sensor's for a pipe, which is read only once."""
+    """Return the clock for the packets of one unit, as `unit_clocks`; by default a pipe has the sensor's clock."""
     if path.is_fifo() and name != Clock.GPS and (name is None or name in tuple(Clock)):
         return PacketClock(Clock(name or Clock.SENSOR))
     return unit_clocks(path, [unit], name, where=where)[0].make()
@@ -162,7 +162,7 @@ class _Seen:
                 self.behind_ns = second_ns - datagram.stamp_ns
 
     def is_known(self, *, wants_sentence: bool) -> bool:
-        """Return whether more packets would change nothing."""
+        """Return whether further packets cannot change the choice."""
         if self.data is None:
             return False
         return self.behind_ns is not None if wants_sentence else self.pps is not None or self.count > _LOOKED_AT
@@ -186,20 +186,20 @@ class PacketChunk(NamedTuple):
     """Data packets decoded at once."""
 
     points: Points  # Without no-returns
-    clock_ns: I8  # (n,) of the points: the sensor's clock, from the full hour before the capture, on past the next one
-    packet_ns: I8  # (p,) the same of the packets' first pulses
-    utc_ns: I8  # (p,) UTC of the packets' first pulses, by the clock of the reader
+    clock_ns: I8  # (n,) sensor's clock of the points, counted from the full hour before the capture, without wrapping
+    packet_ns: I8  # (p,) sensor's clock of the packets' first pulses, counted likewise
+    utc_ns: I8  # (p,) UTC of the packets' first pulses, by the reader's clock
     fields: NDArray[np.void]  # (p,) `DATA_PAYLOAD`, the packets themselves
-    number: I8  # (p,) of their frames in the file, from 1
+    number: I8  # (p,) frame numbers in the file, from 1
 
     @property
     def t_ns(self) -> I8:
-        """(n,) UTC of the points, by the clock of the reader."""
+        """(n,) UTC of the points, by the reader's clock."""
         return self.clock_ns + (self.utc_ns - self.packet_ns)[self.points.packet]
 
     @property
     def columns(self) -> dict[str, NDArray[np.generic]]:
-        """(n,) each of the points' arrays by name, and the clock."""
+        """Arrays (n,) of the points by name, and the clock."""
         arrays = {name: getattr(self.points, name) for name in Points.__slots__}
         return {**arrays, "clock_ns": self.clock_ns, "t_ns": self.t_ns}
 
@@ -216,34 +216,34 @@ class Summary:
     other_datagrams: int
     points: int
     no_returns: int
-    scans: int  # Turns of the head, begun ones at both ends included
-    records_per_scan: int | None  # Median of the whole turns, no-returns counted; None without a whole turn
-    range_m: dict[str, float] | None  # Least, median and greatest of the returns; None without returns
+    scans: int  # Revolutions, including the incomplete ones at both ends
+    records_per_scan: int | None  # Median of complete revolutions, no-returns included; None without a complete one
+    range_m: dict[str, float] | None  # Minimum, median and maximum of the returns; None without returns
     start_utc: str  # Stamp of the first data packet in the capture
     duration_s: (
-        float  # From the first data packet to the last, by the sensor's clock; by the host's where the sensor's jumps
+        float  # From the first data packet to the last, by the sensor's clock; by the host's if the sensor's jumps
     )
-    clock: Clock  # Where UTC comes from
-    host_ahead_s: float  # Capture stamps less the sensor's clock, in the hour nearest to them, at the first data packet
+    clock: Clock  # Time source of UTC
+    host_ahead_s: float  # Capture stamp minus the sensor's clock in the nearest hour, at the first data packet
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet
-    cut: bool  # The file ends in the middle of a packet
-    repeats: int  # Packets left out as the capture has them before
+    cut: bool  # True if the file ends in the middle of a packet
+    repeats: int  # Repeated packets that were skipped
 
 
 class CaptureReader:
-    """Reads a capture once, front to back, and counts for a summary what it reads. A context manager.
+    """Reads a capture once, from front to back, and summarizes what it has read. A context manager.
 
     Parameters
     ----------
     path : as for `Capture`
     unit : the sensor whose packets are read; None for all
-    frame : of the points
-    model : of units from before release, whose product byte is that of another sensor
-    clock : of the unit's packets, for their UTC
-    passes_over : whether packets at fault are passed over; else the first one ends the reading
+    frame : axes of the points
+    model : sensor model of prototype units, whose product byte names another sensor
+    clock : clock for the UTC of the packets
+    passes_over : whether faulty packets are skipped; else the first one ends the reading
     stop : as for `Capture`
 
-    Raises CaptureError if it is none.
+    Raises CaptureError if the file is not a capture.
     """
 
     def __init__(
@@ -266,7 +266,7 @@ class CaptureReader:
         self._factory: int | None = None
         self._positions = self._others = self._zero_ns = 0
         self._gps: PositionFields | None = None
-        self.first_stamp_ns = 0  # UTC, of the capture, at the first data packet; 0 before one has been read
+        self.first_stamp_ns = 0  # Capture stamp (UTC) of the first data packet; 0 before it is read
 
     def __enter__(self) -> Self:
         return self
@@ -275,9 +275,9 @@ class CaptureReader:
         return
 
     def points(self) -> Iterator[PacketChunk]:
-        """Read chunk by chunk; all points before a packet or record at fault come before the error is raised.
+        """Read chunk by chunk; all points before a faulty packet or record are yielded before the error is raised.
 
-        Raises CaptureError if a record is damaged, or no packet is a data packet; PacketError if a packet is not a VLP-16's.
+        Raises CaptureError if a record is damaged or there is no data packet; PacketError if a packet is not from a VLP-16.
         """
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
@@ -290,7 +290,7 @@ class CaptureReader:
             if sound.any():
                 numbers = np.array([(datagram.number, datagram.stamp_ns) for datagram in held])
                 yield self._decoded(payloads[sound], *numbers[sound].T)
-            # A capture of nothing but faults is none of this sensor: passing over it would leave an empty result.
+            # If all packets are faulty the capture is not from this sensor: skipping them would give an empty result.
             if faults and not (self._passes_over and self._azimuth_cdeg):
                 where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
                 raise PacketError(where, *faults[0][2:])
@@ -299,7 +299,7 @@ class CaptureReader:
 
     @property
     def summary(self) -> Summary:
-        """Summary of what has been read, once all points have been taken."""
+        """Summary of what has been read; complete once all points have been yielded."""
         azimuth_cdeg, modes = np.concatenate(self._azimuth_cdeg), np.concatenate(self._modes)
         packet_ns, host_ns = np.concatenate(self._packet_ns, axis=1)
         step_ns, host_step_ns = np.diff(packet_ns), np.diff(host_ns)
@@ -337,7 +337,7 @@ class CaptureReader:
         )
 
     def _chunks(self) -> Iterator[list[Datagram]]:
-        """Gather data packets; those before an error come before it."""
+        """Collect data packets into chunks; packets before an error are yielded before it is raised."""
         held: list[Datagram] = []
         try:
             for datagram in self._capture:
@@ -400,14 +400,14 @@ class CaptureReader:
 
 
 def _rpm(azimuth_cdeg: U2, modes: U1) -> float:
-    """Return the mean speed of the rotor over packets, from azimuths (n, 12) of their blocks and return modes (n,)."""
+    """Return the mean rotor speed over packets, from the azimuths (n, 12) of their blocks and return modes (n,)."""
     turned_cdeg = turning_ns = 0
     for mode in np.unique(modes):
-        # Blocks 0 and 1 of dual return share their azimuth.
+        # In dual return, blocks 0 and 1 share their azimuth.
         stride = 1 + (mode == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
         own_cdeg: I8 = azimuth_cdeg[modes == mode, ::stride].astype(np.int64)
         step_cdeg: I8 = np.diff(own_cdeg) % layout.AZIMUTH_CODES
-        # A far wider step than its neighbours is the edge of a field of view.
+        # A step far wider than its neighbours is the edge of the field of view.
         even = step_cdeg <= 2 * np.median(step_cdeg, axis=1, keepdims=True)
         turned_cdeg += int(step_cdeg[even].sum())
         turning_ns += int(even.sum()) * layout.BLOCK_PERIOD_NS

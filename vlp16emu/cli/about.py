@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def scenes(*, as_json: AsJson = False) -> None:
     """List the scenes that can be called by name.
 
-    They come with the program; those in the folder that the variable VLP16EMU_SCENES names come first.
+    They come with the program; scenes in the folder that the variable VLP16EMU_SCENES names come first.
     """
     from vlp16emu.scenario import load, scene_files
 
@@ -42,7 +42,7 @@ def scenes(*, as_json: AsJson = False) -> None:
 def schema() -> None:
     """Print the JSON Schema of the scene file.
 
-    Editors that know TOML complete keys and show errors with it.
+    With it, editors that know TOML complete keys and show errors.
     """
     from vlp16emu.scenario import schema as scene_schema
 
@@ -59,8 +59,8 @@ _TOO_SLOW = (
 def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> None:
     """Report what a scene needs and what it leaves out, and measure whether a stream keeps up.
 
-    The first two seconds are recorded into no file, when the world is grown and the kernels are loaded: the speed holds
-    for this machine, as busy as it is now. A walk needs a new window of the world every 7 s, which is not in it.
+    The world is grown, the kernels are loaded, and two seconds are recorded without a file: the speed holds for this
+    machine at its present load. It does not include the new window of the world that a walk needs every 7 s.
     """
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
@@ -103,8 +103,8 @@ def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> No
 def doctor(*, as_json: AsJson = False) -> None:
     """Check this machine: cores, kernels, Embree, ports, rights, clock, wake-ups, buffers, extras, disk.
 
-    Each row is ok, a warning if some runs will suffer, or a problem if some will fail, with what mends it. The
-    exit code is 1 if there is a problem. Wake-ups are measured now, beside all that this machine is doing.
+    Each row is ok, a warning if some runs will suffer, or a problem if some will fail, with the remedy. The
+    exit code is 1 if there is a problem. Wake-ups are measured under the present load of this machine.
     """
     from vlp16emu.extras.doctor import Condition, all_checks
 
@@ -122,17 +122,17 @@ def doctor(*, as_json: AsJson = False) -> None:
 
 def cache(
     *,
-    clear: Annotated[bool, Option("Remove all of it; files that are not ours stay where they are.")] = False,
+    clear: Annotated[bool, Option("Remove all of it; files of other programs stay.")] = False,
     compile_all: Annotated[
-        bool, Option("Compile the kernels of all runs that are not there, for images and CI.", name="--compile")
+        bool, Option("Compile all kernels that are missing, for container images and CI.", name="--compile")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what is kept on disk from run to run, and where.
+    """Show what is kept on disk from run to run, and where: compiled kernels and grown worlds.
 
-    That is compiled kernels and what worlds were grown into. A run without them takes longer to start,
-    and gives the same bytes. VLP16EMU_CACHE_DIR names another folder for worlds (`off` for none),
-    VLP16EMU_CACHE_MB how much they may take, NUMBA_CACHE_DIR another one for kernels.
+    Without them a run takes longer to start and gives the same bytes. VLP16EMU_CACHE_DIR names another folder
+    for worlds (`off` for none), VLP16EMU_CACHE_MB limits their size, and NUMBA_CACHE_DIR names another folder
+    for kernels.
     """
     from vlp16emu.kernels.cache import user_kernels
     from vlp16emu.store import user_store
@@ -163,7 +163,7 @@ def forest(
     *,
     settings: Settings = None,
     radius_m: Annotated[
-        float, Option("How far from the path things count and go into the twin.", "M", ge=1, le=300)
+        float, Option("Distance from the path within which things are counted and go into the twin.", "M", ge=1, le=300)
     ] = 30.0,
     inventory: Annotated[Path | None, Option("Write all trees in the sensor's reach, one per line.", "OUT.csv")] = None,
     stems: Annotated[
@@ -182,8 +182,8 @@ def forest(
 ) -> None:
     """Report what stands along the path of the sensor.
 
-    Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
-    path; of a hall, its things.
+    The report lists trees by species, their spatial pattern, the relief, and objects on the ground, all within the
+    radius of the path; for a hall, its objects.
     """
     from vlp16emu.output import spare
     from vlp16emu.scenario import find, load, named_files
@@ -221,22 +221,22 @@ def _print_forest(summary: dict[str, Any]) -> None:
         print_rows("things", {one["name"]: text_of(one) for one in tables["named"]})
 
 
-_TIMES = 8  # so many times as many pulses for means of worlds, by which single pulses are not compared
+_TIMES = 8  # factor on the pulses for means of worlds, whose single pulses cannot be compared
 
 
 def accuracy(
     scene: SceneName,
     *,
     settings: Settings = None,
-    pulses: Annotated[int, Option("How many pulses to look at.", "N", ge=128, le=1_000_000)] = 8192,
+    pulses: Annotated[int, Option("Number of pulses to evaluate.", "N", ge=128, le=1_000_000)] = 8192,
     as_json: AsJson = False,
 ) -> None:
     """Measure the error and the cost of settings of the beam and of foliage.
 
-    Pulses from all over the run are received with each setting and compared with their converged answer, of
-    thousands of sub-rays, by a receiver without noise. A forest cast leaf by leaf to some distances is held
-    against the explicit one by means, with 8 times as many pulses.
-    Of a rig, the first sensor is looked at.
+    Pulses from the whole run are received with each setting, without noise, and compared with their converged
+    result from thousands of sub-rays. A forest cast leaf by leaf only up to some distance is compared with the fully
+    explicit one by means over 8 times as many pulses.
+    In a rig, the first sensor is evaluated.
     """
     from vlp16emu.scenario import load
 
@@ -263,7 +263,7 @@ def accuracy(
 
 
 def _print_accuracy(measured: "Accuracy") -> None:
-    """Print settings of the beam as a table; the one in use has a star."""
+    """Print settings of the beam as a table; a star marks the one in use."""
     errors = measured.rows[0].errors
     print(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
@@ -283,7 +283,7 @@ def _print_accuracy(measured: "Accuracy") -> None:
 
 
 def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
-    """Print worlds by means; what departs from the explicit one by more than chance has a mark."""
+    """Print the means of each world; differences from the explicit world beyond chance are marked."""
     print(
         "\nWorlds cast leaf by leaf to some distance, means over all pulses without noise; a pulse without a return\n"
         "has a range of sensor.max_range_m. +- is half of the 95 % interval of the difference from the explicit\n"

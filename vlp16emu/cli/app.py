@@ -22,10 +22,10 @@ from vlp16emu.cli.verb import command
 from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import InputError, Vlp16emuError
 
-_LEFT_S = 0.8  # how long a command that is interrupted may take to remove what it has not finished
+_LEFT_S = 0.8  # time that an interrupted command has to remove unfinished output
 
 _OF_WRITING = errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EPIPE
-"""Errors of a write; those to files have names, as `output.py` opens them."""
+"""Errors of a write to standard output; errors of files carry their names, as `output.py` opens them."""
 
 _was_interrupted = threading.Event()
 
@@ -43,7 +43,7 @@ def program(names: Collection[str]) -> typer.Typer:
     for name in names:
         try:
             verb = door(name, "verbs")
-        except InputError:  # of a part that is not installed; the help does without it
+        except InputError:  # a part that is not installed; the help leaves it out
             if len(names) == 1:
                 raise
             continue
@@ -58,10 +58,10 @@ def _root(
     *,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
-    """Emulate a Velodyne VLP-16 that walks through forests of its own growing.
+    """Emulate a Velodyne VLP-16 that is carried through synthetic forests.
 
-    Every packet is byte for byte what the sensor would have sent: into a pcap file with `record`, over
-    UDP in real time with `stream`.
+    Every packet has byte for byte the format of the sensor: `record` writes a pcap file, `stream` sends over UDP in
+    real time.
     """
     if version:
         from importlib.metadata import version as version_of
@@ -72,32 +72,32 @@ def _root(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Carry out one command line, and return its exit code: 0 done, 1 failed or rules broken, 2 bad input, 130 interrupted."""
+    """Run one command line and return its exit code: 0 done, 1 failed or rules broken, 2 bad input, 130 interrupted."""
     try:
         first = next((word for word in arguments if not word.startswith("-")), None)
         is_verb = first is not None and has_door(first, "verbs")
         app = program([first] if first and is_verb else DOORS["verbs"])  # the others need not be loaded
         return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
     except Vlp16emuError as error:
-        _complain(str(error))
+        _print_error(str(error))
         return error.exit_code
     except typer.TyperException as error:  # the command line itself is wrong
         context = getattr(error, "ctx", None)
         message = error.format_message().rstrip(".")
-        _complain(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
+        _print_error(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
         return 2
     except MemoryError as error:
-        _complain(f"out of memory: {error}" if str(error) else "out of memory")
+        _print_error(f"out of memory: {error}" if str(error) else "out of memory")
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
 
 
 def main() -> None:
-    """Carry out the command line of this process and exit."""
-    # What runs side by side is threads of ours: those of OpenBLAS, for products of a few rows, wait in a loop.
+    """Run the command line of this process and exit."""
+    # Our own threads do the parallel work; OpenBLAS threads would spin while they wait for products of a few rows.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would search all that is installed for them
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # searching for them reads all metadata
     gc.set_threshold(500_000)  # libraries bring 300 000 objects, none of them garbage
     for number in range(3):  # a file that a run opens must not take the place of a closed standard stream
         try:
@@ -106,7 +106,7 @@ def main() -> None:
             os.open(os.devnull, os.O_RDWR)
     logging.basicConfig(format="warning: %(message)s")
     if not sys.warnoptions:
-        warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, in front of the line that says what is wrong
+        warnings.simplefilter("ignore", RuntimeWarning)  # from numpy; the error line that follows says what is wrong
     code = None
     try:
         for number in ENDINGS:
@@ -114,48 +114,48 @@ def main() -> None:
                 signal.signal(number, _interrupt)
         sys.unraisablehook = _unraisable
         for output in (sys.stdout, sys.stderr):
-            if isinstance(output, io.TextIOWrapper):  # names of files may hold what a terminal cannot show
+            if isinstance(output, io.TextIOWrapper):  # file names may hold characters that a terminal cannot show
                 output.reconfigure(errors="backslashreplace")
         code = run(sys.argv[1:])
-        gc.freeze()  # Python need not look through all of it at the end
+        gc.freeze()  # saves the collection at exit
         print(end="", flush=True)
-    except KeyboardInterrupt:  # before the command begins, or behind its end
+    except KeyboardInterrupt:  # before the command begins, or after its end
         code = INTERRUPTED
     except Exception as error:
-        if _was_interrupted.is_set():  # Python raises another error where a class is being made
+        if _was_interrupted.is_set():  # inside a class definition Python raises another error
             code = INTERRUPTED
         elif isinstance(error, OSError):
             code = _code_of(error, code)
         else:
             raise
     if code == INTERRUPTED:
-        os._exit(code)  # Python would wait for threads that grow and cast what nobody wants any more
+        os._exit(code)  # Python would wait for threads whose results are no longer needed
     sys.exit(code)
 
 
 def _code_of(error: OSError, code: int | None) -> int:
-    """Complain of an error that no verb expects, and return the exit code; `code` is that of a verb that came to its end."""
+    """Report an unexpected OSError and return the exit code; `code` is the exit code of a verb that has ended."""
     try:
         print(end="", flush=True)
-        if error.filename is None and error.errno in _OF_WRITING:  # of a long text nothing is left to be flushed
+        if error.filename is None and error.errno in _OF_WRITING:  # for a long text nothing is left to flush
             raise error
-    except OSError:  # it is standard output that cannot be written
-        # What is left of our output goes nowhere: Python would try to write it at exit, and complain.
+    except OSError:  # standard output cannot be written
+        # The rest of the output is discarded: Python would try to write it at exit and report the error again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     else:
         where = "the system" if error.filename is None else error.filename
-        _complain(f"{where}: {error.strerror or error}")
+        _print_error(f"{where}: {error.strerror or error}")
         return 1
-    if was_stopped.is_set():  # with its terminal gone
+    if was_stopped.is_set():  # its terminal is gone
         return INTERRUPTED
-    if code or isinstance(error, BrokenPipeError):  # the reason has been printed, or the reader has had enough
+    if code or isinstance(error, BrokenPipeError):  # the reason has been printed, or the reader has closed the pipe
         return code or 1
-    _complain(f"standard output: {error.strerror}")
+    _print_error(f"standard output: {error.strerror}")
     return 1
 
 
 def _interrupt(_signal: int, _frame: object) -> None:
-    """End the command, within a second whatever it does; the next signal ends the process at once."""
+    """End the command within a second; the next signal ends the process at once."""
     _was_interrupted.set()
     for number in ENDINGS:
         signal.signal(number, lambda *_: os._exit(INTERRUPTED))
@@ -166,11 +166,11 @@ def _interrupt(_signal: int, _frame: object) -> None:
 
 
 def _unraisable(error: "sys.UnraisableHookArgs") -> None:
-    """Leave out that a signal met a callback or a `__del__` of a library, which cannot pass KeyboardInterrupt on."""
+    """Hide the KeyboardInterrupt of a callback or `__del__` in a library, which cannot propagate it."""
     if not _was_interrupted.is_set():
         sys.__unraisablehook__(error)
 
 
-def _complain(message: str) -> None:
+def _print_error(message: str) -> None:
     with suppress(OSError, AttributeError):  # standard error may be closed
         print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)

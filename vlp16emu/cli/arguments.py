@@ -1,4 +1,4 @@
-"""Options that several verbs share, beside those of runs in `vlp16emu.run.options`."""
+"""Options shared by several verbs; options of runs are in `vlp16emu.run.options`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +43,7 @@ class EmulatorOptions(SceneOptions):
 
 @dataclass(frozen=True)
 class RunOptions(EmulatorOptions):
-    """Options that make an emulator whose runs estimate their own error."""
+    """Options that make an emulator, with the audit that estimates the error of each run."""
 
     audit: Annotated[
         bool, Option("Do not cast 0.05 % of the pulses again to estimate the error of the run.", name="--no-audit")
@@ -53,19 +53,19 @@ class RunOptions(EmulatorOptions):
 TrajectoryFile = Annotated[
     Path | None,
     Option(
-        "Of a capture: the folder that `record --truth` has written, for the true trajectory, or any other in TUM format.",
+        "For a capture: the folder of `record --truth`, for the true trajectory, or any trajectory in TUM format.",
         "DIR|FILE.tum",
     ),
 ]
 UnitName = Annotated[
     str | None,
-    Option("Which sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
+    Option("Sensor, if the capture holds several: its number, or its address and data port.", "N|ADDRESS:PORT"),
 ]
 WhichClock = Annotated[
     str | None,
     Option(
-        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps or in the one that the GPS sentences name, "
-        "or the host's that captured. By default the sensor's if it is locked to GPS, else the host's.",
+        "Clock of all stamps: the sensor's, in the hour nearest to the capture's stamps (sensor) or in the hour of the GPS sentences "
+        "(gps), or the recording host's (host). By default the sensor's if it is locked to GPS, else the host's.",
         words=("sensor", "gps", "host"),
         shown=False,
     ),

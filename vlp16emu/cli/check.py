@@ -41,9 +41,9 @@ def verify(
 ) -> None:
     """Check a capture against the rules of VLP-16 traffic, or a bag for SLAM programs.
 
-    Names each broken rule with the number of the packet, as Wireshark counts. Each of several units is checked
-    by itself, unless --unit names one. Notes are what settings, receivers, old firmware or recorders account for. Exits with 0 if no rule is
-    broken, whatever the notes, else with 1.
+    Names each broken rule with the packet number, as in Wireshark. Several units are checked separately, unless
+    --unit names one. Notes are deviations that settings, receivers, old firmware or recorders explain. The exit code
+    is 0 if no rule is broken, else 1; notes do not change it.
     """
     if slam is not None:
         _verify_bag(file, unit, slam, as_json=as_json)
@@ -53,7 +53,7 @@ def verify(
     from vlp16emu.captures import chosen_unit, units_in
     from vlp16emu.extras.verify.run import verify_units
 
-    if file.is_fifo():  # its units are looked for first
+    if file.is_fifo():  # a pipe cannot be read twice, and the units are searched first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
     units = units_in(file) if unit is None else [chosen_unit(file, unit, where="--unit")]
     if len(units) < 2:
@@ -126,11 +126,11 @@ def compare(
     *,
     as_json: AsJson = False,
 ) -> None:
-    """Compare two captures, ours or real ones, by what distinguishes units.
+    """Compare two captures, emulated or real, by the statistics that distinguish units.
 
-    Each statistic comes with the difference as a multiple of the spread of real units; above 1 real units do not differ so much. A
-    minute of each capture is read at most. Scatter of ranges and of reflectivity also depends on what a capture shows:
-    walls compare with walls, foliage with foliage.
+    Each difference is given as a multiple of the spread of real units; real units differ by at most 1. At most a minute of
+    each capture is read. Scatter of ranges and of reflectivity also depends on the scene: compare walls with walls,
+    foliage with foliage.
     """
     from vlp16emu.extras.compare import compared, read_sequences
 
@@ -157,7 +157,7 @@ def fit(
 ) -> None:
     """Print the [noise] and [sensor] tables of the unit that made a capture, for a scene file.
 
-    The beat of its ranges has the phase of the capture's first pulse. A minute is read at most.
+    The beat of its ranges has its phase at the capture's first pulse. At most a minute is read.
     """
     from vlp16emu.extras.compare import fitted, read_sequences
     from vlp16emu.output import OutputFile, spare
@@ -165,7 +165,7 @@ def fit(
     if out is not None:
         spare((file,), out)
     tables = {
-        name: "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # TOML writes them as JSON does
+        name: "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # TOML's syntax, too
         for name, table in fitted(read_sequences(file)).items()
     }
     text = "\n".join(f"[{name}]\n{lines}" for name, lines in tables.items())
@@ -187,7 +187,7 @@ def score(
 ) -> None:
     """Score a pipeline's trajectory, map, labels and stems against the truth of a run.
 
-    Scores what is given, from files of any tool. Exit code 1 if a threshold is missed.
+    Scores each result that is given, from files of any tool. The exit code is 1 if a threshold is missed.
     """
     from vlp16emu.extras.score.card import limits_of, make_card
 

@@ -11,7 +11,7 @@ import typer
 
 INTERRUPTED = 130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)
 _UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz", "_ha": "ha"}
-"""Units by the end of the name that has them."""
+"""Unit by the ending of a member's name."""
 _LABELS = {
     "audit": "range error",
     "behind": "fell behind",
@@ -29,13 +29,13 @@ _LABELS = {
     "wall_s": "run time",
     "walk_share": "of the walk",
 }
-_WIDEST = 10.0  # quotient of the ends of an interval beyond which it does not give as much as the order of magnitude
+_WIDEST = 10.0  # ratio of the ends of an interval; beyond it not even the order of magnitude is known
 
 
 def finish(result: Any, title: str | None = None, *, as_json: bool) -> None:
-    """Print a result, a dataclass or mapping, as rows under a title or as JSON; exit as interrupted if it has been.
+    """Print a result, a dataclass or mapping, as rows under a title or as JSON; exit with 130 if it was interrupted.
 
-    Without a title the first line says that the first member was written.
+    Without a title, the first line says that the first member was written.
     """
     (_, place), *others = members(result)
     interrupted = bool(dict(others).get("interrupted"))
@@ -63,7 +63,7 @@ def print_rows(title: str, rows: Mapping[str, str]) -> None:
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
-    """Print lines of cells in columns, the first one to the left and the others to the right."""
+    """Print rows of cells in columns, the first aligned left and the others right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         first, *others = (text.rjust(width) for text, width in zip(row, widths, strict=True))
@@ -71,7 +71,7 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
 
 
 def table_of(rows: Sequence[Any]) -> list[list[str]]:
-    """Return dataclasses as lines of cells, under the names of their fields with units."""
+    """Return dataclasses as rows of cells, under a header of field names with units."""
     return [
         [name.replace("_", " ") for name, _ in members(rows[0])],
         *([value if isinstance(value, str) else f"{value:.4g}" for _, value in members(row)] for row in rows),
@@ -79,20 +79,20 @@ def table_of(rows: Sequence[Any]) -> list[list[str]]:
 
 
 def tree_of(value: Any) -> Any:
-    """Return a result in the types of JSON, the properties of dataclasses among their fields; NaN becomes null."""
+    """Return a result in JSON types, with the properties of dataclasses beside their fields; NaN becomes null."""
     if is_dataclass(value) or isinstance(value, Mapping):
         return {name: tree_of(one) for name, one in members(value)}
     if isinstance(value, list | tuple | frozenset):
         return [tree_of(one) for one in value]
     if isinstance(value, Enum) and not isinstance(value, str):
         return value.name.lower()
-    if isinstance(value, float) and value != value:  # noqa: PLR0124  # NaN, which JSON has not
+    if isinstance(value, float) and value != value:  # noqa: PLR0124  # NaN, which JSON does not have
         return None
     return str(value) if isinstance(value, Path) else value
 
 
 def rows_of(result: Any) -> dict[str, str]:
-    """Return the members of a result as names and texts, those of dataclasses in it among them; without empty ones."""
+    """Return the non-empty members of a result, and of dataclasses in it, as names and texts."""
     rows = dict[str, str]()
     for name, value in members(result):
         if value is None:
@@ -110,17 +110,17 @@ def rows_of(result: Any) -> dict[str, str]:
 
 
 def count(number: int) -> str:
-    """Write a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
+    """Format a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
     return f"{number:,}".replace(",", " ")
 
 
 def size(number_of_bytes: int) -> str:
-    """Write a file's size in MB of a million bytes."""
+    """Format a file's size in MB (10^6 bytes)."""
     return f"{number_of_bytes / 1e6:.1f} MB"
 
 
 def behind_text(times: Any) -> str:
-    """Write how often, by how much, when first and why a stream fell behind."""
+    """Format how often, by how much, when first and why a stream fell behind."""
     if not times:
         return "never"
     often = "once" if len(times) == 1 else f"{count(len(times))} times"
@@ -131,7 +131,7 @@ def behind_text(times: Any) -> str:
 
 
 def audit_text(found: Any) -> str:
-    """Write what an audit found."""
+    """Format the result of an audit."""
     if found.exact:
         return "rounding to float32 only: by the scene's choice a pulse is one ray"
     if found.range_rmse_m is None:
@@ -168,7 +168,7 @@ def _label(name: str) -> str:
 
 
 def text_of(value: Any) -> str:
-    """Write a value; nothing for what there is not."""
+    """Format a value; empty for None and empty members."""
     if value is None or value is False or isinstance(value, str):
         return value or ""
     if value is True or isinstance(value, Enum):
@@ -252,4 +252,4 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "turn": _turn,
     "walk_share": lambda share: f"{100 * share:.0f} %",
 }
-"""How members are written that say more than a value with its unit."""
+"""Formatters of members that need more than a value with its unit."""

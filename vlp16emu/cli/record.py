@@ -1,4 +1,4 @@
-"""Verbs of the core, which work without forests and extras: record, and decode."""
+"""Verbs of the core, which work without forests and extras: record and decode."""
 
 import sys
 import time
@@ -38,8 +38,8 @@ def record(
     """Record a scene into a pcap file, or a bag.
 
     The file holds data and position packets in order of sending, in the frames of a real sensor and
-    stamped with simulated time. Ctrl-C ends it early and leaves a valid file. Until its end it is
-    OUT.xxxxxxxx.part, which after kill -9 holds all whole packets.
+    stamped with simulated time. Ctrl-C ends it early and leaves a valid file. While it is written, its name is
+    OUT.xxxxxxxx.part; after kill -9 that file holds all complete packets.
     """
     from vlp16emu.output import STDOUT
 
@@ -49,7 +49,7 @@ def record(
     emulator = make_emulator(scene, making)
     with running(emulator, "recording", options) as hooks:
         recording = emulator.record(out, **vars(options), **hooks)
-    recording = replace(recording, wall_s=time.perf_counter() - began_s)  # of the whole command
+    recording = replace(recording, wall_s=time.perf_counter() - began_s)  # time of the whole command
     with redirect_stdout(sys.stderr) if Path(out) == STDOUT else nullcontext():
         finish(recording, as_json=as_json)
 
@@ -73,7 +73,7 @@ def decode(
     model: Annotated[
         str | None,
         Option(
-            "What a unit from before release is, whose packets name an HDL-32E (product 0x21).",
+            "Sensor model of a prototype unit, whose packets name an HDL-32E (product 0x21).",
             words=("vlp-16", "puck-hi-res"),
         ),
     ] = None,
@@ -81,9 +81,9 @@ def decode(
 ) -> None:
     """Decode a capture by the formulas of the sensor's manual.
 
-    Works on recordings of real sensors too. Points are in metres in the sensor: x forward (azimuth 0), y left,
-    z up, unless --frame chooses other axes. Pulses without return become no points. Ctrl-C and a broken packet leave a
-    valid file with the points before.
+    Works on recordings of real sensors too. Points are in metres in the sensor's frame: x forward (azimuth 0), y left,
+    z up, unless --frame chooses other axes. Pulses without return give no points. After Ctrl-C or a broken packet the
+    file is valid and holds the points before it.
     """
     from vlp16emu.captures import CaptureReader, chosen_unit, packet_clock
     from vlp16emu.packets import PointFrame
@@ -117,6 +117,6 @@ def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFra
                 if stop.is_set():
                     break
         except CaptureError:
-            if stop.is_set() and not reader.first_stamp_ns:  # nothing had come through a pipe
+            if stop.is_set() and not reader.first_stamp_ns:  # a pipe without data
                 raise KeyboardInterrupt from None
             raise

@@ -34,13 +34,13 @@ _POLICY = {
 }
 _LATE = 1  # exit code of a strict stream that was late
 
-Strict = Annotated[bool, Option("End with 1 if packets were late by more than 50 ms, or were skipped.")]
+Strict = Annotated[bool, Option("Exit with 1 if packets were late by more than 50 ms, or were skipped.")]
 
 KeepUp = Annotated[
     bool | None,
     Option(
-        "Before the first packet, measure this machine for some seconds, and take the best beam and reach that leave a "
-        "fifth of its time free; a line names them. On by default at a terminal, unless poses come in or the run is prepared.",
+        "Before the first packet, measure this machine for some seconds, and use the best beam and reach that leave a "
+        "fifth of its time free; a line names them. On by default at a terminal, except for live poses or a prepared run.",
         name="--keep-up/--no-keep-up",
     ),
 ]
@@ -54,8 +54,8 @@ def stream(
     prepare: Annotated[
         bool,
         Option(
-            "Compute the whole run into a temporary file before the first packet leaves; then the engine cannot be "
-            "too slow. It takes 3.4 GB for an hour of single return."
+            "Compute the whole run into a temporary file before the first packet is sent; then the engine cannot be "
+            "too slow. It needs 3.4 GB for an hour of single return."
         ),
     ] = False,
     keep_up: KeepUp = None,
@@ -64,14 +64,14 @@ def stream(
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
 
-    Nothing leaves this machine unless --to names another one. Packets are computed ahead; the first one
-    starts the clock, and all deadlines count from there. If the engine falls behind, a line says so at
-    once, with settings that would keep up. Ctrl-C ends the stream.
+    Nothing leaves this machine unless --to names another one. Packets are computed ahead; all deadlines count
+    from the first packet. If the engine falls behind, a line says so at once, with settings that would keep up.
+    Ctrl-C ends the stream.
     """
     host, _ = options.receiver
     emulator = make_emulator(scene, making)
     scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
-    options = _of_live(options, scenario)
+    options = _live_options(options, scenario)
     _keep_up(emulator, options, wanted=keep_up, is_prepared=is_prepared)
     _, stop_s = scenario.span_s(0.0, options.duration_s)
     with ExitStack() as stack:
@@ -103,8 +103,8 @@ def replay(
 ) -> None:
     """Send a capture over UDP again, ours or a real sensor's.
 
-    Each packet leaves as long after the first one as its frame was captured after the first frame, to the ports
-    of the capture. Nothing leaves this machine unless --to names another one. Ctrl-C ends it.
+    Packets keep the intervals of their capture stamps and go to the ports of the capture. Nothing leaves this machine
+    unless --to names another one. Ctrl-C ends it.
     """
     from vlp16emu.extras.replay import replay as send_again
 
@@ -125,14 +125,14 @@ def replay(
 
 
 def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: float) -> str:
-    """Return the line that is printed when the stream falls behind."""
+    """Return the line to print when the stream falls behind."""
     line = f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {behind.cause}; {_POLICY[late]}"
     options = door("keeps_up_with")([behind], scenario, speed) if has_door("keeps_up_with") else []
     return f"{line}; to keep up: {', or '.join(options)}" if options else line
 
 
-def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
-    """Return the options of a live scene, whose late packets are dropped; InputError if nothing says where its poses come in."""
+def _live_options(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
+    """Return the options for a live scene, whose late packets are dropped; InputError without --pose-in."""
     if not scenario.motion.takes_poses:
         return options
     if options.poses is None or options.poses.where is None:
@@ -141,7 +141,7 @@ def _of_live(options: StreamOptions, scenario: "Scenario") -> StreamOptions:
 
 
 def _keep_up(emulator: "Emulator", options: StreamOptions, *, wanted: bool | None, is_prepared: bool) -> None:
-    """Set the beam and the reach that this machine keeps up with, if that is wanted, and print them."""
+    """Set the beam and the reach that this machine can keep up with, if `wanted`, and print them."""
     cannot = "--prepare" if is_prepared else ("--pose-in" if emulator.scenario.motion.takes_poses else None)
     if wanted and cannot:
         raise InputError("--keep-up", f"found beside {cannot}", "one of both")
@@ -161,8 +161,8 @@ def _announce(what: str, links: "Sequence[Link]", *, quiet: bool) -> None:
 
 
 def _close(sent: "Streamed | Replayed", what: str, *, strict: bool, as_json: bool) -> None:
-    """Print the report of a stream or a replay, and exit as its end asks for."""
-    interrupted, is_late = sent.interrupted, strict and sent.sent.behind  # also if packets were skipped
+    """Print the report of a stream or a replay and exit with its code."""
+    interrupted, is_late = sent.interrupted, strict and sent.sent.behind  # skipped packets count too
     try:
         finish(sent, f"{'interrupted' if interrupted else 'done'}: {what}", as_json=as_json)
     finally:

@@ -23,9 +23,9 @@ _STDERR = 2
 
 @contextmanager
 def stop_on_ctrl_c() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C, SIGTERM and a hangup set; a second one interrupts at once.
+    """Yield an event that Ctrl-C, SIGTERM and SIGHUP set; a second signal interrupts at once.
 
-    An exception could come between a packet's write and its count, so that report and file would differ.
+    An exception could arise between writing a packet and counting it; report and file would then differ.
     """
     stop = threading.Event()
     before = {number: signal.getsignal(number) for number in ENDINGS}
@@ -40,7 +40,7 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         stop.set()
         was_stopped.set()
         restore()
-        with suppress(OSError):  # the terminal may be gone; print is not to be called in the midst of a print
+        with suppress(OSError):  # the terminal may be gone; print is not reentrant
             if os.isatty(_STDERR):
                 os.write(_STDERR, b"\nfinishing what is under way; Ctrl-C again stops at once\n")
 
@@ -52,19 +52,19 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         restore()
 
 
-_REFRESH_S = 0.5  # drawing takes a millisecond, which a packet that is due must not wait for more often
+_REFRESH_S = 0.5  # drawing takes a millisecond, which can delay a packet that is due
 
 
 class Progress:
     """Bar on stderr; nothing if stderr is no terminal.
 
-    Drawn by the thread that shows it: a thread of its own would disturb the pacing of packets. Before the first one it
-    counts the seconds by a thread of its own.
+    The thread that calls `show` draws it: another thread would disturb the pacing of packets. Before the first call, a
+    thread of its own counts the seconds.
 
     Parameters
     ----------
     total_s : simulated seconds to come
-    first : what is being done until then
+    first : task before the first call of `show`
     """
 
     def __init__(self, total_s: float, first: str = "growing the world") -> None:
@@ -113,7 +113,7 @@ class Progress:
                 self._bar = None
 
     def show(self, task: str, done_s: float) -> None:
-        """Show what is being done and how far it is; draws twice a second."""
+        """Show a task and its progress; draws at most twice a second."""
         if self._bar is not None and (now_s := time.monotonic()) >= self._next_s:
             self._begun.set()
             self._next_s = now_s + _REFRESH_S
@@ -129,11 +129,11 @@ class Progress:
 
 
 def make_emulator(scene: str, changes: "SceneOptions") -> "Emulator":
-    """Return the emulator of a command line; errors as `Emulator`."""
+    """Return the emulator of a command line; raises the errors of `Emulator`."""
     from vlp16emu.scenario import load
 
     settings = changes.settings or ()
-    scenario = load(scene, settings, ideal=changes.ideal)  # first: no mistake in it should wait for numba
+    scenario = load(scene, settings, ideal=changes.ideal)  # first, so that mistakes in it show before numba loads
     compile_first(scenario.world.kind)
     from vlp16emu.run.emulator import Emulator
 
@@ -142,14 +142,14 @@ def make_emulator(scene: str, changes: "SceneOptions") -> "Emulator":
 
 @contextmanager
 def running(emulator: "Emulator", task: str, span: Span) -> Iterator[dict[str, Any]]:
-    """Yield the keywords of a run that show its progress and end it after a signal."""
+    """Yield keyword arguments for a run that show its progress and end it after a signal."""
     begin_s, end_s = emulator.scenario.span_s(span.start_s, span.duration_s, where="--start")
     with stop_on_ctrl_c() as stop, Progress(end_s - begin_s) as bar:
         yield {"progress": lambda done_s: bar.show(task, done_s), "stop": stop}
 
 
 def compile_first(world: str | None) -> None:
-    """Compile the kernels of runs in a kind of world (None: all) that are not on disk, with a count on stderr."""
+    """Compile the kernels for a kind of world (None: all) that are not on disk, with a count on stderr."""
     from vlp16emu.kernels.compiler import compile_kernels
 
     group = "forest" if world not in (None, "hall") else world

@@ -1,4 +1,4 @@
-"""Command lines of functions whose parameters are options, or dataclasses of options."""
+"""Command lines for functions whose parameters are options or dataclasses of options."""
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
@@ -15,8 +15,8 @@ from vlp16emu.run.options import Declared, Options, declared
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """Return a function for typer, with one parameter for each option of `function`.
 
-    A parameter of `function` is `Annotated[type, Option(...)]`, or a dataclass of such fields. A dataclass inside it
-    is None if none of its options is given. A function without such parameters is returned as it is.
+    A parameter of `function` is `Annotated[type, Option(...)]`, or a dataclass of such fields. A nested dataclass
+    is None if none of its options is given. A function without such parameters is returned unchanged.
     """
     parameters, leaves = inspect.signature(function).parameters.values(), list(leaves_of(function))
     if parameters and not leaves:
@@ -25,7 +25,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     def run(**values: Any) -> None:
         values = {leaf.name: values[_key(leaf)] for leaf in leaves}
         for leaf in leaves:
-            if leaf.kind is bool and leaf.default is True:  # its name says no
+            if leaf.kind is bool and leaf.default is True:  # its name negates it
                 values[leaf.name] = not values[leaf.name]
         function(**{one.name: _made(one.name, one.annotation, values) for one in parameters})
 
@@ -43,7 +43,7 @@ def leaves_of(function: Callable[..., None]) -> Iterator[Declared]:
 
 
 def _dataclass_in(annotation: Any) -> type[Options] | None:
-    """Return the dataclass of options that an annotation admits, if it does."""
+    """Return the dataclass of options in an annotation; None if there is none."""
     kinds = (annotation, *get_args(annotation))
     return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Options)), None)
 
@@ -75,14 +75,14 @@ def _made(name: str, annotation: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _key(leaf: Declared) -> str:
-    """Return the name of a parameter for an option; `--from` would be a keyword without the underscore."""
+    """Return the parameter name for an option; the underscore keeps `--from` from being a keyword."""
     return "_" + "".join(c if c.isalnum() else "_" for c in leaf.name).strip("_").lower()
 
 
 def _parameter(leaf: Declared) -> inspect.Parameter:
-    """Return the parameter that typer makes an option or an argument of."""
+    """Return the parameter from which typer makes an option or an argument."""
     option, default = leaf.option, None if leaf.default is MISSING else leaf.default
-    kind: Any = object | None  # click would take two values for a tuple
+    kind: Any = object | None  # click would read two values for a tuple
     if leaf.kind is bool:
         kind, default = (bool | None, None) if leaf.default is None else (bool, False)
         info = typer.Option(leaf.name, help=option.help)

@@ -29,7 +29,7 @@ def truth(
 ) -> None:
     """Write the ground truth of a run without casting its pulses: trajectory, IMU, GNSS, rig, scenario.
 
-    The files are those of `record --truth` over the same span, byte for byte. Ctrl-C ends them early.
+    The files equal byte for byte the files of `record --truth` over the same span. Ctrl-C ends them early.
     """
     emulator = make_emulator(scene, changes)
     from vlp16emu.extras.truth.truth import write_truth
@@ -66,11 +66,11 @@ def points(
     clock: args.WhichClock = None,
     as_json: args.AsJson = False,
 ) -> None:
-    """Write the points of a scene, for a sensor of any beam table, or of a capture with a trajectory.
+    """Write the points of a scene with any beam table, or of a capture with a trajectory.
 
-    Each point is in the world and in the sensor's frame at the instant of its pulse, as a user would
-    compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
-    A capture is put into the world by a trajectory: the true one, or an estimate.
+    Each point is given in the world and in the sensor's frame at the instant of its pulse, as a user would
+    compute it. No packets are made, so ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
+    Points of a capture are placed in the world by a trajectory, the true one or an estimate.
     """
     from vlp16emu.captures.capture import is_capture_name
 
@@ -148,8 +148,8 @@ def bag(
 ) -> None:
     """Write a capture as a bag for ROS 1 or ROS 2, without ROS.
 
-    Works on recordings of real sensors too. Topics and frames are those of the velodyne driver and of REP 105. All sensors are
-    written unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
+    Works on recordings of real sensors too. Topics and frames are named as in the velodyne driver and REP 105. All sensors
+    are written unless --unit names one. Ctrl-C ends it early and leaves a valid bag.
     """
     from vlp16emu.extras.bag.write import write_bag
 
@@ -165,10 +165,10 @@ def dataset(
     *,
     as_json: AsJson = False,
 ) -> None:
-    """Make a dataset: stands, seeds, paths and sensors from one file.
+    """Make a dataset of stands, seeds, paths and sensors from one file.
 
-    Walks that an earlier run has finished are kept, after a check of their sha256; the others are made.
-    OUT/manifest.json names every file with its sha256, and the split of its stand.
+    Walks that an earlier run has finished are kept after a check of their sha256; the others are made.
+    OUT/manifest.json lists every file with its sha256 and the split of its stand.
     """
     from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
 
@@ -191,8 +191,8 @@ def picture(
 ) -> None:
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
-    Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
-    revolution. Needs the extra 'picture'.
+    Points of whole revolutions are accumulated; a capture without --trajectory shows its first revolution in the
+    sensor's frame. Needs the extra 'picture'.
     """
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene
@@ -223,19 +223,21 @@ def view(
     truth: Annotated[
         Path | None,
         Option(
-            "Of a capture: what `record --truth DIR --truth-returns` has written beside it, for places in the world and labels.",
+            "For a capture: the folder of `record --truth DIR --truth-returns`, for positions in the world and labels.",
             "DIR",
         ),
     ] = None,
-    radius_m: Annotated[float, Option("How far from the path the stand is drawn.", "M", ge=1, le=100)] = 25.0,
+    radius_m: Annotated[
+        float, Option("Distance from the path up to which the stand is drawn.", "M", ge=1, le=100)
+    ] = 25.0,
     host: Annotated[
-        str, Option("Address of this machine to listen on; others can then see the page.", "ADDRESS")
+        str, Option("Address of this machine to listen on; other machines can then open the page.", "ADDRESS")
     ] = "127.0.0.1",
-    port: Annotated[int, Option("Port of the page, 0 for any that is free.", "N", ge=0, le=65_535)] = 8016,
+    port: Annotated[int, Option("Port of the page, 0 for any free one.", "N", ge=0, le=65_535)] = 8016,
 ) -> None:
     """Show a scene in the browser: the stand, the path, and the sweep at any time.
 
-    Of a capture its sweeps, with what is wrong with its packets marked. Needs the extra 'viewer'. Ctrl-C ends it.
+    For a capture, the page shows its sweeps and marks faulty packets. Needs the extra 'viewer'. Ctrl-C ends it.
     """
     from vlp16emu.captures.capture import is_capture_name
 

@@ -1,4 +1,4 @@
-"""A scenario set up and run in order: units, blocks, windows, timeline, merge."""
+"""Set-up and run of a scenario: units, blocks, windows, timeline, merge."""
 
 from vlp16emu.engine.build import (
     GpsInput,

@@ -1,6 +1,6 @@
-"""From the sections of a scenario to the parts of an emulator: heads, receivers, carrier and world.
+"""Assembly of an emulator's parts from the sections of a scenario: heads, receivers, carrier and world.
 
-Builds no geometry yet.
+No geometry is built here.
 """
 
 from dataclasses import dataclass, replace
@@ -30,54 +30,54 @@ from vlp16emu.units import S_NS, seconds_to_ns
 if TYPE_CHECKING:
     from vlp16emu.engine.engine import Engine
 
-_IMU = 1000  # device whose mount is that of the inertial unit, beyond all sensors
-_STRAY_M = 1.0  # how far the carrier may be from its path over the ground: sway, and lasers off the centre
-_LEFT_PPM = 1.0  # rate error that a clock locked to GPS may have within a second: 0.27 ppm on mrpt
+_IMU = 1000  # device number of the inertial unit's mount, above all sensors
+_STRAY_M = 1.0  # greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre
+_LEFT_PPM = 1.0  # rate error of a GPS-locked clock within a second: 0.27 ppm on mrpt
 
 
 @dataclass(frozen=True)
 class GpsInput:
-    """A receiver to which the sensor has been locked since before the run, or none at all; times are UTC in ns."""
+    """A receiver to which the sensor has been locked since before the run, or none; times are UTC in ns."""
 
     connected: bool
     sentence_delay_ns: int  # From the second's edge to the arrival of the sentence that names it
 
-    def pps_at(self, t_ns: int) -> PpsState:  # noqa: ARG002  # the same at all times, unless events happen
-        """State of the pulse as the sensor reports it.
+    def pps_at(self, t_ns: int) -> PpsState:  # noqa: ARG002  # constant without events
+        """State of the pulse per second as the sensor reports it.
 
         It stays locked while trees hide fixes: that receivers keep their pulse is an assumption.
         """
         return PpsState.LOCKED if self.connected else PpsState.ABSENT
 
     def second_ns(self, t_ns: int) -> int | None:
-        """Return the whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None if there is no sentence.
+        """Return the whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None without a sentence.
 
-        The sentence names the edge before it, so it is up to a second and the delay old
+        The sentence names the last edge before it, so its age is up to a second plus the delay
         (63-9243 Rev D, figure 7-4).
         """
         return (t_ns - self.sentence_delay_ns) // S_NS * S_NS if self.connected else None
 
     def sentence(self, fix: GnssFix, seed: int) -> bytes:  # noqa: ARG002  # as above
-        """Sentence of a fix as it reaches the sensor; `seed` is that of the unit."""
+        """Sentence of a fix as it reaches the sensor; `seed` is the unit's."""
         return rmc(fix)
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One sensor on the carrier, with all that is its own."""
+    """One sensor on the carrier."""
 
     number: int  # Place in the rig, from 0
     section: Lidar
     mount: Mount  # Mount on the carrier
-    seed: int  # Seed of all that is random in it
+    seed: int  # Seed of its random numbers
     head: Head
     motion: Motion  # Motion of the sensor's frame
     beam: Footprint
     detector: UnitDetector
-    timeline: Timeline  # Which pulses are sent, and in which packets; nothing of a sensor without packets
-    gps: GpsInput  # What it gets of the GPS receiver
+    timeline: Timeline  # Pulses that are sent, and their packets; empty for a sensor without packets
+    gps: GpsInput  # Signals that it gets from the GPS receiver
     optics: Any = None
-    """Dirt and dead lasers that events bring, which dim its light; an object with `dimmed` and `received`, or None."""
+    """Dirt and dead lasers from events, which dim its light; an object with `dimmed` and `received`, or None."""
 
     @property
     def link(self) -> Link:
@@ -104,7 +104,7 @@ class Unit:
 
     @property
     def positions_from_ns(self) -> int:
-        """UTC from which its position packets are counted; not after the first pulse."""
+        """UTC from which its position packets are counted; no later than the first pulse."""
         phase = counters_of(self.section, self.seed, self.number).position_phase
         return positions_from_ns(require_packets(self.section).position_rate, self.head.start_ns, phase)
 
@@ -119,9 +119,9 @@ class Parts:
     imu_mount: Mount  # True mount of the inertial unit, if there is one
     ground_m: HeightField  # Height of the ground over places
     world: World  # At rest
-    wind: Any  # What moves its trees, a `forest.stand.wind.TreeSway`; None in still air
+    wind: Any  # Sway of its trees, a `forest.stand.wind.TreeSway`; None in still air
     people: Any  # People beside the carrier, an `extras.people.People`; None without them
-    gps: GpsInput  # What the receiver sends; what each unit gets of it is the unit's
+    gps: GpsInput  # Signals that the receiver sends; each unit holds what it gets
 
     @property
     def head(self) -> Head:
@@ -135,12 +135,12 @@ class Parts:
 
     @property
     def moves(self) -> bool:
-        """True if a sensor, or what it sees, moves."""
+        """True if a sensor, or something that it sees, moves."""
         return self.wind is not None or self.people is not None or any(unit.motion.moves for unit in self.units)
 
 
 def in_one_world(one: Scenario, other: Scenario) -> bool:
-    """Return whether runs go the same way through the same world, so that only their sensors may differ."""
+    """Return whether two runs follow the same path through the same world, so that only their sensors may differ."""
 
     def way(scenario: Scenario) -> tuple[object, ...]:
         world, motion = (scenario.world, scenario.world_seed, scenario.wind), (scenario.motion, scenario.motion_seed)
@@ -151,9 +151,9 @@ def in_one_world(one: Scenario, other: Scenario) -> bool:
 
 
 def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
-    """Make the parts that a scenario describes; carrier and world are those of `like` if both are in one world.
+    """Make the parts that a scenario describes; carrier and world are shared with `like` if both are in one world.
 
-    Raises InputError if a part cannot be made of what its section says.
+    Raises InputError if a part cannot be made from its section.
     """
     if like and in_one_world(scenario, like.scenario):
         carrier, ground_m, world, wind = like.parts.carrier, like.parts.ground_m, like.parts.world, like.parts.wind
@@ -179,7 +179,7 @@ def with_events(parts: Parts, scenario: Scenario) -> Parts:
 
 
 def seed_of(scenario: Scenario, unit: int) -> int:
-    """Seed of all that is random in a unit."""
+    """Seed of a unit's random numbers."""
     if unit == 0:
         return scenario.sensor_seed
     own = scenario.rig[unit - 1].seed
@@ -187,13 +187,13 @@ def seed_of(scenario: Scenario, unit: int) -> int:
 
 
 def in_phase_deg(phase_deg: float, rpm: int, utc_ns: int) -> float:
-    """Angle of a rotor in phase: speeds are multiples of 60 rpm, so there are whole turns in a second."""
+    """Angle of a phase-locked rotor: speeds are multiples of 60 rpm, so a second has whole revolutions."""
     turned_ns = utc_ns % S_NS * (rpm // 60) % S_NS
     return (phase_deg + 360.0 * turned_ns / S_NS) % 360.0
 
 
 def beam_of(scenario: Scenario, seed: int) -> Footprint:
-    """Return the footprint of a unit's pulses; `LINE` if the scene wants no width."""
+    """Return the footprint of a unit's pulses; `LINE` if the scene's beams have no width."""
     if scenario.beam.model == "none":
         return LINE
     seen = threshold_of(scenario.detector) if scenario.noise.weak_echoes_lost else (0.0, 0.0)
@@ -201,7 +201,7 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
 
 
 def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
-    """Make the carrier, the ground and the world that it goes through, and what moves its trees."""
+    """Make the carrier, the ground, the world that it goes through, and the sway of its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
     site = section.site(seed)
@@ -223,7 +223,7 @@ def _world(scenario: Scenario) -> tuple[Motion, HeightField, World, Any]:
 
 
 def mounts_of(scenario: Scenario) -> list[Mount]:
-    """Return the mounts of all sensors, as their users are given them."""
+    """Return the nominal mounts of all sensors, as their users know them."""
     return [scenario.motion.mount, *(unit.mount for unit in scenario.rig)]
 
 
@@ -263,7 +263,7 @@ def _gps(scenario: Scenario) -> GpsInput:
 
 
 def clock_at(t_ns: int, section: Lidar, *, locked: bool) -> ClockSpan:
-    """Return the clock of a unit from an instant on: locked to GPS, or free from 0 on."""
+    """Return the clock of a unit from an instant on: locked to GPS, or running free from 0."""
     error_ppm = section.clock_error_ppm or 0.0
     if locked:
         return ClockSpan(t_ns, None, min(max(error_ppm, -_LEFT_PPM), _LEFT_PPM))

@@ -1,7 +1,7 @@
 """The program on one page: poses - aim - cast - shade - dim - detect - pack - merge in order of sending.
 
-Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks: neither threads nor the
-span that is asked for can change a byte.
+Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks, so neither the number of
+threads nor the requested span can change a byte.
 """
 
 import heapq
@@ -29,8 +29,8 @@ from vlp16emu.sensor.settings import require_packets
 from vlp16emu.types import F8, Firings, Hits, Packet, PacketKind, Returns
 from vlp16emu.units import seconds_to_ns
 
-_AT_ONCE = 128  # position packets whose times are found at once, a second of them
-_LOWEST_DEG = 15.0  # elevation from which on receivers use satellites: the usual mask of forest surveys
+_AT_ONCE = 128  # position packets whose times are computed at once: one second
+_LOWEST_DEG = 15.0  # lowest elevation of satellites that receivers use: the usual mask of forest surveys
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +38,15 @@ class Job:
     """Blocks of one unit that are scanned together, under constant settings."""
 
     unit: Unit
-    detector: UnitDetector  # For the return mode of the stretch
+    detector: UnitDetector  # Detector for the return mode of the stretch
     blocks: range  # Numbers of the blocks, within one window of the world
     block: int  # Firing sequences per block
     texture_seed: int
-    truth: bool = False  # Whether returns carry the surfaces that they are from
+    truth: bool = False  # True if returns carry the surfaces that they come from
 
 
 Tap = Callable[[Job, Firings, Hits, Geometry], None]
-"""An observer of a job's pulses and of what they met, called on the thread that cast them."""
+"""Observer of a job's pulses and their hits, called on the thread that cast them."""
 
 
 def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
@@ -64,13 +64,13 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
 
 @dataclass(frozen=True)
 class Engine:
-    """A scenario that is set up: sensors on one carrier, and the world around them.
+    """A scenario ready to run: sensors on one carrier, and the world around them.
 
-    It is a value: another one with other events, taps or options is made by `with_events` and `dataclasses.replace`,
-    and shares world, windows and receiver.
+    An engine is a value: `with_events` and `dataclasses.replace` make another one with other events, taps or options,
+    which shares world, windows and receiver.
     """
 
-    scenario: Scenario  # Decides every byte
+    scenario: Scenario  # Determines every byte
     parts: Parts
     batching: Batching
     windows: Windows[Geometry]
@@ -78,16 +78,16 @@ class Engine:
     threads: int  # Workers; they change the speed only
     taps: tuple[Tap, ...] = ()
     prompt: bool = False
-    """Whether blocks are cast one by one, so that what is set anew shows soon; it changes the speed only."""
-    truth_of: TruthOf | None = None  # Ground truth that data packets carry behind their records
+    """True if blocks are cast one by one, so that new settings take effect soon; it changes the speed only."""
+    truth_of: TruthOf | None = None  # Ground truth that is attached to data packets
 
     @classmethod
     def of(
         cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: "Engine | None" = None
     ) -> Self:
-        """Set up a scenario for some workers, 0 for one per core; no geometry is built yet.
+        """Set up a scenario for a number of threads, 0 for one per core; no geometry is built yet.
 
-        The world of `like` is used again if it is the same. Raises InputError if a part of the scenario cannot be made.
+        The world of `like` is reused if it is the same. Raises InputError if a part of the scenario cannot be made.
         """
         parts, threads = assemble(scenario, like), threads or usable_cores()
         batching = Batching.of(parts.head.beams)
@@ -96,10 +96,10 @@ class Engine:
         return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Return the packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
+        """Return the packets sent from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
-        the walk ends before the span does.
+        if the walk ends before the span.
         """
         require_packets(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
@@ -109,9 +109,9 @@ class Engine:
         return arriving
 
     def sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
-        """Merge the packets that leave in a span since the first pulse, before anything happens to them on their way."""
+        """Merge the packets that are sent in a span since the first pulse, before network faults."""
         streams = list[Iterator[Packet]]()
-        # Of packets due at once those of the first unit leave first, and its data packets first.
+        # Packets due at the same time leave in order of units, data packets before position packets.
         for unit in self.parts.units:
             streams.append(self._data_packets(unit, start_ns, stop_ns))
             streams.append(position_packets(self.scenario, self.receiver, unit, start_ns, stop_ns))
@@ -120,19 +120,19 @@ class Engine:
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
     ) -> Iterator[Returns]:
-        """Return the returns of a unit before packing, in whole blocks that hold at least the span; with their surfaces if `truth`."""
+        """Return a unit's returns before packing, in whole blocks that cover the span; with their surfaces if `truth`."""
         blocks, of = self.batching.blocks(*self.span_ns(start_s, stop_s)), self.parts.units[unit]
         return self._scans(of, of.detector, blocks, self.threads, truth=truth)
 
     def with_events(self, events: Sequence[object]) -> Self:
-        """Return an engine with other events of its sensors, in place of those of the scene."""
+        """Return an engine with other sensor events in place of the scene's."""
         scenario = self.scenario.model_copy(update={"events": list(events)})
         return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
 
     def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
-        """Check a span of the run and convert it to nanoseconds since the first pulse; without an end it is the scene's.
+        """Check a span of the run and convert it to nanoseconds since the first pulse; the default end is the scene's.
 
-        Raises TrajectoryError if it begins before the first pulse, ends after the motion, or no poses arrive in a live
+        Raises TrajectoryError if it begins before the first pulse, ends after the motion, or if no poses arrive in a live
         scene.
         """
         if isinstance(self.parts.carrier, OwnWindows):
@@ -173,7 +173,7 @@ class Engine:
 
 
 def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) -> Receiver:
-    """Make the GPS receiver, which sees the sky through the windows of the run."""
+    """Make the GPS receiver, whose view of the sky comes from the windows of the run."""
     gps, start_ns, far_m = scenario.gps, scenario.start_ns, scenario.sensor.max_range_m
 
     def cover(t_ns: int, antenna_m: F8) -> float:
@@ -185,7 +185,7 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
 
 
 def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -> int:
-    """Find the number of the first packet of a kind that a unit sends at a time since the first pulse, or later."""
+    """Find the number of the first packet of a kind that a unit sends at or after a time since the first pulse."""
     if kind is PacketKind.DATA:
         return unit.timeline.count(0, since_ns)
     rate = require_packets(unit.section).position_rate

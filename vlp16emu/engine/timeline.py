@@ -1,4 +1,4 @@
-"""Which firing sequences of a unit are sent over a run, and in which packets."""
+"""The firing sequences of a unit that are sent over a run, and their packets."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from vlp16emu.engine.build import Unit
 
 TruthOf = Callable[["Unit", Returns, ReturnMode], NDArray[np.void]]
-"""Ground truth of the records of whole packets, which are packed in a mode."""
+"""Function that gives the ground truth for the records of whole packets in a return mode."""
 
-_AT_ONCE = 1 << 16  # firing sequences whose azimuths are read at once, 3.6 s of them
+_AT_ONCE = 1 << 16  # firing sequences whose azimuths are read at once: 3.6 s
 _BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction")
 """Arrays of `Firings`, one row each per firing sequence."""
 
@@ -29,15 +29,15 @@ class Stretch:
     first: int  # Firing sequence, at which a packet begins
     stop: int | None  # Firing sequence after the last; None for a span without end
     mode: ReturnMode
-    fov_deg: tuple[int, int] | None  # First and last azimuth that is sent, in whole degrees; None for all around
+    fov_deg: tuple[int, int] | None  # First and last azimuth that is sent, in whole degrees; None for the full circle
 
     @property
     def per_packet(self) -> int:
-        """Firing sequences of a packet."""
+        """Number of firing sequences in a packet."""
         return SEQUENCES_PER_PACKET[self.mode]
 
     def blocks(self, block: int) -> range:
-        """Return the blocks of `block` firing sequences that hold the stretch, which has an end."""
+        """Return the blocks of `block` firing sequences that cover the stretch, which must have an end."""
         assert self.stop is not None
         return range(self.first // block, -(-self.stop // block))
 
@@ -52,14 +52,14 @@ class Timeline:
     """Spans of time since the first pulse in which no packet of any kind leaves."""
 
     def _stop_of(self, span: Stretch, stop_ns: int) -> int:
-        """Find the end of the firing sequences of a span whose packets are due before a time since the first pulse."""
+        """Find the end of the firing sequences whose packets are due before a time since the first pulse."""
         last = -(-stop_ns // self.head.beams.sequence_ns) - 1
         return last if span.stop is None else min(span.stop, last)
 
     def chosen(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
-        """Find the firing sequences from `first` until before `stop`, both even, that lie in the field of view of a span.
+        """Find the firing sequences from `first` until before `stop`, both even, in the field of view of a span.
 
-        Blocks are sent or not as a whole, by the azimuth in them; the last degree of the field of view is part of it.
+        A data block is sent as a whole or not at all, by its azimuth; the field of view includes its last degree.
         """
         every = np.arange(first, stop, dtype=np.int64)
         if span.fov_deg is None:
@@ -70,7 +70,7 @@ class Timeline:
         return every[np.repeat(inside, 2)]
 
     def _begin_of(self, span: Stretch, start_ns: int) -> int:
-        """Find the firing sequence at which the packets of a span begin that are due from a time on."""
+        """Find the first firing sequence of the packets that are due at or after a time."""
         if span.fov_deg is not None:
             return span.first
         period_ns = span.per_packet * self.head.beams.sequence_ns
@@ -95,9 +95,9 @@ class Timeline:
                 yield rows
 
     def stretches(self, start_ns: int, stop_ns: int) -> Iterator[Stretch]:
-        """Cut a span of time since the first pulse where settings change; without stretches that no packet is due in.
+        """Cut a span of time since the first pulse where settings change; stretches without packets are left out.
 
-        Each begins with the first packet that is due in the span.
+        Each stretch begins with its first packet that is due in the span.
         """
         for span in self.spans:
             sequences = next(self._sequences_of(span, start_ns, stop_ns), None)
@@ -122,7 +122,7 @@ class Timeline:
 
 
 class Packer:
-    """Packs the returns of a stretch into data packets, with ground truth if asked; it keeps those of the packet that is not full."""
+    """Packs the returns of a stretch into data packets, with ground truth if asked; keeps the returns of an open packet."""
 
     def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:
         self._unit, self._stretch, self._truth_of = unit, stretch, truth_of
@@ -130,9 +130,9 @@ class Packer:
         self._left: Returns | None = None
 
     def pack(self, returns: Returns) -> Iterator[Packet]:
-        """Pack the returns of successive firing sequences; a packet that does not fill is not sent.
+        """Pack the returns of successive firing sequences; an incomplete packet is not sent.
 
-        If blocks are missing before these, packets go on as if the missing ones had been sent.
+        If blocks are missing before these, packing goes on as if the missing ones had been sent.
         """
         stretch, per_packet = self._stretch, self._stretch.per_packet
         begin = returns.firings.index
@@ -160,7 +160,7 @@ class Packer:
             yield from (replace(packet, slots=slots) for packet, slots in zip(packets, truth, strict=True))
 
     def _rows(self, returns: Returns, first: int, stop: int) -> Returns:
-        """Take what is sent of the firing sequences `first` to `stop` - 1."""
+        """Select the returns that are sent from firing sequences `first` to `stop` - 1."""
         begin = returns.firings.index
         if self._stretch.fov_deg is None:
             return _rows(returns, slice(first - begin, stop - begin))
@@ -171,7 +171,7 @@ _BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")
 
 
 def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
-    """Take some firing sequences of returns, for packing: in order of time, not all of them in a row."""
+    """Select firing sequences of returns for packing: in order of time, with gaps."""
     arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
     taken = {name: whole[rows] for name in _BY_RETURN if (whole := getattr(returns, name)) is not None}
     firings = Firings(index=returns.firings.index, beam_axis=None, **arrays)
@@ -179,7 +179,7 @@ def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
 
 
 def _joined(one: Returns, other: Returns) -> Returns:
-    """Put the rows of two returns behind each other, and their tables of surfaces."""
+    """Concatenate the rows of two returns and their tables of surfaces."""
 
     def both(first: object, second: object, names: tuple[str, ...]) -> dict[str, Any]:
         there = [name for name in names if getattr(first, name) is not None]

@@ -1,4 +1,4 @@
-"""Work ahead: windows of the world and blocks of a run on several threads, handed out in order."""
+"""Computation ahead of time: windows of the world and blocks of a run on several threads, yielded in order."""
 
 import math
 from collections import deque
@@ -21,20 +21,20 @@ from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
 from vlp16emu.types import F8, Window
 
 BLOCK = 1_920
-"""Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
-STEPS = 20  # parts of a block of a VLP-16: steps of a live run, 5.3 ms each
+"""Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and a multiple of 8 rays."""
+STEPS = 20  # parts of a VLP-16 block: steps of a live run, 5.3 ms each
 SEGMENT = 64  # blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking
 
 _RAYS = 8
 _LONGEST_NS = 110_000_000
 _SEGMENT_NS = 6_800_000_000
-_POLL_S = 0.05  # how often a thread that waits looks whether the run shall end
+_POLL_S = 0.05  # interval at which a waiting thread checks whether the run ends
 _LEAD, _LAG = 3 / 8, 1 / 4
-"""Shares of a segment: how long before its use a window is opened, and how far behind the present the sky over the antenna
-is asked for, at most (1.4 s). Workers share the rest."""
+"""Shares of a segment: lead time with which a window is opened, and greatest delay with which the sky over the antenna
+is queried (1.4 s). Workers share the rest."""
 
 _CASTERS: WeakValueDictionary[int, Caster] = WeakValueDictionary()
-"""Casters of worlds in use, by the identity of the world: runs in one world share what is built of it."""
+"""Casters of worlds in use, by the identity of the world: runs in one world share its geometry."""
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -42,18 +42,18 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Batching:
-    """Sizes of the blocks and segments of a run: of a VLP-16 `BLOCK` and `SEGMENT`.
+    """Sizes of the blocks and segments of a run: `BLOCK` and `SEGMENT` for a VLP-16.
 
-    Blocks of other sensors have no more pulses than that and last no longer, but have whole packets of 8 rays.
+    Blocks of other sensors have no more pulses and last no longer, and their rays are a multiple of 8.
     """
 
     lasers: int
     sequence_ns: int  # from one firing sequence to the next
-    parts: int = 1  # into which blocks are cut for packets that do not wait for a whole one; they change no byte
+    parts: int = 1  # parts of a block, for packets that do not wait for a whole block; they change no byte
 
     @classmethod
     def of(cls, beams: BeamTable) -> Self:
-        """Return the batching of a run; blocks of sensors with packets are cut into steps of a live run."""
+        """Return the batching of a run; for sensors with packets, blocks are cut into steps of a live run."""
         return cls(len(beams.elevation_deg), beams.sequence_ns, STEPS if beams.sequence_ns == SEQUENCE_NS else 1)
 
     @property
@@ -73,26 +73,26 @@ class Batching:
         return _SEGMENT_NS // self.block_ns
 
     def blocks(self, start_ns: int, stop_ns: int) -> range:
-        """Blocks that together hold a span of time since the first pulse."""
+        """Blocks that cover a span of time since the first pulse."""
         return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
 
     def edges_ns(self, segment: int) -> NDArray[np.int64]:
-        """(n,) times since the first pulse at which the whole blocks of a segment begin, and the last one ends."""
+        """Begin times (n,) of the whole blocks of a segment since the first pulse, and the end of the last one."""
         first, stop = segment * self.segment, (segment + 1) * self.segment
         return np.arange(first, stop + 1, self.parts, dtype=np.int64) * self.block_ns
 
 
 class Windows(Generic[S]):
-    """The world in windows, each opened once as long as it is in use.
+    """Windows of the world, each opened once while it is in use.
 
-    Two are kept: the one of the present segment and the one before or after it; with very many threads more.
+    Two are kept, for the present segment and the one before or after it; with very many threads, more.
 
     Parameters
     ----------
-    open_segment : opens the window of a segment, or of what else `name_of` gives; called on a thread of its own
-    batching : of the run
-    moves : whether each segment needs a window; if nothing moves, the window of segment 0 serves all
-    threads : workers, which may be that many blocks ahead of the receiver
+    open_segment : opens the window of a segment, or of another name that `name_of` gives; called on its own thread
+    batching : sizes of blocks and segments
+    moves : whether each segment needs its own window; if nothing moves, the window of segment 0 serves all
+    threads : number of workers, which may be that many blocks ahead of the receiver
     """
 
     kept = 2  # windows, with a few threads
@@ -107,11 +107,11 @@ class Windows(Generic[S]):
             return opener.submit(open_segment, name)
 
         self._opened = opened
-        self.stop = Event()  # of the run under way; see `stopped_by`
+        self.stop = Event()  # for the current run; see `stopped_by`
 
     @contextmanager
     def stopped_by(self, stop: Event) -> Iterator[None]:
-        """End the wait for windows and blocks that are not made yet as soon as an event is set."""
+        """Stop waiting for unfinished windows and blocks as soon as an event is set."""
         before, self.stop = self.stop, stop
         try:
             yield
@@ -119,7 +119,7 @@ class Windows(Generic[S]):
             self.stop = before
 
     def wait(self, future: Future[T]) -> T:
-        """Return the result of a future; `CancelledError` if the event of `stopped_by` is set before there is one."""
+        """Return the result of a future; `CancelledError` if the event of `stopped_by` is set first."""
         while not future.done():
             if self.stop.is_set():
                 raise CancelledError
@@ -129,7 +129,7 @@ class Windows(Generic[S]):
 
     @staticmethod
     def yielding() -> None:
-        """Begin a thread that opens windows, with the priority of the others."""
+        """Start a thread that opens windows, with the priority of the others."""
 
     def name_of(self, block: int) -> Hashable:
         """Name of the window of a block: its segment."""
@@ -140,19 +140,19 @@ class Windows(Generic[S]):
         return self._opened(self.name_of(block))
 
     def at_time(self, since_ns: int) -> Future[S]:
-        """Window of a time since the first pulse; before it that of the first segment, for nobody moves yet."""
+        """Window of a time since the first pulse; before it, the first segment's, as nothing moves yet."""
         return self.at_block(max(since_ns, 0) // self._block_ns)
 
     @property
     def lead(self) -> int:
-        """Blocks between the opening of a window and its use."""
+        """Number of blocks between the opening of a window and its use."""
         return int(_LEAD * self._per_segment) if self._per_segment else 0
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
-        """Cut blocks into runs of up to so many whole ones `together`, each within one window.
+        """Cut blocks into runs of at most `together` whole blocks, each within one window.
 
-        They are short at first, so that the first packet comes soon, and at last, so that workers end together; and
-        so short that workers do not get too far ahead.
+        Runs are short at first, so that the first packet comes soon, and at the end, so that workers end together; they
+        are also short enough that workers do not get too far ahead.
         """
         together = max(1, min(together * self._parts, self._free // (threads + 1)))
         first, number = blocks.start, 0
@@ -166,7 +166,7 @@ class Windows(Generic[S]):
 
 @contextmanager
 def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[ThreadPoolExecutor]:
-    """Return a pool of threads, whose end is waited for unless `stop` is set or Ctrl-C is pressed."""
+    """Yield a pool of threads and wait for its end, unless `stop` is set or Ctrl-C is pressed."""
     pool = ThreadPoolExecutor(threads, name)
     try:
         yield pool
@@ -180,22 +180,22 @@ def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[Thre
 def in_order(
     work: Callable[[range, Future[S]], T], runs: Iterable[range], windows: Windows[S], *, threads: int, stop: int
 ) -> Iterator[T]:
-    """Yield the results of `work(run of blocks, its window)` in order, a few computed ahead.
+    """Yield the results of `work(run of blocks, its window)` in order; a few are computed ahead.
 
     Parameters
     ----------
     work : called on a worker thread; the future may still be running
-    runs : without gaps, unless the windows leave blocks out
+    runs : runs of blocks without gaps, unless the windows leave blocks out
     threads : workers
     stop : number of the block after the last
 
-    Raises CancelledError if the windows are stopped; what is under way is left to itself.
+    Raises CancelledError if the windows are stopped; unfinished work is abandoned.
     """
     pending: deque[Future[T]] = deque()
     with workers(threads, "work", windows.stop) as pool:
         for run in runs:
             pending.append(pool.submit(work, run, windows.at_block(run.start)))
-            # Now and not at once: the first packet should not wait for the second window.
+            # Only now: the first packet should not wait for the second window.
             windows.at_block(min(run.stop - 1 + windows.lead, stop - 1))
             if len(pending) > threads:
                 yield windows.wait(pending.popleft())
@@ -204,7 +204,7 @@ def in_order(
 
 
 def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int, track_m: F8 | None = None) -> Window:
-    """Return what is within reach of a segment of the walk, or of other positions (n, 3); parameters as of `windows_of`."""
+    """Return the window within reach of a segment of the walk, or of positions (n, 3); parameters as in `windows_of`."""
     edges_ns = start_ns + batching.edges_ns(segment)
     if track_m is None:
         track_m = np.concatenate([unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units])
@@ -214,23 +214,23 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int, tra
 
 @runtime_checkable
 class OwnWindows(Protocol):
-    """A motion that opens windows of its own, as its path is not known beforehand."""
+    """A motion that opens its own windows, as its path is not known in advance."""
 
     def require_open(self) -> None:
         """Raise `TrajectoryError` if no poses arrive."""
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
-        """Return the windows of a run; parameters as of `windows_of`."""
+        """Return the windows of a run; parameters as in `windows_of`."""
 
 
 def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
-    """Return the windows of a run, the same for all units; one serves all segments if nothing moves.
+    """Return the windows of a run, shared by all units; if nothing moves, one window serves all segments.
 
     Parameters
     ----------
     start_ns : UTC of the first pulse
-    batching : of the run
-    threads : workers, which each unit may have
+    batching : sizes of blocks and segments
+    threads : number of workers per unit
     """
     if isinstance(parts.carrier, OwnWindows):
         return parts.carrier.windows(parts, start_ns, batching, threads)

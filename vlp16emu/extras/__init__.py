@@ -1,1 +1,1 @@
-"""What others build around the emulator; the core runs without it."""
+"""Tools around the emulator; the core runs without them."""

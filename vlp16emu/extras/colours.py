@@ -1,6 +1,6 @@
-"""Colours of species, parts and kinds of things, which pictures, the page and twins share.
+"""Colours of species, parts and kinds of objects, for pictures, the page and twins.
 
-They are what people expect of a species, not what 903 nm would show.
+They are the colours that people expect of a species, not its look at 903 nm.
 """
 
 from collections.abc import Mapping
@@ -23,12 +23,12 @@ PART_RGB: dict[str, Rgb] = {name: tuple(rgb) for name, rgb in _TABLES["parts"].i
 
 
 def colour_of_species(name: str) -> Rgb:
-    """Return the colour of a species' foliage; a plain green for a species that a user has added."""
+    """Return the colour of a species' foliage; plain green for a user's species."""
     return _PLANTS.get(name, _PLANTS[""])[0]
 
 
 def colour_of_kind(kind: str) -> Rgb:
-    """Return the colour of a kind of thing, or of a semantic class in small letters."""
+    """Return the colour of a kind of object, or of a semantic class in lower case."""
     return _KIND.get(kind, _KIND["other"])
 
 

@@ -1,7 +1,7 @@
-"""The file that describes a dataset, its walks, and their manifest: walks are made by this process or by others of this machine.
+"""Datasets: their file, their walks and the manifest. Walks are made by this process or by workers on this machine.
 
-Each folder of a walk lists its own files with their sha256, and the manifest joins these lists. Nothing unlisted is ever
-removed.
+The folder of each walk lists its own files with their sha256, and the manifest joins these lists. Unlisted files are
+never removed.
 """
 
 import hashlib
@@ -60,18 +60,18 @@ class _Variant(Section):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,60}$")]  # part of the names of walks
     set: Annotated[list[str], Field(default_factory=list)]
-    """Settings, each `key.path=value` as in `--set`; their files are found from the current folder."""
+    """Settings, each `key.path=value` as in `--set`; paths of files are relative to the current folder."""
 
 
 class _Stand(_Variant):
-    """A stand: a scene, whose other parts sensors and paths may change."""
+    """A stand: a scene, in which paths and sensors may change settings."""
 
     scene: Annotated[str, Field(min_length=1)]
     """Name of a scene, or path of a scene file, which is relative to the folder of the dataset's file."""
 
 
 class _Splits(Section):
-    """Shares of the stands; a stand is in one split with all its walks."""
+    """Shares of the stands; all walks of a stand are in one split."""
 
     train: Fraction = 0.7
     val: Fraction = 0.15
@@ -85,10 +85,10 @@ class _Splits(Section):
 
 
 class DatasetSpec(Section):
-    """The file of a dataset: each stand with each seed, path and sensor is a walk."""
+    """The file of a dataset: each combination of stand, seed, path and sensor is a walk."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]  # version of this format
-    layout: Literal["semantickitti", "pcap+truth", "las-plots"]  # which files are written
+    layout: Literal["semantickitti", "pcap+truth", "las-plots"]  # files that are written
     seed: _Seed = 1  # seed of the assignment of stands to splits
     seeds: Annotated[list[_Seed], *_OnceEach] = [1]  # noqa: RUF012  # pydantic copies it
     """Seeds of the scenes."""
@@ -150,7 +150,7 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
     for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):
         settings = [*stand.set, *path.set, *sensor.set, f"seed={seed}"]
         scene = find(stand.scene)
-        own = scene == Path(stand.scene)  # a path, not a name
+        own = scene == Path(stand.scene)  # True for a path, False for a name
         scenario = load(folder / scene if own else scene, settings)
         if spec.layout == "pcap+truth":
             require_packets(scenario.sensor)
@@ -160,7 +160,7 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
 
 
 def _split_of(spec: DatasetSpec) -> dict[str, str]:
-    """Assign each stand to a split: the order of their names is shuffled, and cut at the shares."""
+    """Return the split of each stand: the names are shuffled, and cut at the shares."""
     names = sorted(stand.name for stand in spec.stands)
     shuffled = [names[i] for i in generator(spec.seed, Purpose.DATASET_SPLIT).permutation(len(names))]
     ends = [0, *(round(end * len(names)) for end in (spec.splits.train, 1 - spec.splits.test, 1.0))]
@@ -172,19 +172,19 @@ def _split_of(spec: DatasetSpec) -> dict[str, str]:
 Entry = dict[str, Any]  # a walk in its list and in the manifest
 
 PARTS = ".vlp16emu.parts"
-"""Folder within the dataset in which walks are made; one that is there when a run begins is left from a run that was killed."""
-_LIST = "walk.json"  # in the folder of a walk, written last: so a folder that has one is whole
+"""Folder within the dataset in which walks are made; if it exists when a run begins, an earlier run was killed."""
+_LIST = "walk.json"  # in the folder of a walk, written last: a folder that has it is complete
 _WRITTEN_BY = f"vlp16emu {version('vlp16emu')}"
 _LARGEST_BYTES = 10**10
 
 
 def finished(out: Path, walk: DatasetWalk) -> Entry | None:
-    """Return the list of a walk if all its files are as listed, by a run that would list the same; None if it is to be made.
+    """Return the list of a walk if all its files agree with it and the walk is the same; None if the walk must be made.
 
-    OutputError if its place holds a file that is not listed, or not so: it is somebody else's.
+    OutputError if its folder has a file that is not listed, or differs from the list: it may be a user's file.
     """
     folder = out / walk.folder
-    entry, ours = _listed(folder), _ours(folder)
+    entry, ours = _read_list(folder), _intact_files(folder)
     if entry.items() >= identity(walk).items() and len(ours) == len(entry["files"]) + 1:
         return entry
     if strange := {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()} - ours:
@@ -194,10 +194,10 @@ def finished(out: Path, walk: DatasetWalk) -> Entry | None:
 
 
 def take_place(made: Path, final: Path) -> None:
-    """Move a complete folder to its place, from which the listed files of an earlier run go; RunError if it cannot go there."""
+    """Move a complete folder to its place, after removal of the listed files of an earlier run; RunError if that fails."""
     try:
-        # The list goes last: without it, what is left after a kill would be somebody else's.
-        for path in sorted(_ours(final), key=lambda path: path.name == _LIST):
+        # The list is removed last: without it, files that are left after a kill would count as a user's.
+        for path in sorted(_intact_files(final), key=lambda path: path.name == _LIST):
             path.unlink()
         for folder in sorted((path for path in final.rglob("*") if path.is_dir()), reverse=True):
             folder.rmdir()
@@ -208,25 +208,25 @@ def take_place(made: Path, final: Path) -> None:
 
 
 def identity(walk: DatasetWalk) -> Entry:
-    """Return all that decides the bytes of a walk."""
+    """Return all inputs that determine the bytes of a walk."""
     tree = walk.scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     names = ("name", "folder", "split", "stand", "seed", "path", "sensor", "layout")
     digest = hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()
     return {name: getattr(walk, name) for name in names} | {"written_by": _WRITTEN_BY, "scenario_sha256": digest}
 
 
-def _ours(folder: Path) -> set[Path]:
-    """Return the files of a folder that are as its list has them, and the list."""
-    if not (entry := _listed(folder)):
+def _intact_files(folder: Path) -> set[Path]:
+    """Return the files of a folder that agree with its list, and the list itself."""
+    if not (entry := _read_list(folder)):
         return set()
     named = [(folder / file["path"], file) for file in entry["files"]]
     return {path for path, file in named if path.is_file() and _described(path, folder) == file} | {folder / _LIST}
 
 
-def _listed(folder: Path) -> Entry:
-    """Return the list of a folder of ours; empty if there is none."""
+def _read_list(folder: Path) -> Entry:
+    """Return the list of a walk's folder; empty if there is none."""
     try:
-        tree = _of_ours((folder / _LIST).read_text(encoding="utf-8"))
+        tree = _parsed_list((folder / _LIST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     files = tree.get("files")
@@ -234,8 +234,8 @@ def _listed(folder: Path) -> Entry:
     return tree if is_list else {}
 
 
-def _of_ours(text: str) -> Entry:
-    """Return a JSON table that a dataset has written; empty if it is none."""
+def _parsed_list(text: str) -> Entry:
+    """Return a JSON table that a dataset has written; empty for other text."""
     try:
         tree = json.loads(text)
     except (ValueError, RecursionError):
@@ -256,8 +256,8 @@ _IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
 def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
     """Write a sequence: one scan per revolution, each deskewed to the pose of its first pulse.
 
-    Poses are those of the sensor in the world of the scene; camera and lidar coincide, so `calib.txt` holds identities.
-    Instances are numbered from 1 in the order in which the sequence first sees them.
+    Poses are world_T_sensor in the world of the scene; camera and lidar coincide, so `calib.txt` has identities.
+    Instances are numbered from 1 in order of first appearance in the sequence.
     """
     for name in ("velodyne", "labels"):
         (folder / name).mkdir()
@@ -294,10 +294,10 @@ LAYOUTS: dict[str, Callable[[Emulator, Path], object]] = {
     "semantickitti": _semantic_kitti,
     "pcap+truth": lambda emulator, folder: emulator.record(folder / "walk.pcap", truth=folder / "truth"),
     "las-plots": lambda emulator, folder: write_points(emulator, folder / "points.laz", truth=True),
-}  # writers of a walk into an empty folder, by the layout's name in the file of a dataset
+}  # writers of a walk into an empty folder, by layout
 
 
-_DEATHS = 10  # deaths of workers, without a finished walk between them, that end a run: then a walk kills them
+_DEATHS = 10  # deaths of workers without a finished walk between them that end a run: a walk causes them
 
 Made = tuple[DatasetWalk, Path, Entry]  # a walk, the folder with its files, and its entry in the manifest
 
@@ -307,27 +307,27 @@ class DatasetResult:
     """Result of a run."""
 
     manifest: str
-    sha256: str  # of the manifest
+    sha256: str  # sha256 of the manifest
     walks: int
-    made: int  # walks that were not there before
+    made: int  # new walks
     bytes: int  # size of all files of all walks
 
 
 def make_dataset(
     walks: Sequence[DatasetWalk], out: Path, *, progress: Callable[[float], None] = lambda _: None, **options: Any
 ) -> DatasetResult:
-    """Make the walks of a dataset that are not there yet, and its manifest.
+    """Make the missing walks of a dataset, and its manifest.
 
-    A walk is there if its folder lists it, and its files have the sizes and sha256 of that list.
+    A walk is complete if its folder has a list, and its files have the sizes and sha256 of that list.
 
     Parameters
     ----------
-    out : folder, new or of an earlier run
+    out : folder, new or from an earlier run
     progress : called with the simulated seconds so far, walk by walk
     options : fields of `DatasetOptions`
 
-    Raises OutputError if the folder cannot be written, another run writes it, or a file that is not listed is in the
-    place of a walk; RunError if a walk fails, or workers die over one walk again and again.
+    Raises OutputError if the folder cannot be written, another run writes it, or the folder of a walk has an unlisted
+    file; RunError if a walk fails, or workers die repeatedly on one walk.
     """
     out, asked = out.absolute(), DatasetOptions(**options)
     walks = walks[slice(*(asked.share or (None,)))]
@@ -337,7 +337,7 @@ def make_dataset(
             expected = "the manifest of a dataset"
             with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
                 text = path.read_text(encoding="utf-8")
-            if not _of_ours(text):
+            if not _parsed_list(text):
                 raise OutputError(str(path), "is none of ours", expected)
         entries = {walk.number: entry for walk in walks if (entry := finished(out, walk))}
         missing = [walk for walk in walks if walk.number not in entries]
@@ -346,7 +346,7 @@ def make_dataset(
         try:
             rmtree(parts, ignore_errors=True)
             parts.mkdir()
-            for walk, made, entry in _made(missing, parts, asked.workers):
+            for walk, made, entry in _make_walks(missing, parts, asked.workers):
                 take_place(made, out / walk.folder)
                 entries[walk.number] = entry
                 progress(done_s := done_s + walk.scenario.duration_s)
@@ -380,11 +380,11 @@ def _locked(out: Path) -> Iterator[None]:
         _LAST.clear()
 
 
-_LAST = list[Emulator]()  # the emulator of the walk before in this process, whose world the next one may share
+_LAST = list[Emulator]()  # the emulator of the previous walk in this process, whose world the next walk may share
 
 
 def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
-    """Make the files of a walk in a new folder of its own; the world of the process's walk before is used again if it fits."""
+    """Make the files of a walk in a new folder; the world of the previous walk in this process is reused if it fits."""
     try:
         folder = Path(tempfile.mkdtemp(dir=parts))
         folder.chmod(0o755)
@@ -401,8 +401,8 @@ def make_walk(walk: DatasetWalk, parts: Path, threads: int) -> Made:
     return walk, folder, entry
 
 
-def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
-    """Make walks, and yield each as it is done; one whose worker dies is made again."""
+def _make_walks(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Iterator[Made]:
+    """Make walks, and yield each when it is done; a walk whose worker dies is made again."""
     left, deaths = {walk.number: walk for walk in walks}, 0
     if workers == 0:
         yield from (make_walk(walk, parts, threads=0) for walk in walks)
@@ -425,7 +425,7 @@ def _made(walks: Sequence[DatasetWalk], parts: Path, workers: int | None) -> Ite
 
 @contextmanager
 def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Start processes of this machine, which are not waited for after an error."""
+    """Start worker processes; after an error nothing waits for them."""
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_start_worker) as pool:
@@ -439,7 +439,7 @@ def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _start_worker() -> None:
-    """Leave Ctrl-C to the parent process, and end with it."""
+    """Ignore Ctrl-C, which the parent process handles, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end_with_parent() -> None:

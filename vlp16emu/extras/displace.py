@@ -1,8 +1,8 @@
 """The beam error `offset` of LiDAR-Forest (Lu et al.): hits displaced inside the beam, for comparison.
 
-The paper displaces a hit "inside the ellipsoid whose axes are the divergence at that distance". Our reading: uniformly,
-within semi-axes of half the beam's horizontal and vertical width there, and along the beam half of their geometric mean.
-A packet has no place for more than the distance of the displaced point; point clouds have the point itself.
+The paper displaces a hit "inside the ellipsoid whose axes are the divergence at that distance". Our interpretation:
+uniformly, within semi-axes of half the beam's horizontal and vertical width there, and along the beam half of their
+geometric mean. A packet can hold only the distance of the displaced point; point clouds have the point itself.
 """
 
 import math
@@ -20,17 +20,17 @@ _DISPLACEMENT = int(Purpose.BEAM_ERROR)
 
 
 def displace(range_m: F4, beam: Footprint, index: int) -> None:
-    """Replace ranges (k, L) of hits by those of the displaced points, in place; `index` is the first firing sequence."""
+    """Replace ranges (k, L) of hits by the ranges of the displaced points, in place; `index` is the first firing sequence."""
     _displace(range_m, 4.0 * beam.sigmas, beam.seed, index)
 
 
 def offset_tangents(distance_m: F4, beam: Footprint, sequence: I8, laser: I8, lasers: int) -> F8:
-    """Return how far displaced points are off their pulses, (n, 2): to greater azimuths and upwards, over their distance.
+    """Return the offsets (n, 2) of displaced points from their pulses, to greater azimuths and upwards, over their distance.
 
     Parameters
     ----------
-    distance_m : (n,) of the displaced points
-    sequence, laser : (n,) firing sequence since the run began, and laser, of `lasers`
+    distance_m : (n,) distances of the displaced points
+    sequence, laser : (n,) firing sequence since the run began, and laser, out of `lasers`
     """
     out = np.empty((len(distance_m), 2))
     _fill_tangents(distance_m, 4.0 * beam.sigmas, beam.seed, sequence, laser, lasers, out)
@@ -61,7 +61,7 @@ def _fill_tangents(distance_m: F4, widths: F8, seed: int, sequence: I8, laser: I
 def _displacement(
     widths: F8, reach_m: float, seed: int, sequence: int, laser: int, lasers: int
 ) -> tuple[float, float, float]:
-    """Draw a displacement: horizontal, vertical and along; widths are spot and divergence, both horizontal and vertical."""
+    """Draw a displacement: horizontal, vertical and along the beam; `widths` are spot and divergence, horizontal and vertical."""
     across_m, up_m = (widths[0] + widths[2] * reach_m) / 2, (widths[1] + widths[3] * reach_m) / 2
     a, b = uniform_pair(seed, _DISPLACEMENT, sequence, laser)
     c, _ = uniform_pair(seed, _DISPLACEMENT, sequence, lasers + laser)

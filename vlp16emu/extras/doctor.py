@@ -24,13 +24,13 @@ from vlp16emu.sinks.pacing import prompt
 from vlp16emu.store import user_store
 
 _SLEEPS = 200
-_SLEEP_S = 0.001_327  # as long as between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)
-_PROMPT_NS = 1_327_104  # a packet that is later than that leaves after the next one is due
+_SLEEP_S = 0.001_327  # time between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)
+_PROMPT_NS = 1_327_104  # a packet with more delay leaves after the next one is due
 _COARSE_S = 1e-6
 _PAUSE_S = 0.1  # a revolution at 600 rpm: pauses of receivers that share their cores are shorter
 _RIG_PACKETS_HZ = 2 * 1508  # data packets of two sensors in dual return (63-9243 Rev D, section 8.2)
 _HELD_BYTES = 2304
-"""That Linux counts for one of them in a receive buffer: payload, headers and its own record, rounded up."""
+"""Bytes of a receive buffer that Linux counts for one packet: payload, headers and its own record, rounded up."""
 
 
 class Condition(StrEnum):
@@ -43,12 +43,12 @@ class Condition(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     name: str
     finding: Condition
     found: str
-    mend: str = ""  # a command or a line; empty where nothing is to be done
+    mend: str = ""  # a command or advice; empty if nothing is to be done
 
 
 _EXTRAS = {
@@ -59,15 +59,15 @@ _EXTRAS = {
     "ros": (("rosbags",), "bag, record into bags"),
     "score": (("evo",), "score"),
     "viewer": (("viser", "websockets"), "view"),
-}  # libraries of each extra in pyproject.toml, and what needs them
+}  # libraries of each extra in pyproject.toml, and the features that need them
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
-"""Instruction sets that Embree has kernels for, by their names in /proc/cpuinfo, the widest first (Embree 4 manual, rtcNewDevice)."""
+"""Instruction sets with kernels in Embree, by their names in /proc/cpuinfo, widest first (Embree 4 manual, rtcNewDevice)."""
 _FEWEST_CORES = 2
-_CASTER = "raycast."  # begin of the names of compiled kernels of that room
+_CASTER = "raycast."  # prefix of the names of compiled kernels for ray casting
 
 
 def all_checks() -> Iterator[Check]:
-    """Yield the results of all checks, one after the other; takes half a second."""
+    """Yield the results of all checks; takes half a second."""
     cores = usable_cores()
     few = "stream --prepare: the engine then has it before the sender" if cores < _FEWEST_CORES else ""
     yield _check("cores", f"{cores}", few)
@@ -99,7 +99,7 @@ def _check(name: str, found: str, mend: str = "", *, bad: Condition = Condition.
 
 
 def _bound(address: str, port: int) -> str:
-    """Return why an address cannot be sent from; empty if it can."""
+    """Return the reason why an address cannot be a source; empty if it can."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, port))
@@ -120,7 +120,7 @@ def _interface_right() -> Check:
 
 def _wake_ups() -> Check:
     late_ns = []
-    with prompt():  # as streams sleep
+    with prompt():  # streams sleep in the same way
         for _ in range(_SLEEPS):
             until_ns = time.monotonic_ns() + round(_SLEEP_S * 1e9)
             time.sleep(_SLEEP_S)
@@ -133,7 +133,7 @@ def _wake_ups() -> Check:
 
 
 def _buffer() -> Check:
-    """Return whether a receiver here may have a buffer that holds two sensors in dual return for a revolution."""
+    """Check if a receiver here may have a buffer for one revolution of two sensors in dual return."""
     needed, key = round(_PAUSE_S * _RIG_PACKETS_HZ * _HELD_BYTES), "net.core.rmem_max"
     try:
         most = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
@@ -141,7 +141,7 @@ def _buffer() -> Check:
         return _check("receive buffer", "not reported by this system")
     found = f"{key} is {most}; two sensors in dual return fill {needed} in {_PAUSE_S:g} s"
     mend = f"sudo sysctl -w {key}={needed}, and SO_RCVBUF in the receiver"
-    # Linux doubles what SO_RCVBUF asks for (socket(7)).
+    # Linux doubles the value of SO_RCVBUF (socket(7)).
     return _check("receive buffer", found, mend if 2 * most < needed else "")
 
 
@@ -150,9 +150,9 @@ def _kernels() -> Check:
     if any(name.startswith(_CASTER) for name in names):
         return _check("kernel cache", f"{len(names)} kernels in {folder or 'the package alone'}")
     if folder is None:
-        mend = "export NUMBA_CACHE_DIR=FOLDER, of one in which nobody else can write"
+        mend = "export NUMBA_CACHE_DIR=FOLDER, where nobody else can write"
         return _check("kernel cache", "no safe folder: each run compiles for a minute", mend)
-    lacking = f"{folder} lacks those of casting: the next run compiles them first"
+    lacking = f"{folder} lacks kernels for ray casting: the next run compiles them first"
     return _check("kernel cache", lacking, "vlp16emu cache --compile")
 
 

@@ -1,4 +1,4 @@
-"""The table `[sensor]` of a sensor of any beam table."""
+"""The table `[sensor]` of a sensor with any beam table."""
 
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,22 +14,22 @@ Elevation = Annotated[float, Field(gt=-90, lt=90)]
 
 
 class FreeSensor(Lidar):
-    """A spinning lidar of any beam table. It has no packets, only points."""
+    """A spinning lidar with any beam table. It has no packets, only points."""
 
     model: Literal["free"]
-    """Selects a sensor of any beam table, without packets."""
+    """Selects a sensor with any beam table, without packets."""
     elevations_deg: Annotated[tuple[Elevation, ...], Field(strict=False)] = ()
-    """Elevation of each laser in order of firing; instead of `beams` and `vertical_fov_deg`."""
+    """Elevation of each laser in order of firing, instead of `beams` and `vertical_fov_deg`."""
     beams: Annotated[int, Field(ge=1, le=1024)] = 16
-    """Number of lasers, spread evenly over the field of view, lowest first; a single one looks at its middle."""
+    """Number of lasers, evenly spaced over the field of view, lowest first; a single laser is in its middle."""
     vertical_fov_deg: Annotated[tuple[Elevation, Elevation], Field(strict=False)] = (-15.0, 15.0)
     """Elevations of the lowest and the highest laser."""
     azimuth_resolution_deg: Annotated[float, Field(ge=0.05, le=2)] = 0.2
-    """Rotor angle from one firing sequence to the next."""
+    """Rotor angle between firing sequences."""
     rpm: Annotated[int, Field(ge=60, le=3600)] = 600
     """Rotor speed."""
     lens_radius_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Distance from the spin axis of the point through which all beams pass; 0 lets them begin on the axis."""
+    """Distance from the spin axis to the point through which all beams pass; with 0 they begin on the axis."""
 
     @field_validator("beams", "vertical_fov_deg")
     @classmethod
@@ -54,7 +54,7 @@ class FreeSensor(Lidar):
         return tuple(low + (high - low) * i / (self.beams - 1) for i in range(self.beams))
 
     def beam_table(self) -> "BeamTable":
-        """Return a table of lasers that fire once per azimuth step, to the nearest nanosecond, evenly in between.
+        """Return a table of lasers that fire once per azimuth step, at equal intervals, to the nearest nanosecond.
 
         All beams pass through one point of the lens.
         """

@@ -192,7 +192,7 @@ class Live(PacketSink):
     def scans(self, *, unit: int = 1) -> Iterator[Scan]:
         """Yield whole revolutions of a sensor, decoded from its packets as they are sent, until the stream ends.
 
-        Scans have labels if the stream has truth; their times are those of the scene. A reader that is more than 2048
+        Scans have labels if the stream has truth; their times are times of the scene. A reader that is more than 2048
         packets behind goes on with the newest packet. Incomplete and corrupt data packets are skipped.
 
         Raises InputError if there is no such unit; errors of the stream.

@@ -1,4 +1,4 @@
-"""Settings with which a stream keeps up: a ladder of beams and reaches, and the rung that this machine is fast enough for."""
+"""Settings with which a stream keeps up: a ladder of beams and ranges, and the rung for which this machine is fast enough."""
 
 import math
 import time
@@ -11,33 +11,33 @@ from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario
 from vlp16emu.sinks import FellBehind
 
-_FREE = 0.2  # share of the time that a rung leaves free: for sending, for windows of the world, and for other programs
-_STALLED = 0.1  # speed below which the engine waits for something, so that its speed says nothing of settings
+_FREE = 0.2  # share of time that a rung leaves for sending, windows of the world and other programs
+_STALLED = 0.1  # speed below which the engine waits for something, so settings do not limit it
 _WARM_S, _MEASURED_S = 0.1, 1.5
-"""Simulated seconds that open the window and load the kernels, and those that are measured."""
+"""Simulated seconds of warm-up, for the window and the kernels, and of measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """A rung of the ladder; reach and rays are no more than the scene's own."""
+    """A rung of the ladder; range and rays are at most the scene's own."""
 
-    rays: int  # most sub-rays of a pulse
+    rays: int  # greatest number of sub-rays of a pulse
     reach_m: float
     gain: float
-    """About how much faster a forest is than on the first rung: us per pulse in `tools/results/accuracy.md`, and for the
-    reach `scenes/OUTPUTS.md`."""
+    """Approximate speed of a forest relative to the first rung: from us per pulse in `tools/results/accuracy.md`, and
+    for the range from `scenes/OUTPUTS.md`."""
     error_mm: float  # mean error of the strongest echo's range in `scenes/reference_forest` by `vlp16emu accuracy`
 
     @property
     def name(self) -> str:
-        """The rung in words."""
+        """Description of the rung."""
         rays = {1: "one ray", 64: "adaptive, at most 64 sub-rays"}.get(self.rays, f"{self.rays} sub-rays")
         return rays if math.isinf(self.reach_m) else f"{rays}, to {self.reach_m:g} m"
 
     @property
     def settings(self) -> list[str]:
-        """What `--set` takes; none for a scene as it is."""
-        # The first eight support points are better than eight fixed sub-rays (38 to 53 mm), but no four of them are.
+        """Settings in the form of `--set`; none for the unchanged scene."""
+        # The first eight support points are better than eight fixed sub-rays (38 to 53 mm); four support points are not.
         model = "none" if self.rays == 1 else ("fixed" if self.rays == 4 else "adaptive")
         rays = [] if self.rays == 1 else [f"beam.rays={self.rays}"]
         reach = [] if math.isinf(self.reach_m) else [f"sensor.max_range_m={self.reach_m:g}"]
@@ -55,11 +55,11 @@ LADDER = (
     Rung(4, math.inf, 1.25, 75.0),
     Rung(1, math.inf, 3.0, 120.0),
     Rung(1, 45.0, 6.0, 120.0),
-)  # no rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so that it gains next to nothing
+)  # no rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so the gain is small
 
 
 def below(scenario: Scenario) -> list[Rung]:
-    """Return the rungs on which a scene is faster than as it is, the best first."""
+    """Return the rungs that make a scene faster, the best first."""
     rays = scenario.beam.rays if scenario.beam.model in ("adaptive", "fixed") else 1
     reach_m = scenario.sensor.max_range_m
     fewer = [rung for rung in LADDER if rung.rays < rays or rung.reach_m < reach_m]
@@ -67,12 +67,12 @@ def below(scenario: Scenario) -> list[Rung]:
 
 
 def enough(scenario: Scenario, engine_speed: float, speed: float) -> list[Rung]:
-    """Return the rungs that leave a fifth of the time free by their gains, the best first.
+    """Return the rungs that leave a fifth of the time free according to their gains, the best first.
 
     Parameters
     ----------
-    engine_speed : simulated seconds per second of the scene as it is, as measured
-    speed : simulated seconds per second asked for
+    engine_speed : measured simulated seconds per second of the unchanged scene
+    speed : requested simulated seconds per second
     """
     lower = below(scenario)
     own = next((rung for rung in reversed(LADDER) if rung not in lower), LADDER[0])
@@ -82,13 +82,14 @@ def enough(scenario: Scenario, engine_speed: float, speed: float) -> list[Rung]:
 def choose(
     scenario: Scenario, speed: float, measured: Callable[[Rung | None], float]
 ) -> tuple[Rung | None, float, float]:
-    """Return the best rung that leaves a fifth of the time free, its speed, and that of the scene as it is.
+    """Return the best rung that leaves a fifth of the time free, its speed, and the speed of the unchanged scene.
 
-    The scene as it is (None) comes first; then the rungs that would be fast enough by their gains, from the best one down.
+    The unchanged scene (None) is first; then the rungs that are fast enough according to their gains, from the best
+    down.
 
     Parameters
     ----------
-    speed : simulated seconds per second asked for
+    speed : requested simulated seconds per second
     measured : returns the simulated seconds per second on a rung
     """
     own = reached = measured(None)
@@ -101,12 +102,12 @@ def choose(
 
 
 def settings_that_keep_up(scenario: Scenario, engine_speed: float, speed: float) -> list[str]:
-    """Return options of `stream` with which the engine keeps up, each enough by itself; if it is stalled, those that make it faster.
+    """Return options of `stream` with which the engine keeps up, each sufficient alone; for a stalled engine, options that make it faster.
 
     Parameters
     ----------
-    engine_speed : simulated seconds per second, as measured
-    speed : simulated seconds per second asked for
+    engine_speed : measured simulated seconds per second
+    speed : requested simulated seconds per second
     """
     if engine_speed < _STALLED:
         return [rung.options for rung in below(scenario)[-2:]]
@@ -115,24 +116,24 @@ def settings_that_keep_up(scenario: Scenario, engine_speed: float, speed: float)
 
 
 def keeps_up_with(times: Sequence[FellBehind], scenario: Scenario, speed: float) -> list[str]:
-    """Return options with which an engine that fell behind keeps up; none if it was not the cause."""
+    """Return options with which an engine that fell behind keeps up; none if the engine was not the cause."""
     speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None]
     return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []
 
 
 @dataclass(frozen=True, slots=True)
 class KeptUp:
-    """Rung of a stream, as measured on this machine."""
+    """Rung of a stream, chosen by measurement on this machine."""
 
-    rung: Rung | None  # none for the scene as it is
+    rung: Rung | None  # None for the unchanged scene
     speed: float  # simulated seconds per second on it
-    enough: bool  # true if the rung leaves a fifth of the time free
+    enough: bool  # True if the rung leaves a fifth of the time free
     cores: int  # cores that this process may use
-    cores_as_it_is: int  # cores like these with which the scene would keep up as it is
+    cores_as_it_is: int  # number of such cores with which the unchanged scene would keep up
 
     @property
     def line(self) -> str:
-        """What was found, in words."""
+        """Result as a sentence."""
         measured = f"measured {self.speed:.2g} x real time on {self.cores} cores"
         if self.rung is None:
             taken = "the scene as it is"
@@ -146,14 +147,14 @@ class KeptUp:
 
 
 def keep_up(emulator: Emulator, speed: float) -> tuple[Emulator, KeptUp]:
-    """Measure this machine for some seconds, and return the emulator on the rung that `choose` takes.
+    """Measure this machine for some seconds, and return the emulator with the settings of the rung that `choose` selects.
 
-    On a rung it has the bytes of a recording with its settings.
+    Its bytes equal a recording with these settings.
 
     Parameters
     ----------
-    emulator : with the settings of the user
-    speed : simulated seconds per second asked for
+    emulator : emulator with the settings of the user
+    speed : requested simulated seconds per second
     """
     cores = usable_cores()
     on: dict[Rung | None, Emulator] = {}

@@ -1,4 +1,4 @@
-"""Options of extras, read by Python and by the command line. They need no library, as help is quick."""
+"""Options of extras, for Python and the command line. They need no library, as help must be quick."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,12 +30,12 @@ class PointOptions(Span):
 
     unit: WhichUnit = 1
     truth: Annotated[
-        bool, Option("Label what each point lies on: class, part, leaf or wood, plant, species.", name="--truth")
+        bool, Option("Label the surface of each point: class, part, leaf or wood, plant, species.", name="--truth")
     ] = False
     labels: Annotated[
         str | None,
         Option(
-            "Classes as data sets have them: for-instance, digiforests, asprs or semantickitti. Beside them dense numbers of trees, "
+            "Classes of data sets: for-instance, digiforests, asprs or semantickitti. Also consecutive numbers of trees, "
             "height above the ground and the viewpoint.",
             "SCHEME",
         ),
@@ -43,8 +43,8 @@ class PointOptions(Span):
     truth_to: Annotated[
         TruthPlace | None,
         Option(
-            "Of a scene: write beside them what `record --truth` writes: trajectory, IMU, GNSS, rig, scenario. Of a capture: read "
-            "from there what `record --truth-returns` has written, for --truth and --labels; by default from the folder of --trajectory.",
+            "For a scene: also write the files of `record --truth` to this folder. For a capture: folder "
+            "that `record --truth-returns` has written, for --truth and --labels; by default the folder of --trajectory.",
             "DIR",
             "--truth-folder",
             parse=Path,
@@ -59,9 +59,9 @@ class PictureLook(Options):
     colour: Annotated[
         str | None,
         Option(
-            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
+            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four for a capture.",
             "LAYER",
-            shown="natural, of a capture reflectivity",
+            shown="natural, for a capture reflectivity",
         ),
     ] = None
     from_deg: Annotated[
@@ -81,7 +81,7 @@ class PictureLook(Options):
     view: Annotated[
         str,
         Option(
-            "slant, of points that add up; or sweep, a revolution from straight above with circles of range.",
+            "slant, all points from a slant; or sweep, one revolution from vertically above with circles of range.",
             words=("slant", "sweep"),
         ),
     ] = "slant"
@@ -89,12 +89,12 @@ class PictureLook(Options):
 
 @dataclass(frozen=True)
 class DatasetOptions(Options):
-    """Which walks of a dataset are made, and by how many processes."""
+    """Selection of the walks of a dataset, and number of processes."""
 
     workers: Annotated[
         int | None,
         Option(
-            "Processes on this machine, one per core if left out; 0 is this process alone. Never changes a byte.",
+            "Processes on this machine, by default one per core; 0 uses only this process. Never changes a byte.",
             "N",
             ge=0,
             le=1024,
@@ -103,7 +103,7 @@ class DatasetOptions(Options):
     share: Annotated[
         Any,
         Option(
-            "Walks of one of several machines: from number FROM on, without number TO. Copied into one OUT, shares are the dataset;"
+            "Walks for one of several machines: from number FROM to before number TO. Shares copied into one OUT are the dataset;"
             " a run without --share checks them, and lists all.",
             "FROM:TO",
             parse=_share,
@@ -118,21 +118,21 @@ class ScoreInputs(Options):
 
     truth: Annotated[Path, Option("Folder that `record --truth` has written.", name="TRUTH_DIR")]
     trajectory: Annotated[Path | None, Option("Estimated poses, TUM; KITTI with --times.", "FILE")] = None
-    times: Annotated[Path | None, Option("A time in seconds for each pose of KITTI, one to a line.", "FILE")] = None
+    times: Annotated[Path | None, Option("A time in seconds for each pose of KITTI, one per line.", "FILE")] = None
     map: Annotated[Path | None, Option("Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")] = None
     points: Annotated[Path | None, Option("Points with labels `leaf_wood`, `instance` (or `treeID`).", "FILE")] = None
     stems: Annotated[Path | None, Option("Stems found: x, y, dbh (m) or dbh_cm, number.", "FILE.csv")] = None
-    inventory: Annotated[Path | None, Option("True trees, of `forest --inventory`.", "FILE.csv")] = None
-    truth_points: Annotated[Path | None, Option("True points, of `points --truth`.", "FILE")] = None
+    inventory: Annotated[Path | None, Option("True trees, from `forest --inventory`.", "FILE.csv")] = None
+    truth_points: Annotated[Path | None, Option("True points, from `points --truth`.", "FILE")] = None
     unit: WhichUnit = 1
     alignment: Annotated[
         str,
         Option(
-            "How the poses are laid on the truth, nothing else is moved: by the first pose (start), as odometry begins anywhere; as a "
-            "whole (se3), or level (yaw); or not at all.",
+            "Alignment of the poses to the ground truth; nothing else is moved: by the first pose (start), as odometry begins "
+            "anywhere; as a whole (se3), or with rotation about the vertical only (yaw); or none.",
             None,
             "--align",
             words=("start", "none", "yaw", "se3"),
         ),
     ] = "start"
-    radius_m: Annotated[float, Option("Farthest that a found stem is from a true one.", "M", gt=0, le=10)] = 0.5
+    radius_m: Annotated[float, Option("Greatest distance of a found stem from its true one.", "M", gt=0, le=10)] = 0.5

@@ -1,4 +1,4 @@
-"""People beside the carrier: a companion who follows, and others who come towards the carrier and pass."""
+"""People near the carrier: a companion who follows, and people who come towards the carrier and pass."""
 
 from dataclasses import replace
 
@@ -14,27 +14,27 @@ from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.settings import People as PeopleSection
 
 _FIRST_INSTANCE = 0xFFFFFFF0
-"""Instance of the companion; that of those who pass is the next. Things of the user are numbered far below."""
+"""Instance of the companion; people who pass have the next number. The user's objects have far smaller numbers."""
 _SHOULDERS = 0.82  # height of the shoulders, as a share of the stature (assumption)
 _STATURE_M, _WIDTH_M = 1.74, 0.5
-"""Height, and width of the shoulders with 0.04 m of outdoor clothing; medians of British men (City University of Hong Kong, online
-anthropometry, chapter 2)."""
-_PASSES_AT_M = 1.0  # to the side (assumption)
+"""Height, and width of the shoulders with 0.04 m of outdoor clothing; medians of British men (City University of Hong
+Kong, online anthropometry, chapter 2)."""
+_PASSES_AT_M = 1.0  # lateral distance (assumption)
 _REFLECTANCE = 0.5  # Lambertian, at 903 nm (assumption)
 _HEAD_M = 0.0975
 """Radius of the head, half its length of 0.195 m (median British men; City University of Hong Kong, online anthropometry)."""
 
 
 class People:
-    """People who walk where the carrier does: their place is that of the carrier at another time, or behind it.
+    """People who walk on the carrier's path: they are at the carrier's position of another time, or behind the carrier.
 
     Parameters
     ----------
-    section : of the scene
-    carrier : who walks
+    section : table of the scene
+    carrier : motion of the carrier
     height_m : height of the ground
     start_ns : UTC of the first pulse
-    seed : decides when people pass, and on which side
+    seed : determines when people pass, and on which side
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class People:
         self._section, self._carrier, self._height_m = section, carrier, height_m
         self._seed, self._start_ns, self._end_ns = seed, start_ns, start_ns + seconds_to_ns(carrier.run_time_s)
         self.surfaces = np.zeros(2, SURFACE)
-        """(2,) rows of the table of surfaces: of the companion, and of those who pass."""
+        """(2,) rows of the table of surfaces, for the companion and for people who pass."""
         self.surfaces["reflectance"], self.surfaces["semantic"] = _REFLECTANCE, Semantic.OTHER
         self.surfaces["instance"] = _FIRST_INSTANCE + np.arange(2)
 
@@ -52,13 +52,13 @@ class People:
         return Peopled(geometry, self)
 
     def in_front(self, firings: Firings, hits: Hits, first_surface: int) -> Hits:
-        """Return hits, in which a pulse that meets a person first ends there, with all its sub-rays; of the surface from that row on."""
+        """Return hits in which a pulse that hits a person first ends there, with all its sub-rays; `first_surface` is the companion's row."""
         owner, t_ns = np.repeat(np.arange(hits.count.size), hits.count.ravel()), firings.t_ns[:, 0]
         present = self._section.behind_m, self._section.passes_every_s
         for number, foot in enumerate((self._companion, self._passer)):
             if not present[number]:
                 continue
-            range_m, cosine = (of.reshape(-1)[owner] for of in self._met(firings, foot(t_ns)))
+            range_m, cosine = (of.reshape(-1)[owner] for of in self._hit_ranges(firings, foot(t_ns)))
             nearer = range_m < hits.range_m
             if nearer.any():
                 hits = replace(
@@ -70,28 +70,28 @@ class People:
         return hits
 
     def _companion(self, t_ns: I8) -> F8:
-        """Return the place (k, 3) of who follows, at instants (k,): on the ground, straight behind the carrier."""
+        """Return the positions (k, 3) of the companion at instants (k,): on the ground, straight behind the carrier."""
         poses = self._carrier.poses_at(t_ns)
         behind_m = np.full(len(t_ns), -self._section.behind_m)
-        return self._beside(poses.world_p_body_m, poses.world_R_body[:, :2, 0], behind_m)
+        return self._offset_on_ground(poses.world_p_body_m, poses.world_R_body[:, :2, 0], behind_m)
 
     def _passer(self, t_ns: I8) -> F8:
-        """Return the place (k, 3) of who passes: beside the one that the carrier will have, or had, as long after they meet."""
+        """Return the positions (k, 3) of the person who passes: beside the carrier's position mirrored in time about their meeting."""
         every_ns = seconds_to_ns(self._section.passes_every_s)
         periods, which = np.unique((t_ns - self._start_ns) // every_ns, return_inverse=True)
         when, side = np.array([uniform(self._seed, Purpose.PASSER, 2 * int(one), 2, 0) for one in periods])[which].T
         meets_ns = self._start_ns + every_ns * periods[which] + np.rint(every_ns * (0.25 + 0.5 * when)).astype(np.int64)
         poses = self._carrier.poses_at(np.clip(2 * meets_ns - t_ns, self._start_ns, self._end_ns))
         aside_m = np.where(side < 0.5, -1.0, 1.0) * _PASSES_AT_M
-        return self._beside(poses.world_p_body_m, poses.world_R_body[:, :2, 1], aside_m)
+        return self._offset_on_ground(poses.world_p_body_m, poses.world_R_body[:, :2, 1], aside_m)
 
-    def _beside(self, place_m: F8, axis: F8, by_m: F8) -> F8:
-        """Return places (k, 3) on the ground that lie off places (k, 3) along level axes (k, 2) of any length."""
+    def _offset_on_ground(self, place_m: F8, axis: F8, by_m: F8) -> F8:
+        """Return positions (k, 3) on the ground at offsets `by_m` from positions (k, 3) along horizontal axes (k, 2) of any length."""
         level_m = place_m[:, :2] + by_m[:, None] * axis / norm(axis)[:, None]
         return np.column_stack([level_m, self._height_m(level_m[:, 0].copy(), level_m[:, 1].copy())])
 
-    def _met(self, firings: Firings, foot_m: F8) -> tuple[F4, F4]:
-        """Return range (k, L) at which pulses meet a person, inf where they do not, and cosine of incidence."""
+    def _hit_ranges(self, firings: Firings, foot_m: F8) -> tuple[F4, F4]:
+        """Return ranges (k, L) at which pulses hit a person, inf for a miss, and cosines of incidence."""
         range_m, cosine = np.full(firings.t_ns.shape, np.inf), np.zeros(firings.t_ns.shape)
         from_foot_m, at_m = firings.origin_m - foot_m[:, None], _SHOULDERS * _STATURE_M
         for cylinder in ((_WIDTH_M / 2, 0.0, at_m), (_HEAD_M, at_m, _STATURE_M)):
@@ -102,7 +102,7 @@ class People:
 
 
 def _cylinder(from_foot_m: F8, direction: F8, radius_m: float, low_m: float, high_m: float) -> list[tuple[F8, F8]]:
-    """Return range and cosine of incidence at the side and at the top of an upright cylinder; inf where a ray misses it."""
+    """Return range and cosine of incidence at the side and at the top of an upright cylinder; inf for a miss."""
     (x, y, z), (dx, dy, dz) = np.moveaxis(from_foot_m, -1, 0), np.moveaxis(direction, -1, 0)
     level, along, outside = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - radius_m * radius_m
     square = along * along - level * outside
@@ -125,6 +125,6 @@ class Peopled:
         """(m,) `SURFACE`, with the rows of people at its end."""
 
     def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
-        """Cast pulses as the window does, and end those that people stand in the way of."""
+        """Cast pulses in the window, and end pulses that hit people."""
         hits = self._geometry.cast(firings, near_m, far_m, beam, as_far=as_far)
         return self._people.in_front(firings, hits, len(self._geometry.surfaces))

@@ -1,4 +1,4 @@
-"""What a scene needs and leaves out, what is in reach of the sensor, and whether a stream keeps up."""
+"""Plan of a run: features in use and their cost, surroundings of the sensor, and the outlook of a stream."""
 
 import math
 import sys
@@ -30,7 +30,7 @@ _KINDS = {
     MeshKey: "meshes",
 }
 _LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "PIL", "rich", "serial")
-_SCARCE = 1.2  # speed below which other programs, a driver on the same machine for instance, may make a stream late
+_SCARCE = 1.2  # speed below which other programs, for instance a driver on the same machine, may make a stream late
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Need:
 
     name: str
     on: bool
-    costs: str  # cost if it is on, else what is saved
+    costs: str  # cost if it is on, otherwise the saving
 
 
 def needs(engine: Engine, *, audited: bool) -> list[Need]:
@@ -83,7 +83,7 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
 
 
 def surroundings(engine: Engine) -> dict[str, Any]:
-    """Return what is in reach of the sensor at the start: the kind of the world, species, and how often each kind is placed."""
+    """Return the surroundings within range of the sensor at the start: kind of the world, species, and counts by kind of object."""
     window = window_of(engine.parts, engine.scenario.start_ns, engine.batching, 0)
     named, placed = (getattr(key, "species", None) for key in window.shapes), Counter[str](tiles=0, trees=0)
     for which, often in Counter(window.shape.tolist()).items():
@@ -96,24 +96,24 @@ def surroundings(engine: Engine) -> dict[str, Any]:
 
 
 def libraries() -> dict[str, bool]:
-    """Return which libraries this process has loaded."""
+    """Return True for each library that this process has loaded."""
     return {name: name in sys.modules for name in _LIBRARIES}
 
 
 def verdict(speed: float) -> str:
-    """Return whether a stream keeps up, by the simulated seconds per second of the engine."""
+    """Return as text if a stream keeps up, from the simulated seconds per second of the engine."""
     if speed < 1.0:
         return "no, packets will be late"
     return "yes" if speed >= _SCARCE else "yes, with next to nothing left for other programs"
 
 
 def stream_outlook(scenario: Scenario, speed: float) -> dict[str, object]:
-    """Return whether a stream keeps up at a speed of the engine, and with which of its options, each enough by itself, it would."""
+    """Return if a stream keeps up at a speed of the engine, and options with which it would, each sufficient alone."""
     options = [] if speed >= 1.0 else settings_that_keep_up(scenario, speed, 1.0)
     rung, _, _ = choose(scenario, 1.0, lambda rung: math.inf if rung else speed)
     return {
         "keeps_up": speed >= 1.0,
         "verdict": verdict(speed),
         "keeps_up_with": options,
-        "rung": rung.name if rung else "the scene as it is",  # what `stream --keep-up` takes, by this speed
+        "rung": rung.name if rung else "the scene as it is",  # choice of `stream --keep-up` at this speed
     }

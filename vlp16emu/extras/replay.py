@@ -1,4 +1,4 @@
-"""Captures that are sent: any VLP-16's at its own pace, and a run that is recorded first, so that its engine cannot be too slow."""
+"""Replay of captures at their own pace, and of runs that are recorded before they are sent, so that the engine cannot be too slow."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -26,7 +26,7 @@ from vlp16emu.units import S_NS
 
 _KINDS = {DATA_BYTES: PacketKind.DATA, POSITION_BYTES: PacketKind.POSITION}
 _LONGEST_GAP_NS = 60 * S_NS
-"""A rotor that spins up again takes some seconds; a longer gap is a suspended host or a clock that was set."""
+"""Longest gap that is kept: a rotor takes some seconds to spin up; a longer gap is a suspended host or a clock that was set."""
 
 
 class Replay:
@@ -34,20 +34,20 @@ class Replay:
 
     Parameters
     ----------
-    path : of the capture
-    loop : begin again and again; each pass is later than the one before it by a whole number of seconds, in stamps and
-        sentences too, so that the sensor's time goes on
-    keep_gaps : wait through gaps of more than a minute; else they are shortened to one or two seconds, and what packets
-        say of their time stays
+    path : path of the capture
+    loop : repeat the capture; each pass is later than the one before by a whole number of seconds, in stamps and sentences
+    too, so that the sensor's time goes on
+    keep_gaps : wait through gaps of more than a minute; otherwise they are shortened to one or two seconds, while the
+    times in packets do not change
 
-    Raises CaptureError if the file is no capture, or holds no VLP-16 packets; while iterating, if it is damaged.
+    Raises CaptureError if the file is no capture, or has no VLP-16 packets; while iterating, if it is damaged.
     """
 
     def __init__(self, path: Path, *, loop: bool = False, keep_gaps: bool = False) -> None:
         if path.is_fifo():
             raise CaptureError(str(path), "a pipe", "a file, which can be read twice")
         self.path, self._loop, self._keeps_gaps = path, loop, keep_gaps
-        self.units = units_in(path, required=True)  # in order of address, then of port
+        self.units = units_in(path, required=True)  # sorted by address, then by port
         self.links = [
             replace(
                 FACTORY_LINK,
@@ -56,9 +56,9 @@ class Replay:
                 position_port=next(iter(unit.position_ports), POSITION_PORT),
             )
             for unit in self.units
-        ]  # where the packets of each are sent
-        self.passes = 0  # begun so far
-        self.left_out = 0  # datagrams of the first pass that are no whole packets of a unit
+        ]  # address and ports of the packets of each unit
+        self.passes = 0  # passes begun so far
+        self.left_out = 0  # datagrams of the first pass that are no complete packets of a unit
         self.gaps_s = list[float]()  # gaps of the first pass that were shortened
 
     def __iter__(self) -> Iterator[Packet]:
@@ -72,7 +72,7 @@ class Replay:
                 if gap_ns > _LONGEST_GAP_NS and not self._keeps_gaps:
                     self.gaps_s += [gap_ns / S_NS] * (self.passes == 1)
                     cut_ns += (gap_ns // S_NS - 1) * S_NS
-                end_ns = captured.due_ns + max(-gap_ns, 0)  # stamps of some captures go back
+                end_ns = captured.due_ns + max(-gap_ns, 0)  # stamps of some captures decrease
                 packet = replace(captured, due_ns=end_ns + later_ns - cut_ns)
                 yield moved(packet, later_ns // S_NS) if later_ns else packet
             if not self._loop or begin_ns is None or end_ns is None:
@@ -80,7 +80,6 @@ class Replay:
             later_ns += ((end_ns - begin_ns) // S_NS + 1) * S_NS
 
     def _packets(self) -> Iterator[Packet]:
-        """Read all packets once."""
         numbers = dict[tuple[bytes, int, bytes], int]()
         for datagram in Capture(self.path):
             key = datagram.source, datagram.destination_port, datagram.mac
@@ -96,12 +95,12 @@ class Replay:
 
 @dataclass(frozen=True, slots=True)
 class Replayed(OfUnits):
-    """Result of a replay: packets sent, and how punctual they were."""
+    """Result of a replay: packets sent, and their delays."""
 
     file: str
     to: str
     units: tuple[UnitSent, ...]  # address of each sensor in the capture, and the ports that its packets were sent to
-    left_out: int  # datagrams of the file that are no packets of a VLP-16
+    left_out: int  # datagrams of the file that are no VLP-16 packets
     passes: int
     gaps_s: tuple[float, ...]  # gaps of more than a minute that were shortened
     sent: StreamReport
@@ -121,19 +120,19 @@ def replay(
     stop: Event | None = None,
     **options: Any,
 ) -> Replayed:
-    """Send the packets of a capture over UDP at their own pace; nothing leaves this machine unless `to` names another.
+    """Send the packets of a capture over UDP at their own pace; nothing leaves this machine unless `to` names another machine.
 
     Parameters
     ----------
     path : capture of any VLP-16
-    opened : called once before the first packet, when `links` of the replay have the ports
+    opened : called once before the first packet, when `links` of the replay have their ports
     progress : called with the seconds of the capture so far, packet by packet
     notify : called each time that the packets fall behind
-    stop : ends it from another thread
+    stop : ends the replay from another thread
     options : fields of `ReplayOptions`
 
-    Raises InputError if an option is not right, ports are given for several sensors, or the present is wanted at
-    another speed than its own; CaptureError as `Replay`; OutputError, RunError as `Emulator.stream`.
+    Raises InputError if an option is invalid, ports are given for several sensors, or `now` is combined with another
+    speed; CaptureError as in `Replay`; OutputError, RunError as in `Emulator.stream`.
     """
     asked = ReplayOptions(**options)
     to, data_port = asked.receiver
@@ -166,16 +165,16 @@ def replay(
 
 
 def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterator[Packet]:
-    """Record a whole run into the file `prepare` of the options, and yield its packets as `packets_of` does.
+    """Record a whole run into the file `options.prepare`, and yield its packets as `packets_of` does.
 
-    Raises OutputError if the place cannot be read again, or has the ending of another format; and others as
+    Raises OutputError if the file cannot be read again, or has the suffix of another format; other errors as in
     `record`.
     """
     path = Path(options.prepare or "")
     if path == STDOUT or (path.exists() and not path.is_file()):
         raise OutputError(str(path), "no file that can be read again", "the name of a file")
     check_ending(path)
-    # Packets leave when they are due: the clock of a host that records has no part in it.
+    # Stamps are due times, without the errors of a recording host's clock.
     scenario = emulator.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
     asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
     record(emulator.with_engine(replace(emulator.engine, scenario=scenario)), path, asked, **hooks)
@@ -183,9 +182,9 @@ def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterat
 
 
 def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
-    """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
+    """Yield all packets of a capture that the emulator has made, due at the stamps of their frames, in whole microseconds.
 
-    `links` are those of the units that the packets are from. Raises CaptureError if the file is damaged.
+    `links` belong to the units of the packets. Raises CaptureError if the file is damaged.
     """
     ways = {
         (IPv4Address(link.source).packed, port): (kind, number)

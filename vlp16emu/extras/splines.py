@@ -1,6 +1,6 @@
-"""Interpolating splines by additions, products and quotients in the order written: the same bits on every processor.
+"""Interpolating splines by additions, products and quotients in a fixed order: the same bits on every processor.
 
-Libraries solve for splines with LAPACK, which chooses among variants by processor.
+Libraries solve for splines with LAPACK, which selects its code by processor.
 """
 
 import math
@@ -13,32 +13,32 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F8, I8
 
 _WRAPPED = 64
-"""Points of the neighbouring laps with which a periodic spline is solved: what is beyond counts less than 2**-64."""
+"""Points of the neighbouring laps with which a periodic spline is solved: points beyond have weights below 2**-64."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spline:
-    """A curve in pieces, each a polynomial of the distance into it."""
+    """A piecewise polynomial; each piece is a polynomial of the distance from its break."""
 
-    breaks: F8  # (n,) where pieces begin, and where the last one ends
+    breaks: F8  # (n,) begins of the pieces, and end of the last one
     powers: F8  # (degree + 1, n - 1, m) coefficients, lowest power first
 
     def piece(self, x: F8) -> I8:
-        """Return the pieces in which parameters (k,) lie; the outer ones go on beyond the ends."""
+        """Return the pieces that contain parameters (k,); the outer pieces extend beyond the ends."""
         return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
 
     def within(self, x: F8) -> tuple[F8, F8]:
-        """Return the coefficients (degree + 1, m, k) at parameters (k,), and the distances (k,) into their pieces."""
+        """Return the coefficients (degree + 1, m, k) at parameters (k,), and the distances (k,) from the breaks."""
         piece = self.piece(x)
         return np.take(np.moveaxis(self.powers, 1, -1), piece, axis=-1), x - self.breaks[piece]
 
     def __call__(self, x: F8, derivative: int = 0) -> F8:
-        """Values (k, m) of the curve or a derivative at (k,) parameters."""
+        """Return values (k, m) of the curve or a derivative at (k,) parameters."""
         return polynomial(*self.within(x), derivative).T
 
 
 def polynomial(powers: F8, x: F8, derivative: int = 0) -> F8:
-    """Values of polynomials with coefficients (degree + 1, m, k), lowest power first, at x (k,), or of a derivative."""
+    """Return values at x (k,) of polynomials with coefficients (degree + 1, m, k), lowest power first, or of a derivative."""
     value = np.zeros(powers.shape[1:])
     for power in range(len(powers) - 1, derivative - 1, -1):
         value = value * x + powers[power] * math.perm(power, derivative)
@@ -48,13 +48,13 @@ def polynomial(powers: F8, x: F8, derivative: int = 0) -> F8:
 def interpolant(
     at: F8, values: F8, degree: int = 3, ends: Literal["not-a-knot", "natural", "periodic"] = "not-a-knot"
 ) -> Spline:
-    """Spline of a degree through values (n, m) at growing parameters (n,).
+    """Return the spline of a degree through values (n, m) at increasing parameters (n,).
 
     Parameters
     ----------
-    degree : odd; with too few points the one that they decide
-    ends : no jump of any derivative in the outer pieces, or no curvature there (cubic splines only), or the end leads
-        smoothly into the start, where the last value must be the first
+    degree : odd; with too few points, the degree that they determine
+    ends : no jump of any derivative in the outer pieces, or no curvature there (cubic splines only), or a smooth
+    transition from end to start, for which the last value must equal the first
     """
     if ends == "periodic":
         lap = np.arange(-_WRAPPED, len(at) + _WRAPPED)
@@ -70,12 +70,12 @@ def interpolant(
 
 
 def _cells(knots: F8, x: F8, degree: int) -> I8:
-    """Return the number of the knot at which the interval of each parameter (n,) begins; the end is in the last one."""
+    """Return the index of the knot at which the interval of each parameter (n,) begins; the end belongs to the last interval."""
     return np.clip(np.searchsorted(knots, x, side="right") - 1, degree, len(knots) - degree - 2)
 
 
 def _basis(knots: F8, x: F8, cell: I8, degree: int) -> F8:
-    """B-splines (n, degree + 1) that are not 0 (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
+    """Return the nonzero B-splines (n, degree + 1) (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
     value = np.ones((len(x), 1))
     for j in range(1, degree + 1):
         before, value = value, np.zeros((len(x), j + 1))
@@ -88,18 +88,18 @@ def _basis(knots: F8, x: F8, cell: I8, degree: int) -> F8:
 
 
 def _control_points(at: F8, values: F8, knots: F8, natural: bool) -> F8:
-    """Control points (c, m) of the spline with these knots (t,) through values (n, m)."""
+    """Return the control points (c, m) of the spline with these knots (t,) through values (n, m)."""
     degree = len(knots) - len(at) - (3 if natural else 1)
     size, reach = len(knots) - degree - 1, max(degree - 1, 1)
     cell, rows = _cells(knots, at, degree), np.arange(len(at))
-    if natural:  # its conditions stand behind the first point and before the last one
+    if natural:  # rows of its conditions are after the first point and before the last one
         rows[1:] += 1
         rows[-1] += 1
     bands, out = np.zeros((size, 2 * reach + 1)), np.zeros((size, values.shape[1]))
     out[rows] = values
     for r, share in enumerate(_basis(knots, at, cell, degree).T):
         place = cell - degree + r - rows
-        known = abs(place) <= reach  # what is farther is 0
+        known = abs(place) <= reach  # coefficients farther away are 0
         bands[rows[known], reach + place[known]] = share[known]
     if natural:
         for row, first in ((1, 1), (-2, len(knots) - 6)):
@@ -111,7 +111,7 @@ def _control_points(at: F8, values: F8, knots: F8, natural: bool) -> F8:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _solve(bands: F8, values: F8) -> None:
-    """Solve equations in place: values (n, m) become the solution.
+    """Solve a banded system in place: values (n, m) become the solution.
 
     Row i of the bands (n, 2 b + 1) has the coefficients of unknowns i - b .. i + b. Matrices of B-splines are totally
     positive, so that elimination needs no pivots (de Boor, chapter XIII).
@@ -132,12 +132,12 @@ def _solve(bands: F8, values: F8) -> None:
 
 
 def powers(at: F8, knots: F8, control: F8, degree: int) -> F8:
-    """Pieces (degree + 1, n - 1, m) of a B-spline: powers of the distance from each parameter (n,) but the last.
+    """Return the pieces (degree + 1, n - 1, m) of a B-spline: coefficients of powers of the distance from each break but the last.
 
     Parameters
     ----------
-    at : (n,) where pieces begin, and where the last one ends
-    knots : (c + degree + 1,)
+    at : (n,) begins of the pieces, and end of the last one
+    knots : (c + degree + 1,) knots
     control : (c, m) control points
     """
     pieces = np.zeros((degree + 1, len(at) - 1, control.shape[1]))
@@ -148,7 +148,7 @@ def powers(at: F8, knots: F8, control: F8, degree: int) -> F8:
             pieces[power] += control[cell - left + r] * share[:, None]
         pieces[power] /= math.factorial(power)
         if left:
-            # Its derivative's control points are differences of these; those of empty spans are not used.
+            # The derivative's control points are differences of these; control points of empty spans are not used.
             span = (knots[1 + left : len(control) + left] - knots[1 : len(control)])[:, None]
             steps = left * np.diff(control, axis=0) / np.where(span > 0.0, span, 1.0)
             control = np.concatenate([control[:1], steps])

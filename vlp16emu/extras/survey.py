@@ -1,4 +1,4 @@
-"""Survey of all that stands near the path of a sensor: in figures, and as the files that `vlp16emu forest` writes."""
+"""Survey of trees and objects near the path of a sensor: figures, and the files that `vlp16emu forest` writes."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.vectors import places_m
 
 CELL_M = 0.5  # edge of the cells for areas and slopes: about the length of a foot on the slope
-_GROUND_CELL_M = 0.25  # cell of the ground grid: the finest that is usual for forests
+_GROUND_CELL_M = 0.25  # cell of the ground grid: the finest common one for forests
 _MEASURES = {
     "sapling": ("height", 2),
     "shrub": ("height", 2),
@@ -43,8 +43,8 @@ _MEASURES = {
     **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
     "root_plate": ("diameter", 1),
     **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
-}  # reported size of a kind of thing, and its axis
-_STEPS_PER_S = 10  # rate of the points of the path: some 12 cm apart at walking speed
+}  # reported size of a kind of object, and its axis
+_STEPS_PER_S = 10  # rate of the points of the path: about 12 cm apart at walking speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +54,11 @@ class Survey:
     world: World
     bare: ForestWorld | HallWorld  # the world without the user's own meshes
     path_m: F8  # (n, 3) sensor positions in order of time; one if the sensor stands still
-    radius_m: float  # distance from the path within which things are reported
+    radius_m: float  # distance from the path within which objects are reported
     window: Window  # all within the sensor's range
     trees: NDArray[np.void]  # (n,) `TREE` within the sensor's range, without saplings
     near: NDArray[np.void]  # (m,) `TREE` within the radius
-    things: list[Thing]  # everything else within the radius
+    things: list[Thing]  # all other objects within the radius
     seed: int
 
     @property
@@ -83,13 +83,13 @@ class Survey:
 
     @property
     def names(self) -> Mapping[int, str]:
-        """Names by instance, of things that have one."""
+        """Names by instance, for objects that have one."""
         named = (one for one in (self.world, self.bare) if isinstance(one, HallWorld | Furnished))
         return {instance: name for one in named for instance, name in one.names.items()}
 
     @property
     def bounds_m(self) -> tuple[F8, F8]:
-        """South-west and north-east corner (2,) of the hall, or of the rectangle around everything within the radius."""
+        """South-west and north-east corner (2,) of the hall, or of the bounding rectangle of the radius around the path."""
         if self.hall is not None:
             corner_m = np.array(self.hall.size_m[:2]) / 2
             return -corner_m, corner_m
@@ -105,7 +105,7 @@ class Survey:
         return rows
 
     def stem_circles(self, trees: NDArray[np.void]) -> NDArray[np.void]:
-        """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of the near ones, by tree."""
+        """Return circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of near trees, by tree."""
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
         stems = Stems(grown, table=self.plants.trees).circles()
@@ -122,14 +122,15 @@ class Survey:
         return [crowns[i] for i in trees["id"].tolist()]
 
     def inside(self, xy_m: F8) -> NDArray[np.bool_]:
-        """Return which points (k, 2) lie within the radius."""
+        """Return a mask of points (k, 2) within the radius."""
         return np.asarray(Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m)
 
 
 def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
     """Survey the surroundings of the path of a scenario's sensor.
 
-    InputError if a part of the scenario cannot be made, its world is of another package, or the radius exceeds the sensor's range.
+    InputError if a part of the scenario cannot be made, its world is from another package, or the radius exceeds the
+    sensor's range.
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:
@@ -139,7 +140,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     bare = world.bare if isinstance(world, Furnished) else world
     if not isinstance(bare, ForestWorld | HallWorld):
         raise InputError("world.kind", f"found {scenario.world.kind}", "forest, plot or hall")
-    path_m = _way_m(scenario, parts.motion)
+    path_m = _path_m(scenario, parts.motion)
     path, window = Polyline(path_m[:, :2]), world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
@@ -158,7 +159,7 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
     )
 
 
-def _way_m(scenario: Scenario, motion: Motion) -> F8:
+def _path_m(scenario: Scenario, motion: Motion) -> F8:
     """Return positions (n, 3) of the sensor over the scene's duration; one if it stands still."""
     if not motion.moves:
         return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m
@@ -168,7 +169,7 @@ def _way_m(scenario: Scenario, motion: Motion) -> F8:
 
 
 def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[dict[str, Any]]:
-    """Return figures of the species of an inventory (n,), the most frequent first, and at last of all trees if there are several."""
+    """Return figures by species of an inventory (n,), the most frequent first, then for all trees if there are several species."""
     numbers, stems = np.unique(inventory["species"], return_counts=True)
     own = [(species[int(n)], inventory[inventory["species"] == n]) for n in numbers[np.argsort(-stems, kind="stable")]]
     ground_ha, rows = ground_m2 / 10_000, list[dict[str, Any]]()
@@ -188,19 +189,19 @@ def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m
 def clark_evans(xy_m: F8, all_xy_m: F8, ground_m2: float) -> float:
     """Return the index of Clark and Evans (1954): mean distance to the nearest neighbour over its expectation at random.
 
-    It is 1 at random, less in clumps, and up to 2.149 in a regular pattern.
+    It is 1 for a random pattern, less for clumps, and up to 2.149 for a regular pattern.
 
     Parameters
     ----------
     xy_m : (n, 2) points in the area, n >= 2
-    all_xy_m : (m, 2) these and those around: neighbours count wherever they stand, so the border needs no correction
+    all_xy_m : (m, 2) points in the area and around it: neighbours outside count, so the border needs no correction
     """
     nearest_m = np.asarray(KDTree(all_xy_m).query(xy_m, k=[2])[0])
     return float(nearest_m.mean() * 2 * np.sqrt(len(xy_m) / ground_m2))
 
 
 def cells_near(way_xy_m: F8, radius_m: float) -> F8:
-    """Return the middles (n, 2) of the cells of `CELL_M` within a radius of a line of points (m, 2).
+    """Return the centres (n, 2) of the cells of `CELL_M` within a radius of a line of points (m, 2).
 
     Their number times `CELL_M` squared is the area around the path.
     """
@@ -227,7 +228,7 @@ def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
 
 
 def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
-    """Summarise the survey of a scene of this name: of any world its path and what has a name, of a forest its figures within the radius."""
+    """Summarise the survey of the scene named `scene`: for any world path and named objects, for a forest also figures within the radius."""
     path_xy_m = seen.path_m[:, :2]
     length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
     named = [(seen.names[one.instance], one) for one in seen.things if one.instance in seen.names]
@@ -238,7 +239,7 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
         "world": scenario.world.kind,
         # length 0 if the sensor stands still
         "path": {"length_m": length_m, "start_m": seen.path_m[0].tolist(), "end_m": seen.path_m[-1].tolist()},
-        "radius_m": seen.radius_m,  # distance from the path within which things are reported
+        "radius_m": seen.radius_m,  # distance from the path within which objects are reported
         "named": [
             {"name": name, "kind": one.kind, "instance": one.instance}
             | {"place_m": one.place_m.tolist(), "size_m": one.size_m}
@@ -261,7 +262,7 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
 
 
 def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
-    """Count things without names by kind, with their species by frequency, and the extremes of their size."""
+    """Count unnamed objects by kind, with their species by frequency, and the extremes of their size."""
     kinds = dict[str, dict[str, Any]]()
     nameless = [thing for thing in seen.things if thing.instance not in seen.names]
     for kind in sorted({thing.kind for thing in nameless}):
@@ -277,8 +278,8 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, dict[str, Any]]:
 def write_survey(scene: str, scenario: Scenario, radius_m: float, wanted: Mapping[str, Path]) -> dict[str, Any]:
     """Survey a scene, write the files of the options in `wanted`, and return the summary.
 
-    The files are opened before anything heavy, and take their names together at the end. Raises InputError as `survey`;
-    OutputError if a file cannot be made.
+    The files are opened before any long computation, and get their names together at the end. Raises InputError as
+    `survey`; OutputError if a file cannot be created.
     """
     with ExitStack() as stack:
         outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
@@ -287,14 +288,14 @@ def write_survey(scene: str, scenario: Scenario, radius_m: float, wanted: Mappin
         for name, output in outputs.items():
             file = stack.enter_context(output.writing())
             _write(name, file, seen)
-            file.flush()  # here, so that none takes its name if the disk is full
+            file.flush()  # here, so that no file gets its name if the disk is full
     return summary
 
 
 def _write(name: str, file: BinaryIO, seen: Survey) -> None:
     if name == "--inventory":  # all trees within the sensor's range
         write_csv(file, seen.inventory(seen.trees), table=seen.plants.trees)
-    elif name == "--stems":  # skeletons with radii, as a QSM has them
+    elif name == "--stems":  # skeletons with radii, as in a QSM
         text: dict[str, Any] = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "comments": ""}
         np.savetxt(file, seen.stem_circles(seen.trees), header=",".join(STEM_CIRCLE.names or ()), **text)
     elif name == "--ground":

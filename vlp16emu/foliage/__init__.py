@@ -1,1 +1,1 @@
-"""Far vegetation as a medium of voxels: a caster beside Embree."""
+"""Far vegetation as a medium of voxels, cast beside Embree."""

@@ -1,6 +1,6 @@
-"""Clouds: the projected area of shapes in cells of 0.25 m, or face by face if they are few.
+"""Clouds: the projected area of shapes in cells of 0.25 m, or face by face for shapes with few faces.
 
-A shape is measured once, less what its faces hide of each other, and its cloud put down wherever it stands
+A shape is measured once, with the mutual occlusion of its faces subtracted, and its cloud is placed at each instance
 (`vlp16emu.foliage.medium`).
 """
 
@@ -20,33 +20,33 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
 
 TILTS = 64  # classes of faces by the sine of their normal's elevation
-_PIXELS = 32  # pixels along a voxel's edge in which faces are drawn, 16 mm each
+_PIXELS = 32  # pixels along a voxel's edge in which faces are rasterized, 16 mm each
 _CELL_M = 0.25
 _FEW_FACES = 2000
-"""Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
+"""Shapes with at most this many faces are kept face by face: stones, logs and tufts, which are stretched when placed."""
 
 
 _SINE = (np.arange(TILTS) + 0.5) / TILTS
 _LEVEL = np.sqrt(1.0 - np.square(KNOTS))[:, None] * np.sqrt(1.0 - np.square(_SINE))
 _AZIMUTH = (np.arange(256) + 0.5) * (np.pi / 256)
 PROJECTION: F8 = np.abs(_LEVEL[..., None] * cos(_AZIMUTH) + (KNOTS[:, None] * _SINE)[..., None]).mean(axis=-1)
-"""(knots, tilts) mean projected share of a face over all azimuths."""
+"""Mean projected share of a face over all azimuths, (knots, tilts)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
     """Projected area of a shape, for a medium."""
 
-    place_m: F4  # (n, 3) where its area lies, in the shape's own frame; none of shapes with few faces
-    area_m2: F4  # (n,) that a ray can meet: one side of leaves, half the surface of closed bodies
-    mesh: U1  # (n,) to which of the shape's meshes it belongs
+    place_m: F4  # (n, 3) positions of its area in the shape's frame; empty for shapes with few faces
+    area_m2: F4  # (n,) area that a ray can meet: one side of leaves, half the surface of closed bodies
+    mesh: U1  # (n,) index of the shape's mesh
     corners_m: F4
-    """(f, 4, 3) faces of a shape with few of them, triangles with their last corner twice; none of other shapes."""
-    corner_mesh: U1  # (f,) to which of the shape's meshes they belong
-    share: F4  # (meshes,) of a face's area that counts: 1 of leaves, 0.5 of closed bodies
+    """Faces (f, 4, 3) of a shape with few faces, triangles with their last corner twice; empty for other shapes."""
+    corner_mesh: U1  # (f,) index of the shape's mesh
+    share: F4  # (meshes,) share of a face's area that counts: 1 for leaves, 0.5 for closed bodies
     projection: F4
-    """(meshes, knots) projected area over area, for light of any azimuth: the angular law of the shape's parts."""
-    cosine: F4  # (meshes, knots, QUANTILES) of the cosine of incidence where light meets them
+    """Projected area over area (meshes, knots), averaged over azimuth: the angular law of the shape's parts."""
+    cosine: F4  # (meshes, knots, QUANTILES) quantiles of the cosine of incidence
     radius_m: float  # greatest distance of a corner from the shape's origin
 
 
@@ -55,7 +55,7 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
 
     Parameters
     ----------
-    parts : (meshes,) `PlantPart` of each; what is `EXACT` is left out
+    parts : (meshes,) `PlantPart` of each mesh; meshes that are `EXACT` are left out
     """
     exact = (parts == EXACT).tolist()
     meshes = [Mesh(mesh.vertices_m, mesh.faces[: 0 if out else None]) for mesh, out in zip(meshes, exact, strict=True)]
@@ -83,7 +83,7 @@ def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
 
 
 def _measured(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
-    """Return areas (f,) of faces (f, 4, 3), and the area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation."""
+    """Return areas (f,) of faces (f, 4, 3), and areas (meshes, `TILTS`) by the sine of the normals' elevation."""
     ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
     bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
     nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
@@ -95,7 +95,7 @@ def _measured(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
 
 @cache
 def _met() -> list[tuple[NDArray[np.intp], F8]]:
-    """Return for each knot the order of the cosines (`TILTS` x 64) at which light meets faces all around, and the sorted cosines."""
+    """Return for each knot the sorting order of the incidence cosines (`TILTS` x 64 azimuths), and the sorted cosines."""
     at = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
     found = []
@@ -112,7 +112,7 @@ def _law(weight: F8) -> tuple[F8, F8]:
 
     Parameters
     ----------
-    weight : (`TILTS`,) their area
+    weight : (`TILTS`,) area of the faces by tilt
     """
     cosine = np.empty((len(KNOTS), QUANTILES))
     for knot, (order, met) in enumerate(_met()):
@@ -123,7 +123,7 @@ def _law(weight: F8) -> tuple[F8, F8]:
 
 
 def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
-    """Gather faces in cells of `_CELL_M`, by mesh and place: where their area lies, how much it is, and whose."""
+    """Sum faces in cells of `_CELL_M` by mesh and position; return positions, areas and mesh indices."""
     middle_m = 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
     at = np.floor(middle_m / _CELL_M).astype(np.int64)
     at -= at.min(axis=0)
@@ -137,15 +137,15 @@ def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
 
 
 def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
-    """Return the share of each face's area (f,) that leaves at random need to hide as much.
+    """Return the share of each face's area (f,) that randomly placed leaves would need for the same occlusion.
 
-    The faces of each mesh are drawn as seen along x and along y, voxel by voxel. Leaves at random that hide as much of a
-    voxel's face have -log(1 - hidden) of its area (Beer's law); the sum of areas is more where leaves grow in clumps.
+    The faces of each mesh are rasterized along x and along y, voxel by voxel. Randomly placed leaves that hide the same part
+    of a voxel's side have an area of -log(1 - hidden) times that side (Beer's law); clumped leaves have more area than that.
 
     Parameters
     ----------
-    corners_m, first : (f, 4, 3) faces, and where those of each mesh begin
-    share : (meshes,) of a face's area that counts
+    corners_m, first : faces (f, 4, 3), and index of the first face of each mesh
+    share : (meshes,) share of a face's area that counts
     """
     low, high = (limit(corners_m.reshape(-1, 3), axis=0) / VOXEL_M for limit in (np.min, np.max))
     low = np.floor(low)
@@ -162,7 +162,7 @@ def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _count(drawn: U4, total: I8, factor: F8) -> None:
-    """Add the area of leaves at random that hide as many pixels of each voxel, and take the pixels away."""
+    """Add the area of randomly placed leaves that hide as many pixels of each voxel, and clear the pixels."""
     nx, ny, nz = total.shape
     for i in range(nx):
         for j in range(ny):
@@ -183,7 +183,7 @@ def _count(drawn: U4, total: I8, factor: F8) -> None:
 def _share(
     corners_m: F8, begin: int, stop: int, low: F8, size: I8, factor: F8, total: I8, share: float, out: F8
 ) -> None:
-    """Fill the share of each face with that of the voxel of its middle."""
+    """Fill the share of each face from the voxel of its centre."""
     for f in range(begin, stop):
         at = 0
         for axis in range(3):
@@ -201,7 +201,7 @@ def _voxel(corners_m: F8, low: F8, axis: int) -> int:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, drawn: U4, total: I8) -> None:
-    """Draw faces as seen along an axis, into the voxels of their own depth; count their pixels, drawn before or not.
+    """Rasterize faces along an axis into the voxels of their own depth; count their pixels, drawn before or not.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, d
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
-    """Fill starts and directions of the edges of a face, with the face on their left, in pixels (4, 4)."""
+    """Fill starts and directions (4, 4) of the edges of a face, in pixels, with the face on their left."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
     for c in range(4):
         u[c] = (corners_m[c, other] / VOXEL_M - low[other]) * _PIXELS
@@ -241,7 +241,7 @@ def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _row(edges: F8, y: float, first: int, last: int) -> tuple[int, int]:
-    """Return first and last of the pixels of a row whose middles are on the left of all edges."""
+    """Return the first and last pixel of a row whose centres are on the left of all edges."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
     for c in range(4):
         across, slope, from_u = du[c] * (y - v[c]), dv[c], u[c]
@@ -255,7 +255,7 @@ def _row(edges: F8, y: float, first: int, last: int) -> tuple[int, int]:
 
 
 class Library(NamedTuple):
-    """Clouds of several shapes, one after the other."""
+    """Clouds of several shapes, concatenated."""
 
     first_cell: I8  # (shapes + 1,)
     place_m: F4
@@ -271,7 +271,7 @@ class Library(NamedTuple):
 
     @classmethod
     def of(cls, clouds: Sequence[Cloud]) -> "Library":
-        """Put clouds together."""
+        """Concatenate clouds."""
 
         def first(arrays: Sequence[F4]) -> I8:
             return np.cumsum([0, *(len(array) for array in arrays)])

@@ -1,6 +1,6 @@
-"""Casting of tiled windows: near faces by Embree, the far rest as a medium.
+"""Casting of tiled windows: near faces by Embree, the rest as a far medium.
 
-Media are made of blocks of tiles and clouds of shapes, which are kept from window to window and in the store.
+Media are made from blocks of tiles and clouds of shapes, which are kept from window to window and in the store.
 """
 
 import math
@@ -28,13 +28,13 @@ from vlp16emu.store import recalled
 from vlp16emu.types import F8, U1, Mesh, ShapeKey, Window
 
 STRAY_M = 1.0  # greatest distance of a sensor from the positions of its window
-_LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are level in float32, too
+_LEVEL = float(LEVEL) - 1e-4  # slope below which the rays of a pulse are also level in float32
 _TILE_M = COLUMNS * VOXEL_M
 _BRICKS = COLUMNS // BRICK
 _NO_GROUND_M = np.float32(-1e6)
 _AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
 _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
-"""Cloud of a library before anything is measured, if only stems and ground are far."""
+"""Library for windows where only stems and ground are far, so that no shape is measured."""
 
 
 def _ground(
@@ -67,14 +67,14 @@ def _stems(window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Nam
 
 
 class FarGeometry(EmbreeGeometry):
-    """A window with a medium, ready to be cast against; any number of threads may cast at once.
+    """A window with a medium, ready for casting by any number of threads.
 
     Parameters
     ----------
-    near : what is cast as faces up to where the medium begins
-    track_m : (t, 3) positions of the sensors that it is for
-    beyond : what is cast as faces at any range beyond
-    medium : what is far
+    near : placements that are cast as faces up to the range where the medium begins
+    track_m : (t, 3) sensor positions of the window
+    beyond : placements that are cast as faces at any range beyond
+    medium : far medium
     """
 
     def __init__(self, near: Placed, track_m: F8, beyond: Placed | None, medium: Medium) -> None:
@@ -87,7 +87,7 @@ class FarGeometry(EmbreeGeometry):
         self._beyond = target_of(beyond) if beyond else self._near._replace(scene=0, steep=0)
 
     def stages(self, far_m: float, rise: float, *, as_far: bool) -> Stages:
-        """Return what rays meet up to a range that rise or fall by so much per metre, at most."""
+        """Return the stages that rays with a slope up to `rise` pass up to range `far_m`."""
         medium = self.medium._replace(near_m=0.0) if as_far else self.medium
         reach_m = min(far_m, medium.near_m)
         near = self._reached(rise) if reach_m > 0.0 else self._beyond
@@ -96,7 +96,7 @@ class FarGeometry(EmbreeGeometry):
         return Stages(near, reach_m)
 
     def _reached(self, rise: float) -> Target:
-        """Return the near faces; pieces that only steep rays meet are built for the first such ray."""
+        """Return the near faces; pieces that only steep rays can meet are built for the first steep ray."""
         if rise > _LEVEL:
             with self._building:
                 if not self._near.steep:
@@ -105,7 +105,7 @@ class FarGeometry(EmbreeGeometry):
 
 
 def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which of n pieces light of a range may meet from positions (t, 3): any ray (n,), and level ones (n,)."""
+    """Return masks (n,), (n,) of the pieces within a range of positions (t, 3): for any ray, and for level rays."""
     window, placement = placed.window, placed.placement
     world_T_shape, half_m = window.world_T_shape[placement], np.diff(placed.boxes_m, axis=1)[:, 0] / 2
     at_m = matvec(world_T_shape[..., :3], placed.boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
@@ -126,7 +126,7 @@ def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[n
 
 
 class FarCaster(EmbreeCaster):
-    """Opens windows with tiles; parameters as of `EmbreeCaster`, the world describes what is far, too.
+    """Opens windows with tiles; parameters as in `EmbreeCaster`, but the world also describes its far tiles.
 
     Clouds of shapes and blocks of tiles are kept from window to window.
     """
@@ -151,13 +151,13 @@ class FarCaster(EmbreeCaster):
         everywhere = _part(window, exact & ~window.low)
         beyond = self._placed(everywhere, self._begun(everywhere))
         part = _part(window, is_near)
-        begun = self._begun(part)  # while what is far is put together
+        begun = self._begun(part)  # runs while the medium is put together
         medium = self.medium(window, tiles)
         near = self._placed(part, begun)
         return FarGeometry(near, window.track_m, beyond if beyond.meshes else None, medium)
 
     def _is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
-        """Return which placements of `window.far` light may meet before it comes to the medium."""
+        """Return a mask of the placements of `window.far` that light may meet before the medium."""
         own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
         radius_m, at_m = own[window.shape] * stretch_of(window.world_T_shape), window.world_T_shape[:, :2, 3].copy()
         rows = np.array([row for _, _, row in window.tiles], np.uint32)
@@ -183,7 +183,7 @@ class FarCaster(EmbreeCaster):
         return tiles
 
     def medium(self, window: TiledWindow, tiles: dict[Name, FarTile]) -> Medium:
-        """Put together what is far in a window, of whose `tiles` it is."""
+        """Put together the medium of a window from its `tiles`."""
         rows = {(ix, iy): row for ix, iy, row in window.tiles}
         self._shelf.clear(rows)
         missing = [name for name in rows if name not in self._shelf.blocks]
@@ -252,7 +252,7 @@ class FarCaster(EmbreeCaster):
         self._cosine = np.concatenate([self._cosine[:0], *(cloud.cosine for cloud in clouds)])
 
     def _is_reached(self, window: TiledWindow, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which of some placements light may meet before it comes to the medium."""
+        """Return a mask of the `kept` placements that light may meet before the medium."""
         part = _part(window, kept)
         radius_m = np.array([mesh.radius_m for mesh in self._grown(part, self._begun(part))])
         reach_m = self._tiled.near_m + STRAY_M + stretch_of(part.world_T_shape) * radius_m[part.shape]

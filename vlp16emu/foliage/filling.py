@@ -1,4 +1,4 @@
-"""The voxels of a tile: filled with the projected areas of what stands there, and packed brick by brick."""
+"""The voxels of a tile: filled with the projected areas of its shapes, and packed brick by brick."""
 
 import math
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
-_PIECE_M = 0.25  # faces larger than this are cut
+_PIECE_M = 0.25  # faces with longer sides are cut
 
 _Place = tuple[float, float, float]
 _Whose = tuple[int, int, int]
@@ -32,8 +32,8 @@ _Whose = tuple[int, int, int]
 class _Voxels(NamedTuple):
     """Voxels of a tile while they are filled."""
 
-    head: I4  # (x, y, z) first owner of each; -1 for none
-    node: I8  # (n, 4) owners as linked lists: tile, row, law and the next one
+    head: I4  # (x, y, z) first owner of each voxel; -1 for none
+    node: I8  # (n, 4) owners as linked lists: tile, row, law and next owner
     area: F8  # (n, 3) their projected areas at the knots
     low_m: float
 
@@ -103,7 +103,7 @@ def _determinant(T: F8) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8) -> int:
-    """Add projected areas at a place of a shape to its voxel; return how many owners there are."""
+    """Add projected areas at a place of a shape to its voxel; return the number of owners."""
     head, node, area, low_m = voxels
     (a, b, c), (tile, row, law) = at_m, whose
     x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
@@ -145,7 +145,7 @@ def _pieces(T: F8, corners_m: F4) -> int:
 def _put_face(
     voxels: _Voxels, used: int, T: F8, corners_m: F4, share: float, whose: _Whose, add: F8, projection: F8
 ) -> int:
-    """Add a face of a shape, in pieces; return how many owners there are."""
+    """Add a face of a shape, in pieces; return the number of owners."""
     n = _pieces(T, corners_m)
     # Normal of the placed face from its diagonals; half their cross product is its area.
     u0 = u1 = u2 = v0 = v1 = v2 = 0.0
@@ -173,7 +173,7 @@ def _put_face(
 
 @numba.njit(cache=True, nogil=True)
 def _mark_ground(flags: U4, ground_m: F4, low_m: float) -> None:
-    """Flag the voxels in which the ground is looked for; heights (85, 85) begin one voxel outside the tile."""
+    """Flag the voxels that may contain ground; heights (85, 85) begin one voxel outside the tile."""
     for i in range(flags.shape[0]):
         for j in range(flags.shape[1]):
             around = ground_m[FINER * i : FINER * (i + 3) + 1, FINER * j : FINER * (j + 3) + 1]

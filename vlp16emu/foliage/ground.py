@@ -1,4 +1,4 @@
-"""Lanes cut with the ground."""
+"""Intersection of lanes with the ground."""
 
 import math
 
@@ -10,12 +10,12 @@ from vlp16emu.kernels.compiler import numba
 
 f4 = np.float32
 _Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
-_Slope = tuple[np.float32, np.float32, np.float32]  # height over the ground, and how the ground rises along x and y
+_Slope = tuple[np.float32, np.float32, np.float32]  # height over the ground, and the slope of the ground along x and y
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) -> bool:
-    """Cut the lanes with the ground within a slab; return True if any meets it."""
+    """Intersect the lanes with the ground within a slab; return True if any hits it."""
     L, axis = pulse.lanes, pulse.axis
     last_m = middle_m + f4(0.5) * length
     clear_m = _over_ground(ground, (axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]), last_m)[0]
@@ -47,10 +47,10 @@ def meet_ground(ground: Ground, pulse: Pulse, middle_m: float, length: float) ->
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float32, below: _Slope) -> _Slope:
-    """Return range and slope where a ray meets the ground in a slab, at whose end it is `below` it."""
+    """Return range and slope where a ray meets the ground in a slab; `below` holds its height at the slab's end."""
     (_, _, _, dx, dy, dz), at_m, slope = ray, last_m, below
     low_m, c_low = first_m, f4(0.0)
-    for _ in range(4):  # flat but for the edges of its triangles: along the slope, and then by secants
+    for _ in range(4):  # piecewise flat: a step along the slope, then secants
         falls = dz - slope[1] * dx - slope[2] * dy
         if slope[0] <= 0 and falls < f4(-1e-4) and c_low == 0:
             at_m = max(at_m - slope[0] / falls, first_m)
@@ -62,14 +62,14 @@ def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float3
         if slope[0] > 0:
             low_m, c_low, at_m, slope = at_m, slope[0], last_m, below
     falls = dz - slope[1] * dx - slope[2] * dy
-    if abs(falls) > f4(1e-4):  # where light grazes, what is left in height is long in range
+    if abs(falls) > f4(1e-4):  # at grazing incidence a small height is a long range
         at_m = min(max(at_m - slope[0] / falls, low_m), last_m)
     return at_m, slope[1], slope[2]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _over_ground(ground: Ground, ray: _Ray, at_m: float) -> _Slope:
-    """Return the height of a ray over the ground at a range, and the slope there; no ground is infinitely deep."""
+    """Return the height of a ray over the ground at a range, and the slope there; infinite height without ground."""
     (x, y, z, dx, dy, dz), ground_m = ray, ground.height_m
     u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)
     v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(FINER / VOXEL_M)

@@ -1,6 +1,6 @@
-"""Sub-rays of a pulse, side by side, and what they go through when it is far.
+"""Lanes, the sub-rays of a pulse side by side, and the far medium that they pass.
 
-Ground is a grid, stems are cones, and foliage is bricks of voxels.
+Ground is a grid, stems are cones, and foliage is voxels in bricks.
 """
 
 from typing import Any, NamedTuple
@@ -26,35 +26,35 @@ class Ground(NamedTuple):
 class Stems(NamedTuple):
     """Stems of a window, relative to its origin."""
 
-    line: F8  # (n, 8) foot, unit axis, widest radius, and how far the stem bends off the axis at most
+    line: F8  # (n, 8) foot, unit axis, widest radius, and greatest bend of the stem off the axis
     profile: F4
-    """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and how far in x and y the
-    middle of the circle is off the axis."""
-    plan: F4  # (3, n) x and y of the middle, and radius, of a circle around the stem as seen from above
+    """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and the offset in x and y of the
+    circle's centre from the axis."""
+    plan: F4  # (3, n) x and y of the centre, and radius, of a circle around the stem as seen from above
     bounds: F4  # (n, 9) foot, unit axis, lowest and highest end along the axis, reach beside it
     surface: U4  # (n, 2) of root flare and stem
-    flare_m: F4  # (n,) height along the axis at which the flare ends
+    flare_m: F4  # (n,) height along the axis of the flare's end
 
 
 class Medium(NamedTuple):
     """Far medium of a window, relative to the window's origin."""
 
-    near_m: float  # range at which it begins; nothing where it is infinite
+    near_m: float  # range at which it begins; infinite for no medium
     corner_m: tuple[float, float, float]  # corner of the grid of bricks
     corner: tuple[int, int, int]  # corner of the grid, in voxels of the world
     brick: U8
-    """(x, y, z, 2) of each brick which voxels hold anything, as in `Block`, and the number of the first of them."""
-    record: U4  # (m,) of voxels, as in `Block`, and of some that are in other windows only
-    first_owner: U4  # (m,) of each of them
+    """(x, y, z, 2) for each brick the mask of its occupied voxels, as in `Block`, and the record of the first one."""
+    record: U4  # (m,) voxel records, as in `Block`, with some that only other windows use
+    first_owner: U4  # (m,) first owner of each record
     owner: U8  # (o,) as in `Block`
-    surface: U4  # (x / 10, y / 10, 9) first surfaces of each tile and of those around it
+    surface: U4  # (x / 10, y / 10, 9) first surface of each tile and its neighbours
     cosine: F4  # (laws, knots, QUANTILES) as in `Cloud`
     ground: Ground
     stems: Stems
     seed: int
 
 
-AHEAD = 16  # slabs that are looked at before the voxels in them: without branches that nobody can foretell
+AHEAD = 16  # slabs examined before the voxels in them, without unpredictable branches
 
 AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))  # offsets of further rows of lanes in `Lanes.row`
 
@@ -62,33 +62,33 @@ AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))  # offsets of
 class Lanes(NamedTuple):
     """Up to eight sub-rays of a pulse.
 
-    Loops over lanes read and write one array at constant places, so that the compiler makes vectors of them.
+    Loops over lanes read and write one array at constant offsets, so that the compiler vectorizes them.
     """
 
     row: F4
     """(88,) rows of eight as in `Batch.row`, then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the axis and cosine at which a lane meets a stem."""
     origin_m: F4  # (3, 8) of these rows
     direction: F4  # (3, 8) likewise
-    range_m: F4  # (8,) likewise, in: what each has met, or where its light is given up. Out: what it meets first.
+    range_m: F4  # (8,) likewise; in: range of the hit so far, or the farthest range; out: range of the first hit
     cosine: F4  # (8,) likewise
     surface: U4  # (8,) likewise
     line: F4
-    """(48,) scratch, rows of eight: place across at the grid's corner and its change per metre, in 8ths of voxels, on both
-    axes; then place along and its inverse change per metre of range."""
+    """(48,) scratch, rows of eight: position across at the grid's corner and its change per metre, in 8ths of voxels, on
+    both axes; then position along and its inverse change per metre of range."""
     place: U4  # (AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record
     code: U4  # (AHEAD,) scratch: these records
     hash: U4  # (AHEAD,) scratch: hashes of the places of these voxels
-    lit: U8  # (AHEAD,) scratch: bits of the lanes before whose middles there is a leaf in these voxels
+    lit: U8  # (AHEAD,) scratch: bits of the lanes that pass a column with a leaf in these voxels
 
 
 class Pulse(NamedTuple):
     """A pulse on its way through a medium."""
 
     lanes: Lanes
-    n: int  # number of its lanes
+    n: int  # number of lanes
     near_m: np.float32  # range at which the medium begins
-    axis: F4  # (6 or more,) origin and direction of its middle
-    aside_m: np.float32  # greatest distance from the middle at which lanes begin
+    axis: F4  # (6 or more,) origin and direction of its centre ray
+    aside_m: np.float32  # greatest distance of a lane's origin from the centre ray
     spread: np.float32  # greatest growth of that distance per metre of range
 
 

@@ -1,9 +1,9 @@
-"""Leaves of voxels, and lanes cut with them.
+"""Leaves of voxels, and their intersection with lanes.
 
-The leaves of a voxel are 64 cells of a Latin square: one in each column of 8 x 8 along each of the three axes, so that a
-leaf has one place in space from wherever it is seen. Of these the first n are there, n being the share of the light that
-foliage of that density takes over the length of the slab (Beer's law). Which of the squares a voxel has, how it is
-mirrored, and how a share between two whole numbers is rounded follow from hashing its place in the world.
+The leaves of a voxel are 64 cells of a Latin square, one in each column of 8 x 8 along each of the three axes, so that a
+leaf has the same position from every direction. The first n of them are present; n / 64 is the share of the light that
+foliage of that density intercepts over the length of the slab (Beer's law). The voxel's square, its mirroring, and the
+rounding of n follow from a hash of the voxel's position in the world.
 """
 
 from typing import Any, NamedTuple
@@ -31,16 +31,16 @@ def _leaves() -> tuple[U8, U1, U1]:
 
     Returns
     -------
-    Columns that the first n leaves take, (3, variants, 65) bits 8 a + b along each axis, a and b being the other two in
-    order; the leaf of each column, (3, variants, 64); and places of leaves along the axes, (variants, 64, 3) in 256ths
-    of a voxel.
+    Columns that the first n leaves occupy, (3, variants, 65) bits 8 a + b along each axis, where a and b are the other two
+    axes in order; the leaf of each column, (3, variants, 64); and positions of leaves along the axes, (variants, 64, 3) in
+    256ths of a voxel.
     """
-    rng = np.random.default_rng(20)  # part of the output, like the purposes of random numbers
+    rng = np.random.default_rng(20)  # determines bytes of the output
     mask = np.zeros((3, _VARIANTS, 65), np.uint64)
     leaf_of, place = np.zeros((3, _VARIANTS, 64), np.uint8), np.zeros((_VARIANTS, 64, 3), np.uint8)
     base = np.add.outer(np.arange(4), np.arange(4)) % 4
     for variant in range(_VARIANTS):
-        # Clumps of 2 x 2 x 2 cells lie by a Latin square of order 4, the leaves of a clump by one of order 2.
+        # Clumps of 2 x 2 x 2 cells follow a Latin square of order 4, the leaves of a clump one of order 2.
         square = rng.permutation(4)[base[np.ix_(rng.permutation(4), rng.permutation(4))]]
         cells = []
         for clump in rng.permutation(16):
@@ -50,7 +50,7 @@ def _leaves() -> tuple[U8, U1, U1]:
                 i, j = divmod(int(pair), 2)
                 four.append((2 * x + i, 2 * y + j, 2 * int(square[x, y]) + ((i + j + odd) & 1)))
             cells += [four[:2], four[2:]]
-        # Leaves come in pairs: so far returns are as frequent as those of explicit leaves (`vlp16emu accuracy`).
+        # Leaves come in pairs: far returns are then as frequent as from explicit leaves (`vlp16emu accuracy`).
         leaves = np.array(cells)[rng.permutation(32)].reshape(64, 3)
         place[variant] = 32 * leaves + rng.integers(32, size=(64, 3))
         for axis, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
@@ -66,7 +66,7 @@ _COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
-    """Hash the place of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
+    """Hash the position of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
     h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
     h = u4(h ^ u4(h >> u4(16)))
     h = u4(h * u4(0x7FEB352D))
@@ -76,12 +76,12 @@ def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
 
 
 class Weights(NamedTuple):
-    """Weights of a voxel's codes for light of an elevation between two knots."""
+    """Weights of a voxel's codes for a light elevation between two knots."""
 
     bits: np.uint32  # first bit of the code of the lower knot
     low: np.float32
     high: np.float32  # times the length of a slab
-    knot: int  # the nearest
+    knot: int  # nearest knot
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
@@ -98,13 +98,13 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
 def lit_lanes(
     M: Medium, pulse: Pulse, axes: _Three, corner: _Three, cell: _Three, code: np.uint32, weights: Weights
 ) -> tuple[np.uint32, np.uint64]:
-    """Return the hash of a voxel's place, and bits of the lanes that meet a leaf of it; without a branch.
+    """Return the hash of a voxel's position, and bits of the lanes that meet one of its leaves; branchless.
 
     Parameters
     ----------
-    axes : the main one, across the slabs, and the two others
-    corner, cell : of the grid in voxels of the world, and the voxel in the grid, along these axes
-    code : of the voxel
+    axes : the main axis, across the slabs, and the two others
+    corner, cell : corner of the grid in voxels of the world, and the voxel in the grid, along these axes
+    code : code of the voxel
     """
     (main, one, two), (k, i1, i2) = axes, cell
     low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
@@ -137,13 +137,13 @@ def _mirrors(h: np.uint32, one: int, two: int) -> tuple[np.int32, np.int32]:
 def meet_leaves(
     M: Medium, pulse: Pulse, axes: _Three, cell: _Three, number: np.uint32, knot: int, h: np.uint32, lit: np.uint64
 ) -> bool:
-    """Cut lanes with their leaves in a voxel; return True if any meets one before all else.
+    """Intersect lanes with their leaves in a voxel; return True if a leaf is the nearest hit of any lane.
 
     Parameters
     ----------
-    axes, cell : as of `lit_lanes`; `h` and `lit` are what it returns, less the lanes that have ended
-    number : of the voxel's record
-    knot : of the light's elevation
+    axes, cell : as in `lit_lanes`; `h` and `lit` are its results, without the lanes that have ended
+    number : number of the voxel's record
+    knot : knot of the light's elevation
     """
     (main, one, two), (k, i1, i2) = axes, cell
     x = k if main == 0 else i1
@@ -170,7 +170,7 @@ def meet_leaves(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32) -> np.uint32:
-    """Return the mirrored column of 8 x 8 of a lane in the middle of a slab."""
+    """Return the mirrored column (of 8 x 8) of a lane in the middle of a slab."""
     a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
     b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(7)) ^ r2
     return u4(8 * a + b)
@@ -180,7 +180,7 @@ def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int3
 def _in_columns(typingctx: Any, line: Any, middle_m: Any, r1: Any, r2: Any, bits: Any) -> Any:  # noqa: ARG001 - the signature is numba's
     """Return bits of the lanes whose `_column` is a bit of a word.
 
-    Written as vectors, for the compiler takes a loop of eight apart: a twentieth of casting.
+    Written as vectors, because the compiler splits a loop of eight: saves a twentieth of casting.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -225,7 +225,7 @@ def _in_columns(typingctx: Any, line: Any, middle_m: Any, r1: Any, r2: Any, bits
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _take_leaf(M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, whose: _Whose) -> None:
-    """Draw the owner of a leaf that a lane meets, and the angle of incidence."""
+    """Draw the owner of the leaf that a lane meets, and the angle of incidence."""
     number, tile, knot = whose
     own = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
     own = u4(own ^ u4(own >> u4(15)))

@@ -1,9 +1,9 @@
 """The march of light through the far medium: ground as a grid, stems as tapered cones, foliage as voxels.
 
-A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to where they end it, it goes through slabs of voxels
-along the axis that it is most parallel to. The voxel that its middle passes in a slab decides for all its sub-rays: how much
-foliage there is in it (`vlp16emu.foliage.leaves`), and whether ground may be met, which each sub-ray is then cut with exactly
-(`vlp16emu.foliage.ground`).
+A pulse first meets the stems in its way (`vlp16emu.foliage.stems`). Up to the range where they end it, it passes slabs of
+voxels along the axis that it is most parallel to. The voxel on its centre ray decides for all sub-rays in a slab: the
+density of foliage (`vlp16emu.foliage.leaves`), and whether ground may be met; each sub-ray is then intersected exactly with
+the ground (`vlp16emu.foliage.ground`).
 """
 
 from typing import Any, NamedTuple
@@ -22,28 +22,28 @@ from vlp16emu.types import F4, U8
 
 f4, u4 = np.float32, np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
-_FEW = 4  # voxels whose leaves are looked at together
+_FEW = 4  # voxels whose leaves are processed together
 
 
 class Passage(NamedTuple):
     """Medium and scratch of a cast, for `kernel.go_on`."""
 
     medium: Medium
-    lanes: Lanes  # scratch of the cast's own; `ahead` likewise
+    lanes: Lanes  # scratch of this cast; `ahead` likewise
     ahead: Seen
 
 
 class _Way(NamedTuple):
-    """The middle of a pulse on its way through a grid, slab by slab."""
+    """Centre ray of a pulse through a grid, slab by slab."""
 
     main: int  # axis across the slabs
     one: int
     two: int
-    k: int  # slab in which the medium begins: all others are counted from it
-    step: int  # upwards or downwards
+    k: int  # slab in which the medium begins; others are counted from it
+    step: int  # +1 or -1 along the axis
     length: np.float32  # metres of range from slab to slab
-    to_middle: np.float32  # range at the middle of slab k
-    p1: np.float32  # place in voxels along the axes one and two at the middle of slab k, and its change per slab
+    to_middle: np.float32  # range at the centre of slab k
+    p1: np.float32  # position in voxels along axes one and two at the centre of slab k, and its change per slab
     p2: np.float32
     d1: np.float32
     d2: np.float32
@@ -64,8 +64,8 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
 
     Parameters
     ----------
-    bricks : `M.brick` in one row
-    ahead : the stems that it may meet, by `see_stems`
+    bricks : `M.brick`, flattened
+    ahead : the stems that it may meet, from `see_stems`
     """
     L, n, near_m, axis = pulse.lanes, pulse.n, pulse.near_m, pulse.axis
     meet_stems(M.stems, ahead, pulse)
@@ -101,7 +101,7 @@ def march(M: Medium, bricks: U8, ahead: Seen, pulse: Pulse) -> None:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _floor(x: np.float32) -> int:
-    """Round a number below 2**31 down, without the call that `math.floor` is for float32."""
+    """Round a number below 2**31 down; for float32 `math.floor` would be a function call."""
     whole = np.int32(x)
     return int(whole) - int(x < f4(whole))
 
@@ -151,7 +151,7 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
             if not 0 <= at < voxels:
                 stop = f4(-1.0)
             continue
-        a, b = -at / change, (f4(voxels) - f4(1e-3) - at) / change  # less what rounding may add
+        a, b = -at / change, (f4(voxels) - f4(1e-3) - at) / change  # minus a margin for rounding
         first, stop = max(first, min(a, b)), min(stop, max(a, b))
     return first, stop
 
@@ -164,7 +164,7 @@ def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -> np.uint64:
-    """Find the voxels of the next slabs: bits of those that are not empty."""
+    """Find the voxels of the next slabs; return bits of those that are not empty."""
     place = L.place
     begin, k, step = f4(slab), f4(way.k), f4(way.step)
     p1, p2, d1, d2 = way.p1, way.p2, way.d1, way.d2
@@ -196,10 +196,10 @@ def _lit(
     voxels: np.uint64,
     alive: np.uint64,
 ) -> tuple[np.uint64, np.uint64]:
-    """Return the bits of voxels behind the first few, and of those of the few in which a lane may meet a leaf or the ground.
+    """Return bits of the voxels after the first few, and of the few in which a lane may meet a leaf or the ground.
 
-    There is no branch in this loop, so that memory is waited for once, and arithmetic of voxels overlaps; they are few, as
-    half of all rays end among them.
+    The loop has no branch, so that memory latency is paid once and the arithmetic of voxels overlaps; half of all rays end
+    within the few.
     """
     L, records, axes, asked = pulse.lanes, M.record, (way.main, way.one, way.two), np.uint64(0)
     for _ in range(_FEW):
@@ -220,7 +220,7 @@ def _lit(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
-    """Return the lanes that do not end before a slab, and the slab in which the last of all ends."""
+    """Return the lanes that do not end before a slab, and the slab in which the last one ends."""
     passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
     last_m = range_m[0]
     for lane in range(n):
@@ -234,7 +234,7 @@ def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: in
 def _lines(
     corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, axes: tuple[int, int, int]
 ) -> tuple[np.uint64, np.float32]:
-    """Lay the lanes' lines; return which of them go on from `near_m`, and the farthest range asked for."""
+    """Set up the lanes' lines; return the lanes that go on from `near_m`, and the farthest range."""
     row = L.row
     if n == 1:
         _lay_lines(corner_m, row, L.line, 1, axes)
@@ -268,9 +268,7 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
     own_row, own_surface, bricks = L.row, L.surface, medium.brick.reshape(-1)
     aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
     spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
-    if (
-        todo == batch.missed.shape[0]
-    ):  # the first round: later ones go on with the stems that all pulses may meet at their widest
+    if todo == batch.missed.shape[0]:  # first round; later ones reuse the list for all pulses
         aside, wide = max(light.sigmas[0], light.sigmas[1]), max(light.sigmas[2], light.sigmas[3])
         see_stems(medium.stems, ahead, batch.axes_row, medium.near_m, light.far_m, FARTHEST * aside, FARTHEST * wide)
     for t in range(todo):
@@ -289,7 +287,7 @@ def _pass_through(passage: Passage, cast: Cast, todo: int, count: int, reach: np
 
 
 @numba.extending.overload(go_on, jit_options={"cache": True, "nogil": True, "_nrt": False})
-def _go_on(  # the same words as there, or numba does not take it
+def _go_on(  # numba requires the same parameter names as in the stub
     passage: Passage,  # noqa: ARG001 - likewise all
     cast: Cast,  # noqa: ARG001
     todo: int,  # noqa: ARG001

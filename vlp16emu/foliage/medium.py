@@ -1,11 +1,11 @@
-"""Far foliage: voxels of 0.5 m with the leaf and wood area of the very shapes that stand there.
+"""Far foliage: voxels of 0.5 m with the leaf and wood area of the shapes that stand there.
 
-A shape with many faces is measured once: its projected area in cells of 0.25 m (`Cloud`). Placements add these areas, and
-those of shapes with few faces face by face, to the voxels of a tile of the world (`Block`); tiles make up the medium of a
-window (`vlp16emu.foliage.lanes`). Everything is a function of the tile and its neighbours alone, so blocks are kept from
+A shape with many faces is measured once: its projected area in cells of 0.25 m (`Cloud`). Placements add these areas, or
+single faces of shapes with few faces, to the voxels of a tile of the world (`Block`); tiles make up the medium of a
+window (`vlp16emu.foliage.lanes`). A block depends on its tile and the neighbouring tiles alone, so blocks are kept from
 window to window.
 
-A `Shelf` holds blocks side by side in arrays that windows share: what one has of another is neither copied nor kept twice.
+A `Shelf` holds blocks side by side in arrays that windows share, so that no block is copied or stored twice.
 """
 
 import math
@@ -33,13 +33,13 @@ class Block:
     """The voxels of a tile, in bricks of 4 x 4 x 4."""
 
     bottom: int  # level of the lowest bricks, in bricks from a height of 0
-    mask: U8  # (10, 10, n) which voxels of each brick hold anything: bit 16 x + 4 y + z
-    first: U4  # (10, 10, n) record of the first of them that holds anything
+    mask: U8  # (10, 10, n) mask of the occupied voxels of each brick: bit 16 x + 4 y + z
+    first: U4  # (10, 10, n) record of the first occupied voxel
     record: U4  # (m,) codes of projected area at the three knots, and the flag of the ground
-    first_owner: U4  # (m,) of each record; its last owner has a share of 255
+    first_owner: U4  # (m,) first owner of each record; the last owner has a share of 255
     owner: U8
-    """(o,) row of a tile's surfaces; over `LAW_BIT` bits the law in the library; over `TILE_BIT` bits 3 (dx + 1) + dy + 1 of
-    that tile; over `SHARE_BIT` bits the share of the voxel's projected area, in 255ths, of it and of those before it."""
+    """(o,) bit fields: row of a tile's surfaces; from `LAW_BIT` the law in the library; from `TILE_BIT` 3 (dx + 1) + dy + 1
+    for that tile; from `SHARE_BIT` the cumulative share of the voxel's projected area up to this owner, in 255ths."""
 
 
 def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, FarTile], ix: int, iy: int) -> Block:
@@ -47,8 +47,8 @@ def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, Far
 
     Parameters
     ----------
-    shape_of : place in the library by shape
-    near : tiles, at least (ix, iy) itself and the eight around it, which may reach into it
+    shape_of : index in the library by shape
+    near : tiles, at least (ix, iy) itself and the eight around it, whose shapes may reach into it
     """
     here, corner_m = near[ix, iy], near[ix, iy].corner_m
     around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
@@ -69,7 +69,7 @@ def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, Far
 def _placed(
     library: Library, shape_of: dict[object, int], tile: FarTile, number: int, corner_m: F8
 ) -> tuple[I8, F8, I8, I8]:
-    """Return placements of a tile that may reach into the one at a corner: shapes, transforms, first surfaces, the tile's number."""
+    """Return a tile's placements that may reach into the tile at `corner_m`: shapes, transforms, first surfaces, tile."""
     places = np.array([shape_of[key] for key in tile.keys], np.int64)
     which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
     world_T = tile.world_T_shape
@@ -89,7 +89,7 @@ def stretch_of(world_T_shape: F8) -> F8:
 
 
 def packed_block(block: Block, library: Library, names: Sequence[str]) -> dict[str, Any]:
-    """Return the fields of a block, with its laws by the names of shapes: libraries have them in an order of their own."""
+    """Return the fields of a block, with laws by the names of shapes, as each library has its own order."""
     laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
     shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
     used, of = np.unique(shape, return_inverse=True)
@@ -103,7 +103,7 @@ def packed_block(block: Block, library: Library, names: Sequence[str]) -> dict[s
 
 
 def unpacked_block(kept: dict[str, Any], library: Library, place: Mapping[str, int]) -> Block:
-    """Return the block of such fields, for a library with shapes at these places by name."""
+    """Return the block from packed fields, for a library whose shapes have these indices by name."""
     which = np.array([place[name] for name in kept.pop("shapes")], np.int64)
     law = library.first_law[which[kept.pop("law_shape")]] + kept.pop("law_mesh")
     kept["owner"] = _with_law(kept["owner"], law[(kept["owner"] >> LAW_BIT) & LAW_MASK])
@@ -115,12 +115,12 @@ def _with_law(owner: U8, law: I8) -> U8:
 
 
 class Laid(NamedTuple):
-    """A block on a shelf, whose parts are those of `Block`."""
+    """A block on a shelf, with parts as in `Block`."""
 
     bottom: int
     mask: U8
     first: U4  # records in the array of the shelf
-    records: slice  # place of its records on the shelf
+    records: slice  # position of its records on the shelf
     owners: slice
 
 
@@ -135,23 +135,23 @@ class Shelf:
 
     @property
     def arrays(self) -> tuple[U4, U4, U8]:
-        """Records, their first owners, and owners, up to the last that is of any block."""
+        """Records, their first owners, and owners, up to the end of the last block."""
         records = max((laid.records.stop for laid in self.blocks.values()), default=0)
         owners = max((laid.owners.stop for laid in self.blocks.values()), default=0)
         return self._record[:records], self._first_owner[:records], self._owner[:owners]
 
     def clear(self, wanted: Iterable[Name]) -> None:
-        """Make room of blocks that are not wanted, and that no open window has."""
+        """Remove blocks that are neither wanted nor used by an open window."""
         self._users = [(user, names) for user, names in self._users if user() is not None]
         kept = frozenset(wanted).union(*(names for _, names in self._users))
         self.blocks = {name: laid for name, laid in self.blocks.items() if name in kept}
 
     def lay(self, name: Name, block: Block, most: int) -> None:
-        """Lay a block down; arrays that are too small are replaced, so what is open keeps its own.
+        """Put a block on the shelf; arrays that are too small are replaced, and open windows keep the old ones.
 
         Parameters
         ----------
-        most : blocks that there will be, for which room is made
+        most : expected number of blocks, for which room is made
         """
         laid = self.blocks.values()
         records = _gap([each.records for each in laid], len(block.record))
@@ -167,12 +167,12 @@ class Shelf:
         self.blocks[name] = Laid(block.bottom, block.mask.copy(), first, records, owners)
 
     def keep(self, user: object, names: Iterable[Name]) -> None:
-        """Keep blocks in their places for as long as there is somebody that uses them."""
+        """Keep blocks in place as long as `user` exists."""
         self._users.append((weakref.ref(user), frozenset(names)))
 
 
 def _gap(taken: Iterable[slice], size: int) -> slice:
-    """Return the first free place of a size."""
+    """Return the first gap of a size."""
     begin = 0
     for each in sorted(taken, key=lambda each: each.start):
         if each.start - begin >= size:
@@ -182,7 +182,7 @@ def _gap(taken: Iterable[slice], size: int) -> slice:
 
 
 def _with_room(array: NDArray[T], size: int, share: float) -> NDArray[T]:
-    """Return an array of at least `size`: the same, or one with half as much again as all blocks may need."""
+    """Return an array of at least `size`: the same, or one half as large again as all blocks may need."""
     if len(array) >= size:
         return array
     larger = np.empty(int(1.5 * share * size), array.dtype)

@@ -7,28 +7,28 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F8
 
 _PIECE = 32  # segments that share a bounding box
-_SLACK_M = 1e-6  # boxes farther than the nearest segment by less than this are still searched: rounding must not matter
+_SLACK_M = 1e-6  # boxes this much farther than the nearest segment are still searched, to allow for rounding
 
 
 class Polyline:
-    """A line (m, 2), m >= 1, in the plane that is quick to ask for distances, however long it is."""
+    """A line (m, 2), m >= 1, in the plane, with fast distance queries."""
 
     def __init__(self, xy_m: F8) -> None:
         self.xy_m = np.ascontiguousarray(xy_m, np.float64)
         starts = range(0, max(len(xy_m) - 1, 1), _PIECE)
         pieces = [self.xy_m[i : i + _PIECE + 1] for i in starts]
-        # (pieces, 4): least x and y, greatest x and y.
+        # (pieces, 4): minimum x and y, maximum x and y.
         self._boxes = np.array([[*piece.min(axis=0), *piece.max(axis=0)] for piece in pieces])
 
     def distance_m(self, points_xy_m: F8) -> F8:
-        """Distance from each point (n, 2), (n,): the same numbers for the line reversed."""
+        """Distance (n,) from each point (n, 2); the same bits for the reversed line."""
         out = np.empty(len(points_xy_m))
         _distances(out, np.ascontiguousarray(points_xy_m), self.xy_m, self._boxes)
         return out
 
 
 class Corridor(Polyline):
-    """The path of the sensor, and how far plants and things keep from it."""
+    """The path of the sensor, and the distance that plants and things keep from it."""
 
     def __init__(self, xy_m: F8, clearance_m: float) -> None:
         super().__init__(xy_m)
@@ -36,7 +36,7 @@ class Corridor(Polyline):
 
 
 def distance_m(points_xy_m: F8, line_xy_m: F8) -> F8:
-    """Distance (n,) from each point (n, 2) to a polyline (m, 2), m >= 1, that is asked only once."""
+    """Distance (n,) from each point (n, 2) to a polyline (m, 2), m >= 1, for a single query."""
     return Polyline(line_xy_m).distance_m(points_xy_m)
 
 
@@ -68,7 +68,7 @@ def _to_piece(x: float, y: float, line: F8, piece: int) -> float:
     for j in range(piece * _PIECE, min(piece * _PIECE + _PIECE, max(last, 1))):
         ax, ay = line[j, 0], line[j, 1]
         bx, by = line[min(j + 1, last), 0], line[min(j + 1, last), 1]
-        if (bx, by) < (ax, ay):  # one order for both walking directions, to the last bit
+        if (bx, by) < (ax, ay):  # same order, so same bits, for both walking directions
             ax, ay, bx, by = bx, by, ax, ay
         ux, uy, px, py = bx - ax, by - ay, x - ax, y - ay
         length2 = ux * ux + uy * uy

@@ -1,8 +1,8 @@
-"""Stems seen from the sensor, and lanes cut with them.
+"""Stems seen from the sensor, and their intersection with lanes.
 
-From 15 m on a sensor moves past stems slowly, and the pulses of eight firing sequences look into a narrow sector. So the
-stems of a sector are listed once for all of its pulses, nearest first, and a pulse knows where its rays end on wood before it
-goes through foliage.
+From 15 m on, stems move slowly across the view, and the pulses of eight firing sequences look into a narrow sector. So the
+stems of a sector are listed once for all its pulses, nearest first, and a pulse is intersected with stems before it
+passes foliage.
 """
 
 import math
@@ -18,38 +18,38 @@ from vlp16emu.raycast.kernel import COSINE, DIRECTION, LANES, ORIGIN, RANGE
 from vlp16emu.types import F4, F8, I4, I8, U1, U4
 
 f4 = np.float32
-_BLOCK = 8  # stems that are looked at together
+_BLOCK = 8  # stems that are tested together
 _ROWS = 9  # rows of a block: foot, unit axis, lowest and highest end along the axis, reach beside it
 _LOW, _HIGH, _REACH = 6 * _BLOCK, 7 * _BLOCK, 8 * _BLOCK
-_ROUNDING_M = f4(0.01)  # more than float32 rounds within 200 m
-_WIDE = 0.7  # sine, and cosine, of the half-width of a sector beyond which all stems of the window are listed
+_ROUNDING_M = f4(0.01)  # more than the rounding of float32 within 200 m
+_WIDE = 0.7  # sine and cosine of the half-width beyond which a sector lists all stems of the window
 
 
 class Seen(NamedTuple):
-    """Stems that some pulses may meet, nearest first; room for all of a window."""
+    """Stems that a group of pulses may meet, nearest first; with room for all stems of a window."""
 
-    row: F4  # (blocks * 72,) of each block of eight `_ROWS` rows
-    stem: I4  # (8 * blocks,) their numbers
-    from_m: F4  # (8 * blocks,) least range at which each may be met
+    row: F4  # (blocks * 72,) `_ROWS` rows for each block of eight
+    stem: I4  # (8 * blocks,) stem numbers
+    from_m: F4  # (8 * blocks,) least range at which each can be hit
     is_seen: U1  # (8 * blocks,) scratch
-    total: I8  # (1,) how many there are
+    total: I8  # (1,) number of listed stems
 
 
 class _Sector(NamedTuple):
-    """Directions of pulses as seen from above; all are in it if its middle is (0, 0)."""
+    """Directions of pulses as seen from above; a middle of (0, 0) means all directions."""
 
     x_m: float
-    y_m: float  # a place, from which the pulses begin within `away_m`
+    y_m: float  # a point; the pulses begin within `away_m` of it
     away_m: float
     mx: float
     my: float  # unit vector along the middle
-    right: tuple[float, float]  # cosine and sine of the edge to the right, from the middle; `left` likewise
+    right: tuple[float, float]  # cosine and sine of the right edge from the middle; `left` likewise
     left: tuple[float, float]
-    level: float  # least length of a pulse's unit direction as seen from above
+    level: float  # least horizontal length of a pulse's unit direction
 
 
 def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
-    """Axes of stems: (n, 7) lower end relative to an origin, rise per metre of height in x and y, height, widest reach."""
+    """Axes of stems (n, 7): lower end relative to an origin, slope in x and y per metre of height, height, widest reach."""
     axis = stems["axis"]
     low_m, high_m = stems["along_m"][:, 0] * axis[:, 2], stems["along_m"][:, -1] * axis[:, 2]
     slope = axis[:, :2] / axis[:, 2:]
@@ -60,7 +60,7 @@ def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
 
 
 def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
-    """Return stems, seen from above too; parameters as of `Stems`."""
+    """Return stems, with their circles as seen from above; parameters as in `Stems`."""
     along_m = profile[:, 0].astype(np.float64)
     middle_m, half_m = (along_m[:, -1] + along_m[:, 0]) / 2, (along_m[:, -1] - along_m[:, 0]) / 2
     x_m, y_m = (line[:, axis] + middle_m * line[:, 3 + axis] for axis in range(2))
@@ -72,7 +72,7 @@ def stems_of(line: F8, profile: F4, surface: U4, flare_m: F4) -> Stems:
 
 
 def seen(stems: Stems) -> Seen:
-    """Make room for what is seen of some stems."""
+    """Return an empty `Seen` with room for all `stems`."""
     blocks = -(-len(stems.line) // _BLOCK)
     return Seen(
         np.zeros(blocks * _ROWS * _BLOCK, np.float32),
@@ -89,8 +89,8 @@ def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, as
 
     Parameters
     ----------
-    axes : (n, 6 or more) origins and directions of the middles of pulses
-    near_m, far_m : range at which the medium begins, and at which light is given up
+    axes : (n, 6 or more) origins and directions of the pulses' centre rays
+    near_m, far_m : range at which the medium begins, and farthest range
     aside_m, spread : as in `Pulse`
     """
     sector = _sector(axes, spread)
@@ -127,7 +127,7 @@ def see_stems(stems: Stems, out: Seen, axes: F4, near_m: float, far_m: float, as
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _sector(axes: F4, spread: float) -> _Sector:
-    """Return the sector into which pulses look."""
+    """Return the sector that contains the pulses."""
     x_m = y_m = mx = my = 0.0
     level2 = 1.0
     for q in range(axes.shape[0]):
@@ -157,7 +157,7 @@ def _sector(axes: F4, spread: float) -> _Sector:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_stems(stems: Stems, ahead: Seen, pulse: Pulse) -> None:
-    """Cut the lanes with the stems ahead, as long as a lane goes on."""
+    """Intersect the lanes with the stems ahead until all lanes have ended."""
     row, from_m, count = pulse.lanes.row, ahead.from_m, ahead.total[0]
     last_m = _farthest(row, pulse.n)
     for begin in range(0, count, _BLOCK):
@@ -182,9 +182,9 @@ def _farthest(row: F4, n: int) -> np.float32:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
-    """Return bits of those stems of a block, whose rows begin at `at`, whose axes the pulse comes near enough.
+    """Return bits of the stems of a block, whose rows begin at `at`, that the pulse may hit.
 
-    It says no only where `meet_stem`, which is exact, has no hit.
+    It excludes only stems for which the exact `meet_stem` has no hit.
     """
     axis, near_m, aside_m, spread = pulse.axis, pulse.near_m, pulse.aside_m, pulse.spread
     ox, oy, oz, dx, dy, dz = axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]
@@ -199,7 +199,7 @@ def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
         px, py, pz = qx - lift * sx + nearest_m * wx, qy - lift * sy + nearest_m * wy, qz - lift * sz + nearest_m * wz
         margin_m = spread * abs(nearest_m) + aside_m
         within_m = row[at + _REACH + i] + margin_m
-        # Where the pulse is within so much of the axis, along itself and along the axis.
+        # Intervals along the pulse and along the axis in which the pulse is within this distance of the axis.
         around_m = within_m / square
         height_m, over_m = lift + nearest_m * up, around_m * abs(up) + within_m
         is_close = (px * px + py * py + pz * pz <= within_m * within_m) & (
@@ -213,7 +213,7 @@ def _close(row: F4, at: int, pulse: Pulse, last_m: np.float32) -> np.uint64:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
-    """Cut the lanes with a stem: a circle about its axis, bent and as wide as at the height where it is met."""
+    """Intersect the lanes with a stem: a cone with its bend and width at the height of the hit."""
     axis = pulse.axis
     s, profile = stems.line[stem], stems.profile[stem]
     sx, sy, sz = s[3], s[4], s[5]
@@ -222,14 +222,14 @@ def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
     square = wx * wx + wy * wy + wz * wz
     if square < 1e-9:
         return False
-    # Range and height at which the middle of the pulse is nearest to the axis, and how far it is from it there.
+    # Range and height at which the centre ray is nearest to the axis, and the squared distance there.
     q = axis[0] - s[0], axis[1] - s[1], axis[2] - s[2]
     nearest_m, height_m, off2 = _nearest(q, (sx, sy, sz), (wx, wy, wz), up, square)
     margin_m = pulse.spread * abs(nearest_m) + pulse.aside_m
     within_m = s[6] + s[7] + margin_m
     if off2 > within_m * within_m:
         return False
-    # The same of the axis as it runs at that height.
+    # The same for the bent axis at that height.
     knot = _knot(profile, height_m)
     share = (height_m - profile[0, knot]) / (profile[0, knot + 1] - profile[0, knot])
     share = min(max(share, 0.0), 1.0)
@@ -241,7 +241,7 @@ def meet_stem(stems: Stems, pulse: Pulse, stem: int) -> bool:
     within_m = widest_m + margin_m
     if off2 > within_m * within_m:
         return False
-    # The cone that the stem is where the middle meets it; the beam is too narrow to leave it by more than a little.
+    # The local cone of the stem where the centre ray meets it; the beam is narrow enough to stay on it.
     knot = _knot(profile, height_m - up * math.sqrt(max(widest_m * widest_m - off2, 0.0) / square))
     taper = (profile[1, knot + 1] - profile[1, knot]) / (profile[0, knot + 1] - profile[0, knot])
     cone = (
@@ -269,7 +269,7 @@ def _nearest(
 ) -> tuple[float, float, float]:
     """Return range, height along the axis and squared distance where a ray from `q` is nearest to an axis along `s`.
 
-    The ray's direction is `up` along the axis and `w` across it, whose length squared is `square`.
+    The ray's direction is `up` along the axis and `w` across it; `square` is the squared length of `w`.
     """
     lift = q[0] * s[0] + q[1] * s[1] + q[2] * s[2]
     nearest_m = -(q[0] * w[0] + q[1] * w[1] + q[2] * w[2]) / square
@@ -283,7 +283,7 @@ def _nearest(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _keep_nearest(stems: Stems, pulse: Pulse, stem: int) -> bool:
-    """Keep hits of a stem's cone that are nearest, and within the stem; return True if there is any."""
+    """Keep hits of a stem's cone that are nearest and within the stem; return True if there is any."""
     L, near_m = pulse.lanes, pulse.near_m
     met, row, flare_m, along_m = False, L.row, stems.flare_m[stem], stems.profile[stem, 0]
     for lane in range(pulse.n):
@@ -306,7 +306,7 @@ def _cut_cone(
     radius_m: np.float32,
     taper: np.float32,
 ) -> None:
-    """Cut lanes with a cone, looked at from the middle of its circle at a height; `from_m` is the range there."""
+    """Intersect lanes with a cone, relative to the centre of its circle at a height; `from_m` is the range there."""
     sx, sy, sz = axis
     for lane in range(lanes):
         dx, dy, dz = (row[DIRECTION + lane], row[DIRECTION + LANES + lane], row[DIRECTION + 2 * LANES + lane])
@@ -316,7 +316,7 @@ def _cut_cone(
         lift, up = x * sx + y * sy + z * sz, dx * sx + dy * sy + dz * sz
         x, y, z = x - lift * sx, y - lift * sy, z - lift * sz
         dx, dy, dz = dx - up * sx, dy - up * sy, dz - up * sz
-        # Radius as it changes along the ray, and where its square is that of the distance from the axis.
+        # Linear change of the radius along the ray; solve for where its square equals the squared distance from the axis.
         begin_m, change = radius_m + taper * lift, taper * up
         along, square = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
         a, b = square - change * change, begin_m * change - along
@@ -331,7 +331,7 @@ def _cut_cone(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _knot(profile: F4, height_m: float) -> int:
-    """Find the knot of a profile at or below a height; the last but one from there on, the first below all."""
+    """Find the knot of a profile at or below a height, at least the first and at most the last but one."""
     knot, at_m = 0, f4(height_m)
     for i in range(1, profile.shape[1] - 1):
         knot += profile[0, i] <= at_m

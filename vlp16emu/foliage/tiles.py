@@ -1,6 +1,6 @@
-"""Far tiles: the contract between forests and the medium that they become.
+"""Far tiles: the interface between forests and the far medium.
 
-A window with tiles is cast as faces to `near_m`, and beyond as a medium; any other one as faces alone.
+A window with tiles is cast as faces up to `near_m` and as a medium beyond; other windows are cast as faces alone.
 """
 
 from dataclasses import dataclass
@@ -13,58 +13,58 @@ from vlp16emu.types import F8, I8, U1, ShapeKey, Window, World
 
 STEM = np.dtype(
     [
-        ("foot_m", "<f8", 3),  # world: where the axis leaves the ground, or the first leader
+        ("foot_m", "<f8", 3),  # world: point where the axis leaves the ground, or the first leader
         ("axis", "<f8", 3),  # unit vector, upwards
         ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
-        ("aside_m", "<f4", (2, 16)),  # at the knots, to east and north: from the axis to the section's middle
-        ("radius_m", "<f4", 16),  # at the knots, in between linear; 0 at a whole tree's tip
-        ("flare_m", "<f4"),  # along the axis: where the root flare ends
-        ("row", "<u4", 2),  # of the tile's surfaces: root flare, and the stem above it
+        ("aside_m", "<f4", (2, 16)),  # at the knots, east and north: offset of the section's centre from the axis
+        ("radius_m", "<f4", 16),  # at the knots, linear in between; 0 at the tip of an unbroken tree
+        ("flare_m", "<f4"),  # along the axis: end of the root flare
+        ("row", "<u4", 2),  # rows of the tile's surfaces: root flare, and the stem above it
     ]
 )
-"""A far stem, or the second leader of one: circles across its axis."""
+"""A far stem, or its second leader: circles across the axis."""
 
-EXACT = 255  # stands for the `PlantPart` of a `FarTile`'s mesh that is exact as `STEM`s, and no medium
+EXACT = 255  # in place of a `PlantPart`: a mesh of a `FarTile` that is exact as `STEM`s, not part of the medium
 
 
 @dataclass(frozen=True, slots=True)
 class FarTile:
-    """A far square of the world, 20 m wide: what becomes a medium, and what stays exact."""
+    """A far square of the world, 20 m wide: its part in the medium, and its exact part."""
 
     corner_m: F8  # (3,) south-west corner; the height is a multiple of 2 m, near the ground
-    keys: tuple[ShapeKey, ...]  # different shapes of what becomes a medium
+    keys: tuple[ShapeKey, ...]  # distinct shapes of the medium
     shape: I8  # (n,) of each placement, index into `keys`
     world_T_shape: F8  # (n, 3, 4)
-    first_surface: I8  # (n,) row of the tile's surfaces
-    first_part: I8  # (shapes + 1,) where the meshes of each shape begin in `part`
-    part: U1  # (meshes,) `PlantPart` of each, or `EXACT`
+    first_surface: I8  # (n,) first row in the tile's surfaces
+    first_part: I8  # (shapes + 1,) first mesh of each shape in `part`
+    part: U1  # (meshes,) `PlantPart` or `EXACT`
     stems: NDArray[np.void]  # (s,) `STEM`
     ground_m: F8
-    """(85, 85) heights every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
+    """Heights (85, 85) every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TiledWindow(Window):
     """A window with squares that may be cast as a far medium."""
 
-    track_m: F8  # (t, 3) positions of the sensors that the window is for, to which things are near or far
+    track_m: F8  # (t, 3) sensor positions of the window; near and far refer to them
     tiles: tuple[tuple[int, int, int], ...]
-    """Squares (ix, iy) whose far medium `TiledWorld.far_tile` makes, and the row of `surfaces` at which theirs begin."""
-    far: NDArray[np.bool_]  # (n,) which placements `tiles` stand for
-    low: NDArray[np.bool_]  # (n,) which of the others are so low that far light meets the ground in their place
+    """Squares (ix, iy) whose far medium `TiledWorld.far_tile` makes, and their first rows in `surfaces`."""
+    far: NDArray[np.bool_]  # (n,) mask of the placements that `tiles` represent
+    low: NDArray[np.bool_]  # (n,) mask of the others so low that far light meets the ground instead
 
     def with_more(self, count: int) -> dict[str, Any]:
-        """Return the further fields of the window for `count` placements that are exact at any range."""
+        """Return the fields of the window for `count` more placements that are exact at any range."""
         exact = np.zeros(count, np.bool_)
         return {"far": np.append(self.far, exact), "low": np.append(self.low, exact)}
 
 
 class TiledWorld(World, Protocol):
-    """A world of squares that are a far medium beyond `near_m`."""
+    """A world of squares that are cast as a far medium beyond `near_m`."""
 
     @property
     def name(self) -> str:
-        """Return a digest of all that decides its `far_tile`s; empty if nothing of it is kept on disk."""
+        """Return a digest of all inputs of its `far_tile`s; empty if they are not kept on disk."""
 
     def far_tile(self, ix: int, iy: int) -> FarTile:
-        """Return a far square of the world; the same square is always the same."""
+        """Return a far square of the world; equal arguments give equal squares."""

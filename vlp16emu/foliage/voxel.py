@@ -1,4 +1,4 @@
-"""Voxels of a medium: their size, and the codes of how much is in them."""
+"""Voxels of a medium: their size, and the codes of their projected area."""
 
 import numpy as np
 
@@ -9,16 +9,16 @@ COLUMNS = 40  # voxels along the edge of a tile of 20 m
 FINER = 2  # squares of the ground along the edge of a voxel
 
 KNOTS = np.array([0.0, 0.3, 1.0])
-"""Sines of the elevations at which projected areas are known: level, 17 degrees, and upright."""
-QUANTILES = 16  # quantiles of the cosine of incidence, at middles of equal shares of the projected area
+"""Sines of the elevations (knots) at which projected areas are stored: level, 17 degrees, and vertical."""
+QUANTILES = 16  # quantiles of the cosine of incidence, at the midpoints of equal shares of projected area
 
 CODES, MOST_PER_M = 127, 24.0  # greatest code, and its projected area per volume
 TAU_PER_M = (MOST_PER_M * np.square(np.arange(CODES + 1) / CODES)).astype(np.float32)
-"""Projected area per volume of each of the codes that voxels have."""
+"""Projected area per volume for each code."""
 
 LAW_BIT, TILE_BIT, SHARE_BIT = np.uint64(32), np.uint64(52), np.uint64(56)
 """First bits of the parts of an owner; its row begins at bit 0."""
 LAW_MASK = np.uint64((1 << 20) - 1)
 
 GROUND = np.uint32(1 << 21)
-"""Flag of a voxel, above its three codes of seven bits: the ground may be met in or beside it."""
+"""Flag of a voxel, above its three codes of seven bits: ground may be met in or beside it."""

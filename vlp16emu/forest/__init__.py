@@ -1,1 +1,1 @@
-"""A forest that grows itself, or that somebody has measured: one world among others."""
+"""Generated forests and plots of measured trees: one kind of world."""

@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 class ForestSite:
     """The ground of a forest or a plot; a `Site`.
 
-    The seed is that of ground, plants and gusts. Raises GeometryError if heights cannot be read.
+    The seed determines ground, plants and gusts. Raises GeometryError if heights cannot be read.
     """
 
     def __init__(self, section: Woods, seed: int) -> None:
@@ -37,14 +37,14 @@ class ForestSite:
 
     @property
     def name(self) -> str:
-        """Digest of all that decides the ground."""
+        """Digest of all inputs of the ground."""
         section = self._section
         own = section.model_dump_json(include={"dem", "origin_m", "terrain"})
         return _digest(own, _content(section.dem.file if section.dem else None), str(self._seed))
 
     @property
     def obstacles(self) -> tuple[F8, F8] | None:
-        """Stems that the path leads around, with errors as of `stems_in_the_way`; None if it keeps its way."""
+        """Stems that the path must avoid, with the errors of `stems_in_the_way`; None if the path stays as it is."""
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
             return stems_in_the_way(section, self._seed)
@@ -53,7 +53,7 @@ class ForestSite:
     def world(
         self, path_xy_m: F8, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
     ) -> tuple[World, TreeSway | None]:
-        """Return the forest, and what moves its trees; parameters and errors as of `Site`."""
+        """Return the forest and the sway of its trees; parameters and errors as in `Site`."""
         section, ground = self._section, self._ground
         if isinstance(ground, DemHeights):
             ground.check(path_xy_m, reach_m)
@@ -71,7 +71,7 @@ class ForestSite:
             stems = GivenStand(section, land)
             stems.check(path, reach_m)
         else:
-            assert isinstance(section, Forest)  # there is no third kind
+            assert isinstance(section, Forest)  # the only other kind
             stems = Stand(section, land)
         bare = ForestWorld(
             section,
@@ -79,7 +79,7 @@ class ForestSite:
             land,
             reach_m=reach_m,
             loose_stems=blows is not None,
-            # A sensor that sees no farther than `near_m` meets no medium: then none is made.
+            # A sensor whose range ends within `near_m` meets no medium, so none is made.
             near_m=section.near_m if section.near_m < farthest_m else math.inf,
             name=_name(section, self._seed, path, reach_m, loose_stems=blows is not None),
             plants_name=_content(section.species_file),

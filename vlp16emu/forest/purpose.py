@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class Growth(IntEnum):
-    """Purposes beside those of `vlp16emu.random.Purpose`, with other values; never renumber, only append."""
+    """Purposes in addition to `vlp16emu.random.Purpose`, with other values; never renumber, only append."""
 
     TERRAIN = 2
     STAND = 3

@@ -1,8 +1,8 @@
-"""The plane cut into square tiles: which are near a line, and their ground as triangles, large where it is even, small where it bends.
+"""The plane cut into square tiles: tiles near a line, and their ground as triangles, large on even ground.
 
-Right triangles are cut in two from the middle of their longest side to the tip, again and again, wherever the ground lies
-off that middle (Evans, Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A cut is
-made in both triangles at a side, and with it the coarser ones that it rests on, so that no vertex lies on a side of another.
+Right triangles are bisected repeatedly from the middle of their longest side, if the ground is off that middle (Evans,
+Kirkpatrick and Townsend, "Right-triangulated irregular networks", Algorithmica 30, 2001). A cut is made in both triangles
+at a side, together with the coarser cuts that it depends on, so that no vertex lies on a side of another triangle.
 """
 
 from collections.abc import Callable
@@ -15,21 +15,21 @@ from vlp16emu.foliage.polyline import Polyline
 from vlp16emu.types import F8, I8, HeightField, Mesh
 
 Mask = NDArray[np.bool_]
-_CELL_M = 0.5  # edge of the squares from which cutting begins, as many as are even ground
-_FINEST = 16  # steps of the finest grid along such an edge, 31 mm each
+_CELL_M = 0.5  # edge of the initial squares
+_FINEST = 16  # steps of the finest grid along that edge, 31 mm each
 _LOOKED_AT = (16, 8, 4, 2)
-"""Edges, in such steps, of squares at whose middle and sides the ground is compared: the largest everywhere, others where it lies
-off those of the square around them, or of one beside that. A hollow may lie even between points that are as far apart as it is
-wide, but not beside itself."""
-_CUTS = 8  # of a half square, one after the other, down to halves of the finest squares
+"""Edges, in these steps, of squares at whose centre and sides the ground is compared: the largest everywhere, smaller ones
+only if the ground is off in the enclosing square or in a neighbour of it. A hollow may be missed between points that are
+as far apart as it is wide, but not in a neighbouring square."""
+_CUTS = 8  # successive cuts of a half square, down to halves of the finest squares
 _OFF_M = 0.004
-"""How far the ground may lie off the middle of a side that is not cut; elsewhere on a triangle it is off by little more."""
+"""Tolerance of the ground at the middle of an uncut side; elsewhere on a triangle the error is little more."""
 _APRON = 2
-"""Squares around those that are asked for whose cuts are worked out too: cuts reach into the square beside, no farther."""
+"""Border of squares whose cuts are computed too: cuts reach at most into the neighbouring square."""
 
 
 def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[F8, I8]:
-    """Triangulate the ground of a square so that those of neighbouring squares have the same vertices along their border.
+    """Triangulate the ground of a square, with the same vertices along the border as in neighbouring squares.
 
     The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres. Returns vertices (n, 3) in the world,
     by rows from south to north, and faces (m, 3), counter-clockwise as seen from above.
@@ -46,7 +46,7 @@ def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: Hei
 
 
 class _Ground:
-    """Heights on the finest grid, where somebody has asked for them."""
+    """Heights on the finest grid, computed on request."""
 
     def __init__(self, corner_m: tuple[float, float], side: int, height_m: HeightField) -> None:
         self.side, self._height_m = side, height_m
@@ -54,11 +54,11 @@ class _Ground:
         self.z_m = np.full((side, side), np.nan)
 
     def ask(self, wanted: Mask) -> None:
-        """Look up heights where (side, side) is set and none is known."""
+        """Compute unknown heights at the set points of a mask (side, side)."""
         self.points_m(np.flatnonzero(wanted & np.isnan(self.z_m)))
 
     def points_m(self, which: I8) -> F8:
-        """Points (n, 3) of the grid by number, along rows and row by row."""
+        """Points (n, 3) of the grid by number, row by row."""
         row, column = np.divmod(which, self.side)
         xy_m = self._first_m[:, None] + np.array([column, row]) * (_CELL_M / _FINEST)
         z_m = self.z_m.reshape(-1)
@@ -68,7 +68,7 @@ class _Ground:
 
 
 def _cuts(ground: _Ground) -> Mask:
-    """Vertices (side, side) at which the ground lies off the side that they would cut, and those that such cuts rest on."""
+    """Mask (side, side) of vertices at which the ground is off the side, and of vertices that such cuts depend on."""
     cut = np.zeros(ground.z_m.shape, np.bool_)
     off_m = np.full((ground.side // (2 * _FINEST),) * 2, np.inf)
     for step in _LOOKED_AT:
@@ -82,7 +82,7 @@ def _cuts(ground: _Ground) -> Mask:
         cut[half::step, half::step] = middle > _OFF_M
         cut[::step, half::step], cut[half::step, ::step] = across > _OFF_M, up > _OFF_M
         off_m = np.fmax.reduce([middle, across[:-1], across[1:], up[:, :-1], up[:, 1:]])
-    # Each cut rests on those of the coarser squares around it.
+    # Each cut depends on the cuts of the coarser squares around it.
     for step in reversed(_LOOKED_AT):
         half, tips = step // 2, cut[::step, ::step]
         sides, ends, centres = cut[::step, half::step], cut[half::step, ::step], cut[half::step, half::step]
@@ -97,7 +97,7 @@ def _cuts(ground: _Ground) -> Mask:
 
 
 def _around(squares: Mask, edge: int) -> Mask:
-    """Points (side, side) in squares and those beside them, five along each edge."""
+    """Mask (side, side) of points in squares and their neighbours, five along each edge."""
     side, fine = len(squares) * edge + 1, edge // 4
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(squares, 1), (3, 3))
     points = np.zeros((side, side), np.bool_)
@@ -107,7 +107,7 @@ def _around(squares: Mask, edge: int) -> Mask:
 
 
 def _is_anti(side: int, step: int) -> Mask:
-    """Return which squares of `step` are cut from south-east to north-west: those that meet in the middle of a larger one in turn."""
+    """Return a mask of the squares of `step` that are cut from south-east to north-west: alternating within a larger square."""
     n = np.arange(side // step)
     return (n[:, None] + n) % 2 == 1 if step < _FINEST else np.zeros((len(n), len(n)), np.bool_)
 
@@ -127,19 +127,19 @@ def _bisected(triangles: I8, cut: Mask) -> I8:
 
 TILE_M = 20.0  # edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y.
 _HALF_DIAGONAL_M = TILE_M / 2 * np.sqrt(2.0)
-_SKIRT_M = 0.5  # depth of the hem under a tile's border, which hides the seams that rounding leaves
+_SKIRT_M = 0.5  # depth of the skirt under a tile's border, which hides seams from rounding
 
 
 @dataclass(frozen=True, slots=True)
 class TileKey:
-    """Name of a tile's shape: its ground and its stems."""
+    """Key of a tile's shape: its ground and its stems."""
 
     ix: int
     iy: int
 
 
 def tiles_within(line_xy_m: F8, reach_m: float) -> I8:
-    """Return the tiles (n, 2), ix and iy in ascending order, that may lie in part within `reach_m` of a polyline (m, 2)."""
+    """Return tiles (n, 2), ix and iy in ascending order, that may be partly within `reach_m` of a polyline (m, 2)."""
     reach = reach_m + _HALF_DIAGONAL_M
     low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
@@ -149,7 +149,7 @@ def tiles_within(line_xy_m: F8, reach_m: float) -> I8:
 
 
 def around(ix: int, iy: int, of: Callable[[int, int], F8]) -> F8:
-    """Join what there is of a tile and of the eight around it."""
+    """Concatenate the results for a tile and the eight around it."""
     return np.concatenate([of(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
@@ -163,14 +163,14 @@ def _centre_distance_m(tiles: I8, line: Polyline) -> F8:
 
 
 def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> F8:
-    """Origin of a tile's own frame, (3,): its south-west corner, at a whole metre near the ground."""
+    """Origin (3,) of a tile's frame: its south-west corner, at a whole metre near the ground."""
     x, y = ix * TILE_M, iy * TILE_M
     middle = height_m(np.array([x + TILE_M / 2]), np.array([y + TILE_M / 2]))
     return np.array([x, y, np.round(middle[0])])
 
 
 def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
-    """Triangles of a tile's ground in the tile's own frame, with a hem that hides the seams."""
+    """Triangles of a tile's ground in the tile's frame, with a skirt that hides seams."""
     points_m, faces = ground_triangles((key.ix * TILE_M, key.iy * TILE_M), TILE_M, height_m)
     points_m -= tile_origin_m(key.ix, key.iy, height_m)
     x, y = points_m[:, 0], points_m[:, 1]

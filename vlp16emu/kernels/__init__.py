@@ -1,1 +1,1 @@
-"""Compiled kernels: for which processor, kept on disk by content, and compiled side by side before a run."""
+"""Compiled kernels: for a fixed processor, kept on disk by content, and compiled in parallel before a run."""

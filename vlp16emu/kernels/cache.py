@@ -1,8 +1,8 @@
 """Compiled kernels, kept on disk by content.
 
-The name of a file says the content of the files that a kernel is made of, whatever their place and time stamps: the file of
-its module, those of the types of its arguments, whose overloads it may call, and all that these import; then the libraries
-that compile it, the processor that it is compiled for, the kernel and its types.
+A file's name is a digest of the sources of a kernel, regardless of their path and time stamps: its module, the modules
+of its argument types, whose overloads it may call, and all their imports; also of the compiling libraries, the target
+processor, the kernel and its types.
 """
 
 import hashlib
@@ -19,19 +19,19 @@ from vlp16emu.store import PACKAGE, Store, read_checked, user_folder
 
 _IMPORT = re.compile(r"^ *from vlp16emu([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _SUFFIX = ".kernel"
-_LAYOUT = 3  # of the files
+_LAYOUT = 3  # version of the file format
 _MOST_BYTES = 200_000_000
 _PACKAGED = PACKAGE / "_kernels"  # kernels that a wheel carries
 
 
 class KernelCache:
-    """Cache of one kernel, with the methods that a dispatcher of numba calls."""
+    """Cache of one kernel, with the interface of numba's dispatcher."""
 
     def __init__(self, function: Callable[..., object]) -> None:
         code = function.__code__
         self._module = function.__module__
         self._name = f"{self._module.partition('.')[2]}.{code.co_qualname}-{code.co_firstlineno}"
-        self._is_kept = function.__closure__ is None  # what it encloses is no part of the name
+        self._is_kept = function.__closure__ is None  # the variables of a closure are not part of the name
 
     @property
     def cache_path(self) -> str:
@@ -39,12 +39,12 @@ class KernelCache:
         return str(user_kernels().folder)
 
     def has(self, signature: object) -> bool:
-        """Return whether the file of a kernel is there, whole or not."""
+        """Return whether the file of a kernel exists, complete or not."""
         folders = _PACKAGED, user_kernels().own
         return any(folder and (folder / self._file(signature)).exists() for folder in folders)
 
     def load_overload(self, signature: object, context: Any) -> object:
-        """Load a kernel; None if there is none that is whole."""
+        """Load a kernel; None without a complete file."""
         if not self._is_kept:
             return None
         name = self._file(signature)
@@ -52,17 +52,17 @@ class KernelCache:
         return _loaded(context, *pickle.loads(content)) if content else None  # noqa: S301 - from a safe folder
 
     def save_overload(self, signature: object, result: Any) -> None:
-        """Keep a kernel, unless it holds addresses of this process."""
+        """Store a kernel, unless it contains addresses of this process."""
         from numba.core.serialize import dumps
 
         if self._is_kept and not result.library.has_dynamic_globals:
             library, described, environment, types, *_, environments = result._reduce()
             name, _, (code, _) = library
-            full = [inner for inner in environments if inner.consts]  # others name modules that need not be loaded
+            full = [inner for inner in environments if inner.consts]  # the others name modules that are not needed
             user_kernels().write(self._file(signature), dumps((name, code, described, environment, types, full)))
 
     def give_up(self, signature: object) -> None:
-        """Keep nothing in the place of a kernel that cannot be compiled, so that it is not tried at each start."""
+        """Store an empty file for a kernel that cannot be compiled, so that it is not tried at each start."""
         user_kernels().write(self._file(signature), b"")
 
     def _file(self, signature: object) -> str:
@@ -74,9 +74,9 @@ class KernelCache:
 def _loaded(
     context: Any, name: str, code: bytes, described: Any, environment: Any, types: object, environments: Iterable[Any]
 ) -> object:
-    """Make a kernel of what was kept, for calls from Python: its code for linking, half of the file, is not kept.
+    """Make a kernel from its stored parts, for calls from Python: its code for linking, half of the file, is not stored.
 
-    Nothing is loaded that only compilation needs, as `CompileResult._rebuild` would.
+    Unlike `CompileResult._rebuild`, it loads nothing that only compilation needs.
     """
     from numba.core.compiler import compile_result
 
@@ -102,7 +102,7 @@ def _loaded(
 
 @cache
 def _declare_runtime() -> None:
-    """Name to LLVM what code calls of numba's runtime, as its `initialize` does, which compiles for 0.05 s more than that."""
+    """Declare the functions of numba's runtime to LLVM; numba's `initialize` also compiles for 0.05 s."""
     from llvmlite import binding
     from numba.core.runtime import _nrt_python
 
@@ -112,21 +112,21 @@ def _declare_runtime() -> None:
 
 @cache
 def user_kernels() -> Store:
-    """Return the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
+    """Return the store of the user's compiled kernels: in `NUMBA_CACHE_DIR`, or else in the user's cache."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(chosen).absolute() / "vlp16emu-kernels" if chosen else user_folder("kernels")
     return Store(folder, _SUFFIX, _MOST_BYTES)
 
 
 def kernel_names() -> list[str]:
-    """List the compiled kernels of this processor and these libraries, as `room.module.kernel`, each once for each of its types."""
+    """List the compiled kernels for this processor and these libraries as `room.module.kernel`, once per signature."""
     folders = [folder for folder in (_PACKAGED, user_kernels().own) if folder]
     paths = [path for folder in folders for path in folder.glob(f"{_state()}-*{_SUFFIX}")]
     return [name.split("-")[1] for name in {path.name.rpartition("-")[0] for path in paths}]
 
 
 def sources_of(modules: frozenset[str]) -> list[str]:
-    """Return the files of the package that modules are made of: their own, and those of all that they import, but for this room."""
+    """Return the package's files for modules: their own and all their imports, except this room."""
     left, found = set(modules), set[str]()
     while left:
         for file in _files_of(left.pop()):
@@ -153,7 +153,7 @@ def _modules(kind: Any) -> Iterator[str]:
 
 @cache
 def _read(file: str) -> tuple[str, list[str]]:
-    """Return the digest of a file of the package, with the tables beside it, and what it may import of the package."""
+    """Return the digest of a file of the package and its tables, and the modules of the package that it may import."""
     path = PACKAGE / file
     text, imports = path.read_text(encoding="utf-8"), list[str]()
     for place, names in _IMPORT.findall(text):
@@ -164,14 +164,14 @@ def _read(file: str) -> tuple[str, list[str]]:
 
 @cache
 def _content(modules: frozenset[str]) -> str:
-    """Name the content of the files that modules are made of."""
+    """Return the digest of the sources of modules."""
     read = [(file, _read(file)[0]) for file in sources_of(modules)]
     return hashlib.sha256(repr(read).encode()).hexdigest()[:16]
 
 
 @cache
 def _state() -> str:
-    """Name the processor, libraries and options that decide what is compiled, as they are when this is first asked."""
+    """Return a digest of processor, libraries and options for compilation, as of the first call."""
     import llvmlite
     import numba
     import numpy as np

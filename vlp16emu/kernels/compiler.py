@@ -1,12 +1,12 @@
-"""Compilation of kernels: for a fixed processor, without what numba adds for functions that may be called from anywhere.
+"""Compilation of kernels: for a fixed processor, without numba's extras for functions that may be called from anywhere.
 
-Modules with kernels take `numba` from here, as it is prepared before the first kernel is made.
+Modules with kernels import `numba` from here, as it is configured before the first kernel is made.
 
-A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python or from C,
-no machine code of its own and no file. If Python calls it one day, it is compiled again, as a whole.
+A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python or C,
+no machine code of its own and no file. If Python calls it later, it is compiled again in full.
 
-A table names the kernels that Python calls in runs of each group, hall and forest, and the types of their arguments, the
-costliest first. It may lag behind the program: a kernel that it lacks is compiled when it is first called.
+A table lists the kernels that Python calls in runs of each group, hall and forest, with their argument types, the
+costliest first. It may be outdated: a kernel that it lacks is compiled when it is first called.
 """
 
 import json
@@ -34,7 +34,7 @@ from numba.core.registry import CPUDispatcher
 from vlp16emu.cores import usable_cores
 from vlp16emu.kernels.cache import KernelCache, user_kernels
 
-_TARGETS = {  # targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first
+_TARGETS = {  # targets of the x86-64 psABI and the features they require, in LLVM's names, the fastest first
     "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
     "x86-64-v2": ("popcnt", "sse4.1", "sse4.2", "ssse3"),
 }
@@ -44,22 +44,22 @@ _TABLE = Path(__file__).with_name("table.json")
 class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     """Dispatcher of a kernel."""
 
-    depth = 0  # depth of kernels that are being compiled for the sake of others, each for the one before
+    depth = 0  # nesting depth of kernels that are compiled for a calling kernel
 
     @classmethod
     def take_over(cls, dispatcher: CPUDispatcher) -> None:
-        """Make a dispatcher of numba one of these, with a cache of ours."""
+        """Convert numba's dispatcher into this class, with our cache."""
         dispatcher.__class__ = cls
         dispatcher.kept = KernelCache(dispatcher.py_func)
         dispatcher._compiler.pipeline_class = _KernelCompiler
 
     @property
     def _cache(self) -> Any:
-        """Files, for kernels that Python calls: from others' they would come without code to be linked with."""
+        """Cache for kernels that Python calls; for inner kernels None, as files lack code for linking."""
         return NullCache() if KernelDispatcher.depth else self.kept
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Compile for a kernel that calls this one, ours or a program's own."""
+        """Compile for a kernel that calls this one, ours or a user program's."""
         with global_compiler_lock:
             KernelDispatcher.depth += 1
             try:
@@ -68,7 +68,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
                 KernelDispatcher.depth -= 1
 
     def compile(self, sig: Any) -> Any:
-        """Compile for types of arguments, unless that has been done: for Python, or in a way that other kernels can use."""
+        """Compile for argument types unless already done: for Python, or as an inner kernel."""
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
             done = self.overloads.get(tuple(args))
@@ -77,7 +77,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
             return super().compile(sig)
 
     def add_overload(self, cres: Any) -> None:
-        """Take a compiled kernel in; only one with an entry can be called from Python."""
+        """Add a compiled kernel; only one with an entry can be called from Python."""
         if cres.entry_point is not None:
             super().add_overload(cres)
             return
@@ -87,15 +87,15 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
 
 
 class _Inner:
-    """Name of a kernel without entry, for those that call it."""
+    """Name of a kernel without entry, for its callers."""
 
 
 class _KernelCompiler(Compiler):  # type: ignore[misc]
-    """Numba's compiler, which makes for inner kernels what other kernels take of them and nothing else."""
+    """Numba's compiler, limited for inner kernels to the parts that calling kernels use."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         if "numba.np.arraymath" not in sys.modules:
-            # It would load scipy.linalg for 0.1 s only to see whether that is there; a kernel that takes it asks once more.
+            # It would load scipy.linalg (0.1 s) only to check that it exists; a kernel that uses it checks again.
             from numba.np import linalg
 
             ensure_blas = linalg.ensure_blas
@@ -113,7 +113,7 @@ class _KernelCompiler(Compiler):  # type: ignore[misc]
 
 
 class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code that others are linked with; it has no place in the memory of machine code."""
+    """Code that is linked into callers; it has no machine code of its own in memory."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -122,9 +122,9 @@ class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 def _target() -> tuple[str, str]:
-    """Name the processor to compile for, and what it has beyond its name.
+    """Return the target processor and its extra features.
 
-    `VLP16EMU_TARGET` names another one, for tests; `host` is the one that this runs on.
+    `VLP16EMU_TARGET` selects another one, for tests; `host` is the present processor.
     """
     chosen, has = os.environ.get("VLP16EMU_TARGET"), binding.get_host_cpu_features()
     if chosen == "host":
@@ -134,14 +134,14 @@ def _target() -> tuple[str, str]:
 
 
 def _prepare() -> None:
-    """Set the target of all kernels, and take over those of this package."""
-    # In the environment: numba reads it again whenever a variable of its own has changed.
+    """Set the target of all kernels, and take over this package's kernels."""
+    # In the environment: numba reads it again when one of its variables changes.
     os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
     numba.config.reload_config()
     enable_caching = Dispatcher.enable_caching
 
     def enable_our_caching(dispatcher: CPUDispatcher) -> None:
-        """Take over a kernel of this package; leave those of a program that calls us to numba."""
+        """Take over a kernel of this package; kernels of other programs stay with numba."""
         if dispatcher.py_func.__module__.partition(".")[0] == "vlp16emu":
             KernelDispatcher.take_over(dispatcher)
         else:
@@ -156,33 +156,33 @@ _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 def table(group: str | None = None) -> list[dict[str, Any]]:
-    """Return the table, or the part of it that a group of runs needs."""
+    """Return the table, or its part for a group of runs."""
     rows: list[dict[str, Any]] = json.loads(_TABLE.read_text(encoding="utf-8"))
     return [row for row in rows if group is None or group in row["groups"]]
 
 
 def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
-    """Compile what the table has for a group of runs, or for all, and is not on disk yet.
+    """Compile the table's kernels for a group of runs, or for all, that are not on disk.
 
-    Yields how many kernels are done, none at first, and how many there are; nothing if all are on disk.
+    Yields the number of finished kernels, from 0, and their total; nothing if all are on disk.
     """
     missing = [row for row in table(group) if not _is_kept(row)]
     if not missing:
         return
     yield 0, len(missing)
-    from multiprocessing import get_context  # here: most runs find all on disk
+    from multiprocessing import get_context  # here: usually all are on disk
 
-    # Children are forks, so that they need not load numba again; with other threads that would not be safe.
+    # Children are forks, so that they need not load numba again; with other threads forks would not be safe.
     if user_kernels().own is None or threading.active_count() > 1:
         return
     # Kernels of one file share most of what they call: a process compiles that once.
     files: dict[str, list[dict[str, Any]]] = {}
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
-    # A child that a signal meets before `_leave_signals` would end as this process does.
+    # A child that a signal meets before `_ignore_signals` would end as this process does.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
     try:
-        pool = get_context("fork").Pool(min(usable_cores(), len(files)), _leave_signals)
+        pool = get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     with pool:
@@ -193,7 +193,7 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
 
 
 def decoded(text: Any) -> Any:
-    """Read a type of numba from JSON; errors where the program has no such type any more."""
+    """Read a numba type from JSON; fails if the program no longer has the type."""
     if isinstance(text, str):
         return getattr(types, text)
     first, *rest = text
@@ -221,7 +221,7 @@ def _is_kept(row: dict[str, Any]) -> bool:
 
 
 def _compile(rows: list[dict[str, Any]]) -> int:
-    """Compile the kernels of some rows, in a process of its own, and count them; what is wrong with one, the run will say."""
+    """Compile the kernels of some rows in a separate process, and count them; the run reports their errors."""
     for row in rows:
         kernel, arguments = _signature(row)
         try:
@@ -231,10 +231,10 @@ def _compile(rows: list[dict[str, Any]]) -> int:
     return len(rows)
 
 
-def _leave_signals() -> None:
-    """Let the parent decide when a child ends, and report it: Ctrl-C in a terminal reaches all of them."""
+def _ignore_signals() -> None:
+    """Ignore signals in a child: Ctrl-C in a terminal reaches all processes, and the parent ends the children."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # once the parent is gone, a result has no taker
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # without the parent, results are not read
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)

@@ -1,6 +1,6 @@
-"""A GNSS receiver on the walk: errors that wander, and fixes lost under trees; and the world's place on the globe.
+"""A GNSS receiver on the walk: wandering errors, and fixes lost under trees; and the world's position on the globe.
 
-The world is the plane that touches the ellipsoid of WGS 84 under its origin.
+The world is the tangent plane of the WGS 84 ellipsoid under its origin.
 """
 
 import math
@@ -20,51 +20,51 @@ from vlp16emu.types import F8, GnssFix
 from vlp16emu.units import S_NS
 
 Sky = Callable[[int, F8], float]
-"""Share of the sky, 0..1, that is hidden at a UTC instant from an antenna (3,) in the world."""
+"""Function of UTC and antenna position (3,) that gives the hidden share of the sky, 0..1."""
 _WAVES = 32
 _EAST, _NORTH, _LOSS = 0, 1, 2  # lanes of the wandering processes
-_COVER_WIDTH = 0.05  # width of the logistic curve of the share of fixes that fail, over the cover; assumption
+_COVER_WIDTH = 0.05  # width of the logistic curve of failed fixes over the cover; assumption
 _LOSS_S = 10.0
-"""Correlation time of what lets fixes fail: some 12 m of walking, the spacing of great crowns; assumption."""
+"""Correlation time of failing fixes: about 12 m of walking, the spacing of large crowns; assumption."""
 _FARTHEST_Z, _NORMAL_PEAK = 8.0, 0.3989422804014327
-"""Where the normal distribution is 0 or 1 within 1e-15, and its greatest density, 1 / sqrt(2 pi)."""
-_HELD_S = 10  # for so long a receiver repeats its last fix
+"""Limit beyond which the normal distribution is 0 or 1 within 1e-15, and its greatest density, 1 / sqrt(2 pi)."""
+_HELD_S = 10  # time for which a receiver repeats its last fix
 _FASTEST_M_S = 999 * 1852 / 3600
-"""999 knots, the most that a receiver reports (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
+"""999 knots, the greatest reported speed (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
 _RADIUS_M = 6_378_137.0  # semi-major axis of WGS 84 (NGA.STND.0036, table 3.1), as the next
 _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY2 = _FLATTENING * (2.0 - _FLATTENING)
-_ROUNDS = 3  # applications of Bowring's formula; near the ground the first one is already good to a millimetre
-_READINGS_KEPT = 64  # more than `_HELD_S`, so that no second's sky is looked at twice
+_ROUNDS = 3  # iterations of Bowring's formula; near the ground one is accurate to a millimetre
+_READINGS_KEPT = 64  # more than `_HELD_S`, so that the sky of a second is cast only once
 
 
 @dataclass(frozen=True, slots=True)
 class GnssReading:
-    """Measurement of a receiver in one second, beside the ground truth."""
+    """Measurement of a receiver in one second, with the ground truth."""
 
     t_ns: int  # UTC, a whole second
-    antenna_m: F8  # (3,) true place in the world
+    antenna_m: F8  # (3,) true position in the world
     velocity_m_s: F8  # (3,) true velocity in the world
-    measured_m: F8  # (3,) measured place in the world
+    measured_m: F8  # (3,) measured position in the world
     measured_m_s: F8  # (2,) measured velocity, east and north
-    cover: float  # share of the sky that is hidden
-    valid: bool  # true if it has a fix
+    cover: float  # hidden share of the sky
+    valid: bool  # True if it has a fix
 
 
 class Receiver:
-    """A GNSS receiver whose antenna is straight above the sensor.
+    """A GNSS receiver with its antenna vertically above the sensor.
 
-    Any second can be had alone: errors depend on the seed and the second, cover on the place and the world.
+    Each second can be computed alone: errors depend on seed and second, cover on position and world.
 
     Parameters
     ----------
-    motion : of the sensor
-    sky : None where the whole sky is free at all times
+    motion : motion of the sensor
+    sky : hidden share of the sky; None for an always open sky
     """
 
     def __init__(self, motion: Motion, gps: Gps, *, seed: int, sky: Sky | None) -> None:
         self._gps = gps
-        # Bound to no method: a cycle would keep the world alive for longer than the receiver.
+        # Not a bound method: a reference cycle would keep the world alive longer than the receiver.
         self._known = lru_cache(_READINGS_KEPT)(partial(_measure, motion, gps, seed, sky))
 
     def reading(self, t_ns: int) -> GnssReading:
@@ -72,10 +72,10 @@ class Receiver:
         return self._known(t_ns)
 
     def fix(self, t_ns: int) -> GnssFix:
-        """Return the fix that is reported for the whole UTC second `t_ns`; its course is from the north at the world's origin.
+        """Return the reported fix for the whole UTC second `t_ns`; its course is from north at the world's origin.
 
-        Where the second has no fix, the numbers are those of the last one. Where there was none for 10 s they
-        are what the receiver believes of 10 s ago, as if it carried its track on.
+        Without a fix in this second, the numbers of the last fix are repeated. After 10 s without a fix they
+        are the receiver's estimate of 10 s ago, as if it had continued its track.
         """
         for age in range(_HELD_S + 1):
             known = self.reading(t_ns - age * S_NS)
@@ -98,18 +98,18 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
     white_m = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 0))
     white_m_s = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 1))
     slow = np.array([wander(seed, lane, second, gps.wander_s) for lane in (_EAST, _NORTH)])
-    # Fixes fail with a probability that is logistic in the cover, in spells of some 10 s.
+    # Fixes fail with a probability that is logistic in the cover, in periods of about 10 s.
     odds = (cover - gps.canopy_half_cover) / _COVER_WIDTH
     lost = _exceeded(wander(seed, _LOSS, second, _LOSS_S)) if sky else 1.0
     valid = sky is None or lost >= 0.5 + 0.5 * tanh(0.5 * odds)
-    measured_m = antenna_m.copy()  # heights are not measured: sentences have none
+    measured_m = antenna_m.copy()  # heights are not measured: sentences have no altitude
     measured_m[:2] += grown * (gps.position_noise_m * white_m + gps.wander_m * slow)
     measured_m_s = velocity_m_s[:2] + grown * gps.velocity_noise_m_s * white_m_s
     return GnssReading(t_ns, antenna_m, velocity_m_s, measured_m, measured_m_s, cover, valid)
 
 
 def _exceeded(z: float) -> float:
-    """Probability that a standard normal number is above z, within 1e-15, by the power series of the distribution.
+    """Probability that a standard normal number exceeds z, within 1e-15, by the power series of the distribution.
 
     Source: Marsaglia, "Evaluating the normal distribution", J. Statistical Software 11(4), 2004.
     """
@@ -123,15 +123,15 @@ def _exceeded(z: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
-    """Slow process of variance 1 at a whole second, by itself.
+    """First-order Gauss-Markov process of variance 1, evaluated at one whole second.
 
-    Over seeds it is Gaussian at each second with the autocovariance exp(-|lag| / `correlation_s`), that of a
-    first-order Gauss-Markov process. It is a sum of waves of equal power whose frequencies are drawn one
-    from each of 32 parts of equal mass of that process' spectrum, a Cauchy distribution.
+    Over seeds it is Gaussian at each second with the autocovariance exp(-|lag| / `correlation_s`). It is a
+    sum of waves of equal power, with one frequency drawn from each of 32 parts of equal mass of
+    the spectrum, a Cauchy distribution.
 
     Parameters
     ----------
-    lane : number of the process among those of one seed
+    lane : number of the process, for several processes with one seed
     second : since 1970
     correlation_s : above 0
     """
@@ -141,7 +141,7 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
         a, b = normal_pair(seed, Purpose.GNSS_WANDER, wave, 2 * lane + 1)
         cosine, sine = cos_sin(0.5 * math.pi * (wave + share) / _WAVES)
         hz = sine / cosine / (2.0 * math.pi * correlation_s)
-        # At whole seconds whole hertz do not count, nor whole turns.
+        # At whole seconds, whole hertz and whole turns have no effect.
         cosine, sine = cos_sin(2.0 * math.pi * (hz % 1.0 * second % 1.0))
         total += a * cosine + b * sine
     return total / math.sqrt(_WAVES)
@@ -150,7 +150,7 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
 def to_local(geodetic: F8, gps: Gps) -> F8:
     """East, north and up in metres (n, 3) of points (n, 3): latitude and longitude in degrees, height in metres.
 
-    The world is a plane, and the earth curves away below it: by 0.8 m at 3.2 km.
+    The world is a plane, and the earth's surface is 0.8 m below it at 3.2 km.
     """
     origin = np.array([[gps.latitude_deg, gps.longitude_deg, gps.height_m]])
     return matvec(_axes(gps), _to_earth(geodetic) - _to_earth(origin))
@@ -164,7 +164,7 @@ def to_geodetic(local_m: F8, gps: Gps) -> F8:
     origin = np.array([[gps.latitude_deg, gps.longitude_deg, gps.height_m]])
     x_m, y_m, z_m = (matvec(_axes(gps).T, local_m) + _to_earth(origin)).T
     away_m, polar = hypot(x_m, y_m), 1.0 - _FLATTENING
-    sine, cosine = z_m, away_m * polar  # of the reduced latitude, and then of the latitude, not to scale
+    sine, cosine = z_m, away_m * polar  # of the reduced latitude, later of the latitude, unnormalized
     for _ in range(_ROUNDS):
         length = hypot(sine, cosine)
         sine, cosine = sine / length, cosine / length
@@ -178,7 +178,7 @@ def to_geodetic(local_m: F8, gps: Gps) -> F8:
 
 
 def _to_earth(geodetic: F8) -> F8:
-    """Return Cartesian coordinates (n, 3) in metres, from the middle of the earth."""
+    """Return earth-centred Cartesian coordinates (n, 3) in metres."""
     latitude, longitude = np.radians(geodetic[:, 0]), np.radians(geodetic[:, 1])
     sine, cosine = sin(latitude), cos(latitude)
     normal_m = _RADIUS_M / np.sqrt(1.0 - _ECCENTRICITY2 * sine * sine)

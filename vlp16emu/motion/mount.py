@@ -1,4 +1,4 @@
-"""Extrinsics of a device on its carrier: lever arm, tilt, and a stage that may spin."""
+"""Extrinsics of a device on its carrier: lever arm, tilt, and an optional spinning stage."""
 
 import math
 
@@ -15,12 +15,12 @@ from vlp16emu.units import S_NS
 
 
 def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
-    """Return the motion of a device on its carrier; the carrier's own if the mount changes nothing."""
+    """Return the motion of a device on its carrier; the carrier's own motion for a trivial mount."""
     return carrier if mount.trivial else MountedMotion(carrier, mount, start_ns)
 
 
 def true_mount(mount: Mount, seed: int, device: int) -> Mount:
-    """Return the true mount of a device, 0 and on, whose users are given `mount`."""
+    """Return the true mount of device 0, 1, ..., whose nominal mount is `mount`."""
     if not mount.has_errors:
         return mount
     drawn = normal(seed, Purpose.MOUNT, 0, 6, device)
@@ -32,7 +32,7 @@ def true_mount(mount: Mount, seed: int, device: int) -> Mount:
 
 
 class MountedMotion:
-    """Motion of a device on a carrier; a stage that spins is at its zero at `start_ns`, UTC."""
+    """Motion of a device on a carrier; a spinning stage is at angle 0 at `start_ns`, UTC."""
 
     def __init__(self, carrier: Motion, mount: Mount, start_ns: int) -> None:
         self._carrier, self._start_ns = carrier, start_ns
@@ -47,7 +47,7 @@ class MountedMotion:
         self.moves = carrier.moves or mount.spin_hz != 0.0
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses of the device at UTC instants (n,); a single one where nothing moves."""
+        """Poses of the device at UTC instants (n,); a single pose if nothing moves."""
         of = self._carrier.poses_at(t_ns)
         return self._mounted(of, t_ns if self.moves else of.t_ns)[0]
 
@@ -70,7 +70,7 @@ class MountedMotion:
         )
 
     def _mounted(self, of: Poses, t_ns: I8) -> tuple[Poses, F8]:
-        """Poses of the device on a carrier with these poses, and its turns (n, 3, 3), or (1, 3, 3) on a fixed stage."""
+        """Poses of the device on a carrier with poses `of`, and its rotations (n, 3, 3), or (1, 3, 3) on a fixed stage."""
         turns, poses = self._tilts[:1], Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         if self._spin_hz != 0.0:
             elapsed_ns, turns = t_ns - self._start_ns, np.empty((len(t_ns), 3, 3))
@@ -81,9 +81,9 @@ class MountedMotion:
 
 @numba.njit(cache=True, nogil=True)
 def _spin(whole_s: I8, rest_ns: I8, spin_hz: float, tilts: F8, out: F8) -> None:
-    """Fill the tilt turned about the axis, by Rodrigues' formula."""
+    """Fill the tilt rotated about the axis, by Rodrigues' formula."""
     for i in range(len(out)):
-        # Seconds and the rest apart: after days a product of both would have lost the last digits of the angle.
+        # Seconds and the rest separately: after days their product would lose the last digits of the angle.
         revolutions = spin_hz * whole_s[i] % 1.0 + spin_hz * (rest_ns[i] * 1.0e-9)
         c, s = cos_sin(2.0 * math.pi * revolutions)
         for a in range(3):
@@ -93,7 +93,7 @@ def _spin(whole_s: I8, rest_ns: I8, spin_hz: float, tilts: F8, out: F8) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _mount(world_R_body: F8, world_p_body_m: F8, body_R_device: F8, arm_m: F8, R: F8, p_m: F8) -> None:
-    """Fill world_R_device and world_p_device; a single carrier pose or a single turn holds for all."""
+    """Fill world_R_device and world_p_device; a single carrier pose or rotation applies to all."""
     for i in range(len(R)):
         n = i if len(world_R_body) > 1 else 0
         m = i if len(body_R_device) > 1 else 0

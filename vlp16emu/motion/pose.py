@@ -1,4 +1,4 @@
-"""The pose of a body at any time with its derivatives, of one that stands still too, and rotations from angles."""
+"""The pose of a moving or static body at any time with its derivatives, and rotations from angles."""
 
 import math
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from vlp16emu.types import F8, I8, Poses
 class Kinematics(Poses):
     """Poses of a body at n instants with the exact derivatives of the same function."""
 
-    world_v_body_m_s: F8  # (n, 3) its velocity
-    world_a_body_m_s2: F8  # (n, 3) its acceleration, without gravity
+    world_v_body_m_s: F8  # (n, 3) velocity
+    world_a_body_m_s2: F8  # (n, 3) acceleration, without gravity
     body_w_rad_s: F8  # (n, 3) angular rate of the body, in body axes
     body_alpha_rad_s2: F8  # (n, 3) time derivative of `body_w_rad_s`
 
@@ -30,10 +30,10 @@ class Motion(Protocol):
 
     @property
     def moves(self) -> bool:
-        """True if poses differ from one instant to another."""
+        """True if poses change with time."""
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses at UTC instants (n,); a single one where nothing moves."""
+        """Poses at UTC instants (n,); a single pose if nothing moves."""
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
         """Poses at UTC instants (n,) with the derivatives of the same function."""
@@ -72,7 +72,7 @@ def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> F8:
 
 
 class StaticMotion:
-    """A sensor on a tripod at a place (3,) in the world, turned as by `rotate`: one pose, computed once."""
+    """A sensor on a tripod at a position (3,) in the world, rotated as by `rotate`: one pose, computed once."""
 
     run_time_s = math.inf
     moves = False
@@ -81,7 +81,7 @@ class StaticMotion:
         turn = rotation(yaw_deg, pitch_deg, roll_deg)
         self._poses = Poses(np.zeros(1, np.int64), turn[None], position_m[None])
 
-    def poses_at(self, t_ns: I8) -> Poses:  # noqa: ARG002  # the same at all times
+    def poses_at(self, t_ns: I8) -> Poses:  # noqa: ARG002  # constant
         """Return the one pose."""
         return self._poses
 

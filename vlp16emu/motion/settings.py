@@ -1,6 +1,6 @@
-"""The tables `[motion]` and `[gps]` of a scene: what carries the sensor and its receiver, and how they are mounted.
+"""The tables `[motion]` and `[gps]` of a scene: the carrier of the sensor, its mount, and the GPS receiver.
 
-No kernel is in this file, so that a scene is read without the compiler.
+This file has no kernel, so that a scene is read without the compiler.
 """
 
 import math
@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from vlp16emu.settings import Angle, Place, Section, Size
 
-if TYPE_CHECKING:  # scenes are read without numpy
+if TYPE_CHECKING:  # scenes load without numpy
     from vlp16emu.motion.pose import Motion
     from vlp16emu.types import F8
     from vlp16emu.world.settings import Site
@@ -23,7 +23,7 @@ class Mount(Section):
     """Extrinsics of a device on its carrier."""
 
     lever_arm_m: Annotated[tuple[_Offset, _Offset, _Offset], Field(strict=False)] = (0.0, 0.0, 0.0)
-    """Its origin in the carrier's frame: forward, left, up."""
+    """Lever arm: its origin in the carrier's frame, forward, left, up."""
     yaw_deg: Angle = 0.0
     """Counter-clockwise is positive."""
     pitch_deg: Angle = 0.0
@@ -31,16 +31,16 @@ class Mount(Section):
     roll_deg: Angle = 0.0
     """Right side down is positive."""
     spin_hz: Annotated[float, Field(ge=-10, le=10)] = 0.0
-    """Revolutions per second of the stage under it, as in handheld scanners; 0 for a fixed one."""
+    """Revolutions per second of the stage under it, as in handheld scanners; 0 for a fixed mount."""
     spin_axis: Annotated[tuple[float, float, float], Field(strict=False)] = (0.0, 0.0, 1.0)
     """Axis of the stage in the carrier's frame, through the device's origin."""
     error_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """How far the true mount is turned from this one, which is what users are given: about each axis, one sigma."""
+    """Rotation of the true mount from this nominal one, about each axis, one sigma."""
     error_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
-    """How far it is moved along each axis, one sigma."""
+    """Offset of the true mount from this nominal one, along each axis, one sigma."""
 
     @model_validator(mode="after")
-    def _has_an_axis(self) -> Self:
+    def _check_spin_axis(self) -> Self:
         if not 1e-6 <= math.sqrt(sum(x * x for x in self.spin_axis)) <= 1e6:
             raise ValueError("a spin_axis of a length from 1e-6 to 1e6 in it")
         return self
@@ -52,7 +52,7 @@ class Mount(Section):
 
     @property
     def has_errors(self) -> bool:
-        """True if the true mount is another one."""
+        """True if the true mount differs from the nominal one."""
         return bool(self.error_deg or self.error_mm)
 
 
@@ -72,20 +72,20 @@ class MotionSection(Section):
     def carrier(self, site: "Site", *, gps: "Gps", reach_m: float, start_ns: int, seed: int) -> "tuple[Motion, F8]":
         """Return the motion of the carrier over the ground, and points (n, 2) of its path on the map.
 
-        Raises TrajectoryError if nobody can move so.
+        Raises TrajectoryError if the motion is impossible.
 
         Parameters
         ----------
-        site : the ground, and what stands in the way
-        gps : where on earth the world's origin is
-        reach_m : how far the sensor sees
+        site : the ground, and obstacles on it
+        gps : position of the world's origin on earth
+        reach_m : range of the sensor
         start_ns : UTC of the first pulse
-        seed : of all that is random in the motion
+        seed : seed of the motion's random numbers
         """
         raise NotImplementedError
 
     def under_sensors(self, carrier: "Motion") -> "Motion":
-        """Return the motion of what the sensors are mounted on: the carrier's, or that of a mast that bends on it."""
+        """Return the motion of the sensors' base: the carrier, or a bending mast on it."""
         return carrier
 
 
@@ -101,14 +101,14 @@ class Static(MotionSection):
     height_m: Size = 1.5
     """Height of the sensor's centre over the ground."""
     yaw_deg: Angle = 0.0
-    """Counter-clockwise from east; the body's x axis looks there."""
+    """Direction of the body's x axis, counter-clockwise from east."""
     pitch_deg: Angle = 0.0
     """Nose down is positive."""
     roll_deg: Angle = 0.0
     """Right side down is positive."""
 
     def carrier(self, site: "Site", **_: object) -> "tuple[Motion, F8]":
-        """Return the one pose, and its place on the map."""
+        """Return the one pose, and its position on the map."""
         import numpy as np
 
         from vlp16emu.motion.pose import StaticMotion
@@ -121,12 +121,12 @@ class Static(MotionSection):
 class Gps(Section):
     """The GPS receiver wired to the sensor, and its errors.
 
-    Errors under open sky follow a receiver for cars (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4: 3 m in 95 % of all
-    cases with WAAS, and 0.1 knot); how they are split and what trees do to them are assumptions.
+    Errors under open sky follow an automotive receiver (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4: 3 m in 95 % of
+    cases with WAAS, and 0.1 knot); their split and the effect of trees are assumptions.
     """
 
     connected: bool = True
-    """False: no pulse, no sentence, and the sensor's clock runs free from power-up."""
+    """False for no pulse and no sentence: the sensor's clock runs free from power-up."""
     latitude_deg: Annotated[float, Field(gt=-90, lt=90)] = 62.24
     """Latitude (WGS 84) of the scene's origin."""
     longitude_deg: Annotated[float, Field(ge=-180, le=180)] = 25.75
@@ -134,30 +134,30 @@ class Gps(Section):
     height_m: Annotated[float, Field(ge=-1000, le=9000)] = 0.0
     """Height of the scene's origin over the ellipsoid."""
     sentence_delay_s: Annotated[float, Field(gt=0, lt=1)] = 0.35
-    """From the second's edge to the arrival of the sentence that names it."""
+    """Delay from the edge of a second to the arrival of the sentence that names it."""
     pps_window_s: Annotated[float, Field(ge=0, le=65535)] = 5.0
     """Time for which the pulse must be steady before the sensor locks to it (63-9243 Rev D, appendix G)."""
     requires_valid: bool = False
-    """Whether sentences of status V do not set the sensor's clock; true needs `canopy_loss = false`."""
+    """True if sentences of status V do not set the sensor's clock; requires `canopy_loss = false`."""
     antenna_above_m: Annotated[float, Field(ge=0, le=100)] = 0.2
-    """Height of the antenna over the sensor, straight up."""
+    """Height of the antenna vertically above the sensor."""
     position_noise_m: _Error = 0.3
-    """Error to the east and to the north that is new in each second, one sigma. 0 switches it off."""
+    """White error east and north, independent each second, one sigma; 0 switches it off."""
     wander_m: _Error = 1.2
-    """Error to the east and to the north that changes slowly, one sigma. 0 switches it off."""
+    """Slowly wandering error east and north, one sigma; 0 switches it off."""
     wander_s: Annotated[float, Field(ge=1, le=1_000_000)] = 300.0
-    """Correlation time of the wandering error: 37 % of it is left then."""
+    """Correlation time of the wandering error: after it the correlation is 37 %."""
     velocity_noise_m_s: Annotated[float, Field(ge=0, le=100)] = 0.05
-    """Error of the velocity to the east and to the north, one sigma. 0 switches it off."""
+    """Error of the velocity east and north, one sigma; 0 switches it off."""
     canopy_loss: bool = True
-    """Whether what hides the sky from the antenna makes errors grow and fixes fail."""
+    """True if a covered sky makes errors grow and fixes fail."""
     canopy_error_factor: Annotated[float, Field(ge=1, le=100)] = 2.5
-    """How many times greater errors are where the whole sky is hidden; in between in proportion to the cover."""
+    """Factor on errors under a fully covered sky; in between it is linear in the cover."""
     canopy_half_cover: Annotated[float, Field(gt=0, le=1)] = 0.88
-    """Cover, as a share of the sky, at which every second fix fails; with 0.05 more or less 73 % or 27 % of them fail."""
+    """Cover, as a share of the sky, at which half of the fixes fail; 0.05 more or less gives 73 % or 27 %."""
 
     @model_validator(mode="after")
-    def _is_known_beforehand(self) -> Self:
+    def _check_requires_valid(self) -> Self:
         if self.requires_valid and self.canopy_loss:
             raise ValueError("canopy_loss = false beside requires_valid = true")
         return self

@@ -1,4 +1,4 @@
-"""The wire: how returns become the bytes of a VLP-16, and how those bytes are read back."""
+"""The wire format: returns to the bytes of a VLP-16, and back."""
 
 from vlp16emu.packets.data import azimuth_cdeg, data_payloads, pack_data, returns_in, timestamp_us
 from vlp16emu.packets.decode import (

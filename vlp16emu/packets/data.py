@@ -1,7 +1,7 @@
-"""Data packets: metres, degrees and nanoseconds become the 1206 bytes of a VLP-16.
+"""Data packets: conversion of metres, degrees and nanoseconds into the 1206 bytes of a VLP-16.
 
-Every step is elementwise in float64 and rounds correctly, so the bytes of a packet do not depend on
-what else is packed with it.
+Every step is elementwise in float64 and correctly rounded, so the bytes of a packet do not depend on
+the other packets.
 """
 
 from typing import Any, TypeVar
@@ -21,10 +21,10 @@ _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
 
 
 def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int = 0) -> list[Packet]:
-    """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them; other parameters and errors as `data_payloads`.
+    """Pack whole packets of a unit of the rig, k / 24 or k / 12 of them; other parameters and errors as in `data_payloads`.
 
     `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first pulse, or 663.552 us in dual return,
-    where no sequence is left out.
+    if no sequence is left out.
     """
     payloads = data_payloads(returns, mode, model)
     sequences = SEQUENCES_PER_PACKET[mode]
@@ -37,7 +37,7 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
 
 
 def returns_in(packet: Packet) -> int:
-    """Count the distances of a data packet that are not 0; none in other packets, and in one that is cut."""
+    """Count the nonzero distances of a data packet; 0 for other packets and truncated ones."""
     if packet.kind is not PacketKind.DATA or len(packet.payload) != layout.DATA_BYTES:
         return 0
     fields = np.frombuffer(packet.payload, layout.DATA_PAYLOAD)
@@ -51,7 +51,7 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     ----------
     returns : k firing sequences of 16 lasers; k a multiple of 24, or of 12 in dual return
     mode : which returns are sent
-    model : decides the factory byte
+    model : determines the factory byte
 
     Raises InputError unless angles and distances are finite and not negative; ValueError unless there are 16 lasers and
     whole packets.
@@ -59,7 +59,7 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     _check(returns)
     firings = returns.firings
     packets = np.zeros(len(firings.t_ns) // SEQUENCES_PER_PACKET[mode], layout.DATA_PAYLOAD)
-    # One row per block that has firing sequences of its own: 12 in a packet, 6 in dual return.
+    # One row per block with its own firing sequences: 12 in a packet, 6 in dual return.
     shape = (len(packets), SEQUENCES_PER_PACKET[mode] // SEQUENCES_PER_BLOCK)
     codes = azimuth_cdeg(firings.reading_deg[::SEQUENCES_PER_BLOCK]).reshape(shape)
     blocks = packets["blocks"]
@@ -82,7 +82,7 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
 
 
 def timestamp_us(clock_ns: _Time) -> _Time:
-    """Microseconds past the hour of the sensor's clock, any shape, as they stand in both kinds of packet: floored, never 3.6e9.
+    """Microseconds past the hour of the sensor's clock, any shape, as in both kinds of packet: floored, below 3.6e9.
 
     Real units floor a time that is exact in nanoseconds: their steps are 1327 and 1328 us with a mean
     of 1327.10. Source: 63-9243 Rev D, section 9.3.1 and appendix G (the counter).
@@ -92,27 +92,27 @@ def timestamp_us(clock_ns: _Time) -> _Time:
 
 def _check(returns: Returns) -> None:
     for name, values in (("firings.reading_deg", returns.firings.reading_deg), ("distance_m", returns.distance_m)):
-        low, high = values.min(initial=0.0), values.max(initial=0.0)  # both hand NaN on
+        low, high = values.min(initial=0.0), values.max(initial=0.0)  # both propagate NaN
         if not (low >= 0.0 and high < np.inf):
             raise InputError(f"pack_data: {name}", f"from {low} to {high}", "finite numbers from 0 upwards")
 
 
 def azimuth_cdeg(reading_deg: F8) -> U2:
     """Rotor angle in whole hundredths of a degree, 0 .. 35999."""
-    # 1e-8 deg: else 0.29, which is a code of its own, becomes 28 because 0.29 * 100 < 29 in binary.
+    # 1e-8 deg: without it 0.29, an exact code, becomes 28, because 0.29 * 100 < 29 in binary.
     code = np.floor(reading_deg * 100.0 + 1e-6)
     return (code % layout.AZIMUTH_CODES).astype(np.uint16)
 
 
 def odd_column(returns: Returns) -> I8:
-    """Place (k, 16) on the last axis of `Returns` of what the odd blocks of dual return have.
+    """Index (k, 16) on the last axis of `Returns` for the odd blocks of dual return.
 
-    The strongest return; the second strongest where the strongest is also the last; and where there is
-    only one return, that one again. Source: 63-9243 Rev D, section 9.3.2, p. 57; the repetition as on
+    It selects the strongest return; the second strongest if the strongest is also the last; and if there is
+    only one return, that one again. Source: 63-9243 Rev D, section 9.3.2, p. 57; the repetition is as on
     a real unit.
     """
     strongest_is_last = returns.distance_m[..., _STRONGEST] == returns.distance_m[..., _LAST]
-    # One that was nearer than 0.5 m has no distance any more, but keeps its reflectivity.
+    # A return nearer than 0.5 m has no distance, but keeps its reflectivity.
     second_m, second = (returns.distance_m[..., _SECOND_STRONGEST], returns.reflectivity[..., _SECOND_STRONGEST])
     has_second = (second_m > 0) | (second > 0)
     return np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)
@@ -121,14 +121,14 @@ def odd_column(returns: Returns) -> I8:
 def _write(records: NDArray[Any], distance_m: F4, reflectivity: U1) -> None:
     """Fill records (n, blocks, 2, 16) from metres and reflectivity (k, 16).
 
-    What has no distance has its reflectivity written as it is, since real units send one there too.
+    Reflectivity is written without a distance too, as real units do.
     """
     records["distance_lsb"] = distance_lsb(distance_m).reshape(records.shape)
     records["reflectivity"] = reflectivity.reshape(records.shape)
 
 
 def distance_lsb(distance_m: F4) -> U2:
-    """Distances in steps of 2 mm; 0 for what is nearer than 0.5 m or beyond the largest code."""
+    """Distances in steps of 2 mm; 0 if nearer than 0.5 m or beyond the largest code."""
     code = np.rint(distance_m.astype(np.float64) / layout.DISTANCE_LSB_M)
     seen = (code >= layout.MIN_DISTANCE_LSB) & (code <= np.iinfo(np.uint16).max)
     return np.where(seen, code, 0).astype(np.uint16)

@@ -1,8 +1,8 @@
-"""Both packets read back: data packets become points by the manual's formulas.
+"""Decoding of both packets: data packets become points by the manual's formulas.
 
 With distance R, azimuth a, elevation w and the laser's vertical correction c the manual has X = R cos w sin a to the right,
 Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54). Points here are in the
-`sensor` frame, as those of ROS drivers: x = Y forward, y = -X left, z = Z.
+`sensor` frame, as in ROS drivers: x = Y forward, y = -X left, z = Z.
 """
 
 from dataclasses import dataclass
@@ -28,24 +28,24 @@ _MODEL = MappingProxyType(
     {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
 )
 PRODUCT_BEFORE_RELEASE = 0x21
-"""Product byte of a VLP-16 of 2014; else of an HDL-32E (63-9243 Rev D, table 9-2), so the byte alone does not say."""
+"""Product byte of a VLP-16 of 2014; also an HDL-32E's (63-9243 Rev D, table 9-2), so the byte alone is ambiguous."""
 _MAX_STEP_CDEG = 100
-"""A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
+"""A wider step from block to block is the edge of a limited field of view: the fastest speed, 1200 rpm, gives 79.6."""
 
 _FASTEST_DEG_PER_NS = 1.5 * 1200 * 6 / S_NS
-"""1200 rpm (63-9243 Rev D, section 8.3, p. 50), with a margin for units that run too fast."""
-JUMP_NS = S_NS // 4  # A longer step of the clock ends a revolution: the slowest, at 300 rpm, takes 0.2 s
+"""Fastest rotor: 1200 rpm (63-9243 Rev D, section 8.3, p. 50), with a margin for units that run too fast."""
+JUMP_NS = S_NS // 4  # a longer step of the clock ends a revolution: the slowest, at 300 rpm, takes 0.2 s
 
 
 class PointFrame(StrEnum):
-    """Axes of points in a sensor."""
+    """Axes of points in the sensor's frame."""
 
-    SENSOR = "sensor"  # x forward at azimuth 0, y left, z up (REP 103), as ROS drivers have it
+    SENSOR = "sensor"  # x forward at azimuth 0, y left, z up (REP 103), as in ROS drivers
     MANUAL = "manual"  # x right, y forward at azimuth 0, z up (63-9243 Rev D, section 9.1)
 
 
 class Fault(NamedTuple):
-    """Why a data packet is not a VLP-16's."""
+    """Reason why a data packet is not from a VLP-16."""
 
     packet: int  # Row of the payload
     what: str
@@ -58,16 +58,16 @@ class Points:
     """n records in the order of their pulses; in dual return the even block's record comes first."""
 
     packet: I8  # (n,) row of the payload
-    slot: I8  # (n,) place of the record in its packet: 32 times the block, and the channel
-    time_ns: I8  # (n,) of the pulse, on the sensor's clock, ns past its hour
+    slot: I8  # (n,) position of the record in its packet: 32 * block + channel
+    time_ns: I8  # (n,) time of the pulse on the sensor's clock, ns past its hour
     laser: U1  # (n,) 0..15 in firing order
     ring: U1  # (n,) 0..15 by elevation, lowest first
-    azimuth_deg: F8  # (n,) at the instant of the pulse, [0, 360)
+    azimuth_deg: F8  # (n,) azimuth at the instant of the pulse, [0, 360)
     distance_m: F4  # (n,) from the centre of the sensor; 0 without return
     xyz_m: F4  # (n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN without return
     reflectivity: U1  # (n,) 0..100 diffuse, 101..255 retroreflective
     is_last: NDArray[np.bool_]
-    """(n,) a last return. Else the strongest, or in dual return, where the strongest is the last too,
+    """(n,) True for a last return. Else it is the strongest, or in dual return, if the strongest is also the last,
     the second strongest or the same return again."""
 
 
@@ -77,7 +77,7 @@ class PositionFields:
 
     time_ns: int  # The sensor's clock, ns past its hour, whole microseconds
     pps: PpsState
-    sentence: bytes  # Sentence with CR LF; empty if none ever came
+    sentence: bytes  # Sentence with CR LF; empty if none was received
 
 
 def data_fields(payloads: U1) -> NDArray[np.void]:
@@ -91,16 +91,16 @@ def data_fields(payloads: U1) -> NDArray[np.void]:
 
 
 def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | None = None) -> Points:
-    """Turn data packets into points, each packet's without regard to the others.
+    """Convert data packets into points, each packet independently.
 
-    A pulse's azimuth is that of its block and what the rotor turns until its own instant, at the packet's mean speed
+    A pulse's azimuth is its block's azimuth plus the rotation until the pulse, at the packet's mean speed
     (63-9243 Rev D, section 9.5, p. 65).
 
     Parameters
     ----------
     payloads : (n, 1206) uint8, of one sensor, in order of sending; the return mode may change
-    keep_no_returns : whether pulses without return become records too
-    model : of units from before release, whose product byte is that of another sensor
+    keep_no_returns : whether pulses without return also become records
+    model : sensor model of prototype units, whose product byte names another sensor
 
     Raises PacketError for packets of other sensors than VLP-16 and Puck Hi-Res, or of two models.
     """
@@ -138,13 +138,13 @@ def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | Non
 
 
 def faults_in(fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None) -> list[Fault]:
-    """Find the packets that are not a VLP-16's, or of another model than the others; of each its first fault, in order.
+    """Find packets that are not from a VLP-16, or from another model than the others; return the first fault of each.
 
     Parameters
     ----------
     fields : (n,) `DATA_PAYLOAD`
-    factory : product byte of packets before these, if there are any
-    model : of units from before release, whose product byte is that of another sensor
+    factory : product byte of earlier packets, if any
+    model : sensor model of prototype units, whose product byte names another sensor
     """
     flags, azimuth_cdeg, products = (fields["blocks"]["flag"], fields["blocks"]["azimuth_cdeg"], fields["factory"])
     modes = [*layout.RETURN_MODE_BYTE.values()]
@@ -160,7 +160,7 @@ def faults_in(fields: NDArray[np.void], factory: int | None = None, model: Senso
         ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
         ("product", products, np.isin(products, known), expected_product),
         ("product", products, products == first, "the first packet's"),
-        # Old firmware was seen to send 36000 for 0.
+        # Old firmware sends 36000 for 0.
         ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
     ):
         for packet, *place in np.argwhere(~right).tolist():
@@ -169,9 +169,9 @@ def faults_in(fields: NDArray[np.void], factory: int | None = None, model: Senso
 
 
 def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
-    """Find where scans begin, (m,): at the first of azimuths (n,) of points or blocks, where they wrap, and after a jump of time.
+    """Find the starts of scans (m,) in azimuths (n,) of points or blocks: the first, each wrap, and after a jump of time.
 
-    With times (n,) a fall of the azimuth is a wrap only if the rotor can make the rest of the turn in the time between.
+    With times (n,) a decrease of the azimuth is a wrap only if the rotor can complete the revolution in the time between.
     """
     step_deg = np.diff(azimuth_deg)
     if t_ns is None:
@@ -180,8 +180,8 @@ def scan_starts(azimuth_deg: F8, t_ns: I8 | None = None) -> I8:
         step_ns = np.diff(t_ns)
         jump = (np.abs(step_ns) > JUMP_NS).astype(np.int64)
         can_turn_deg = 1.0 + _FASTEST_DEG_PER_NS * np.clip(step_ns, 0, JUMP_NS)
-    # The rotor only turns forward: a fall is a wrap but for the noise of readings (0.01 deg) and packets that come late, and
-    # a rise that the rotor cannot make is a step back over the spot where the azimuth wraps.
+    # The rotor only turns forward: a decrease is a wrap, except for encoder noise (0.01 deg) and late packets, and
+    # an increase that the rotor cannot make is a step back across the wrap.
     wrap = (step_deg < -1.0) & (step_deg + 360.0 <= can_turn_deg)
     turn = np.cumsum(wrap.astype(np.int64) - ((step_deg > 180.0) & (step_deg > can_turn_deg)))
     scan = np.maximum.accumulate(turn) + np.cumsum(jump)
@@ -206,7 +206,7 @@ def decode_position(payload: bytes) -> PositionFields:
 
 
 def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
-    """Return the model of the product byte, or `model` for one from before release; refuse other sensors."""
+    """Return the model of the product byte, or `model` for a prototype unit; refuse other sensors."""
     if faults := faults_in(fields, None, model):
         raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
     return _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16) if len(fields) else SensorModel.VLP_16
@@ -217,7 +217,7 @@ def _is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> I8:
-    """Sort the records, counted through all packets as they stand in the bytes, in order of pulses."""
+    """Return the order of records by pulses, as indices through the bytes of all packets."""
     place = np.arange(layout.RECORDS_PER_PACKET)
     twins = place.reshape(BLOCKS_PER_PACKET // 2, 2, -1).swapaxes(1, 2).ravel()
     inside = np.where(_is_dual(fields)[:, None], twins, place)
@@ -228,13 +228,13 @@ def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> I8:
 
 
 def _steps_cdeg(fields: NDArray[np.void]) -> F8:
-    """(n,) by how much the azimuth grows in 110.592 us, as the mean over a packet.
+    """Mean azimuth step (n,) in 110.592 us over each packet.
 
-    A mean, because a single reading is off by 0.005 deg: from block to block that is 1 step in 40.
+    It is a mean, because a single reading is off by 0.005 deg: from block to block that is 1 part in 40.
     """
     azimuth = fields["blocks"]["azimuth_cdeg"].astype(np.int64)
     turned = (azimuth[:, 1:] - azimuth[:, :-1]) % layout.AZIMUTH_CODES
-    # Blocks 0 and 1, 2 and 3 ... of dual return are fired together.
+    # In dual return, blocks 0 and 1, 2 and 3 ... are fired together.
     apart = ~_is_dual(fields)[:, None] | (np.arange(1, BLOCKS_PER_PACKET) % 2 == 0)
     known = apart & (turned <= _MAX_STEP_CDEG)
     return np.sum(turned * known, axis=1) / np.maximum(np.count_nonzero(known, axis=1), 1)

@@ -1,8 +1,8 @@
-"""Ethernet, IPv4 and UDP headers as a real VLP-16 puts them around its payloads.
+"""Ethernet, IPv4 and UDP headers of a real VLP-16.
 
-The two streams leave different hands, and it shows: data frames carry a fixed header without a UDP
-checksum, position frames count their identification up and carry one. Measured on the frames of two
-real units; the payload sizes are those of 63-9243 Rev D, sections 9.3.2 (p. 56) and 9.3.3 (p. 60).
+The two streams differ: data frames have a fixed header without a UDP
+checksum, position frames count their identification up and have a checksum. Measured on the frames of two
+real units; payload sizes are from 63-9243 Rev D, sections 9.3.2 (p. 56) and 9.3.3 (p. 60).
 """
 
 import struct
@@ -13,7 +13,7 @@ from ipaddress import IPv4Address
 from vlp16emu.packets.layout import DATA_BYTES
 
 DATA_PORT = 2368
-"""UDP port of data packets, source and, unless set otherwise, destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
+"""UDP port of data packets, source and by default destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
 POSITION_PORT = 8308  # UDP port of position packets, likewise. Source: 63-9243 Rev D, section 9.3.3, p. 60.
 DATA_TTL = 255  # Time to live of data frames, measured
 POSITION_TTL = 64  # Time to live of position frames, measured
@@ -36,24 +36,24 @@ class Link:
     destination: str  # IPv4 address, dotted
     data_port: int = DATA_PORT  # UDP port of data packets at the destination
     position_port: int = POSITION_PORT  # UDP port of position packets at the destination
-    identification: int = 0  # Of the first position frame; it counts on
+    identification: int = 0  # Identification of the first position frame; it counts up
 
 
 FACTORY_LINK = Link(
-    # 60:76:88 is Velodyne's; 38 is seen on newer units, the last two bytes are the unit's own.
+    # 60:76:88 is Velodyne's; 38 is seen on newer units, the last two bytes identify the unit.
     source_mac=bytes.fromhex("607688380001"),
     destination_mac=b"\xff" * 6,
     source="192.168.1.201",
     destination="255.255.255.255",
 )
-"""A sensor as it leaves the box. Source: 63-9243 Rev D, section 10.2.3.12 (addresses)."""
+"""A sensor with factory settings. Source: 63-9243 Rev D, section 10.2.3.12 (addresses)."""
 
 
 @lru_cache
 def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
-    """Everything in front of the payload of a data packet, the same for each of them.
+    """Headers of data packets, the same for all.
 
-    42 bytes, on which readers with fixed offsets rely: identification 0, don't fragment, and UDP checksum 0, which stands for none.
+    They have 42 bytes, on which readers with fixed offsets rely: identification 0, don't fragment, UDP checksum 0 (none).
     """
     header = bytearray(_header(link, DATA_PORT, link.data_port, payload_bytes, DATA_TTL, _DONT_FRAGMENT))
     header[_IP_CHECKSUM] = _checksum(header[_IP])
@@ -61,14 +61,14 @@ def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
 
 
 def position_frame(link: Link, payload: bytes, number: int) -> bytes:
-    """Whole frame of a position packet, whose payload has 512 bytes, fewer if it is cut.
+    """Frame of a position packet with a payload of 512 bytes, or fewer if truncated.
 
-    Its identification is greater by `number`, the position packets before it, than the first one; of both the low 16 bits.
+    Its identification is the first one plus `number`, the count of position packets before it, modulo 2**16.
     """
     header = bytearray(_header(link, POSITION_PORT, link.position_port, len(payload), POSITION_TTL, 0))
     header[_IDENTIFICATION] = (link.identification + number & 0xFFFF).to_bytes(2)
     header[_IP_CHECKSUM] = _checksum(header[_IP])
-    # Beside the datagram the sum takes in its addresses, protocol and length; a sum of 0 is sent as ones (RFC 768).
+    # The sum includes addresses, protocol and length; a sum of 0 is sent as ones (RFC 768).
     pseudo = header[_ADDRESSES] + struct.pack(">2H", _UDP, _UDP_HEADER_BYTES + len(payload))
     padding = bytes(len(payload) % 2)
     checksum = _checksum(pseudo + header[_ADDRESSES.stop :] + payload + padding)
@@ -90,5 +90,5 @@ def _header(link: Link, port: int, to_port: int, payload_bytes: int, ttl: int, f
 
 
 def _checksum(data: bytes | bytearray) -> bytes:
-    """Internet checksum of an even number of bytes, not all 0 (RFC 1071): 65536 is 1 modulo 65535, so words add up."""
+    """Internet checksum of an even number of bytes, not all 0 (RFC 1071): words are summed modulo 65535."""
     return (-int.from_bytes(data) % 0xFFFF).to_bytes(2)

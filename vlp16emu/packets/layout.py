@@ -1,4 +1,4 @@
-"""Layout of both payloads, stated once as dtypes. All integers are little-endian.
+"""Layout of both payloads as dtypes. All integers are little-endian.
 
 >>> DATA_PAYLOAD.itemsize, BLOCK.itemsize, POSITION_PAYLOAD.itemsize
 (1206, 100, 512)
@@ -23,14 +23,14 @@ SEQUENCES_PER_BLOCK = 2  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
 BLOCKS_PER_PACKET = 12  # Source: 63-9243 Rev D, section 9.3.2, p. 56.
 RECORDS_PER_PACKET = BLOCKS_PER_PACKET * SEQUENCES_PER_BLOCK * LASERS  # Distances in a packet
 SEQUENCES_PER_PACKET = MappingProxyType({ReturnMode.STRONGEST: 24, ReturnMode.LAST: 24, ReturnMode.DUAL: 12})
-"""In dual return two blocks share their firing sequences. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
+"""Firing sequences per packet; in dual return two blocks share theirs. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
 
 BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_NS
-"""Time between the azimuths of two blocks, without the twin block of dual return."""
+"""Time between the azimuths of two blocks with own firing sequences."""
 
 DISTANCE_LSB_M = 0.002  # Source: 63-9243 Rev D, section 9.3.1
 MIN_DISTANCE_LSB = 250
-"""Smallest distance code but 0, which means no return: 0.5 m on three real units with firmware 3.0."""
+"""Smallest nonzero distance code (0 means no return): 0.5 m on three real units with firmware 3.0."""
 AZIMUTH_CODES = 36_000  # Hundredths of a degree, 0 .. 35999. Source: 63-9243 Rev D, section 9.3.1.4.
 
 BLOCK_FLAG = 0xEEFF  # Bytes FF EE in this order. Source: 63-9243 Rev D, section 9.3.2, p. 56.
@@ -54,9 +54,9 @@ DATA_PAYLOAD = np.dtype(
 DATA_BYTES = DATA_PAYLOAD.itemsize
 
 SENTENCE_BYTES = 128
-"""Room for the NMEA sentence, which ends with CR LF and is followed by NUL.
+"""Length of the field for the NMEA sentence, which ends with CR LF and is padded with NUL.
 
-The VLP-16 manual gives no bound; the VLP-32C manual (63-9325) reserves 0xCE .. 0x14D.
+The VLP-16 manual gives no limit; the VLP-32C manual (63-9325) reserves 0xCE .. 0x14D.
 """
 POSITION_PAYLOAD = np.dtype(
     [

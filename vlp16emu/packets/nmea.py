@@ -1,6 +1,6 @@
 """The `$GPRMC` sentence that a GPS receiver sends each second and the sensor echoes.
 
-Fields and their style follow what real units were seen to echo:
+Fields and their format follow the echoes of real units:
 `$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E`.
 """
 
@@ -12,15 +12,15 @@ from vlp16emu.units import S_NS, US_NS
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 KNOT_M_S = 1852 / 3600  # A nautical mile per hour, exact by definition
-_MINUTE_DECIMALS = 7  # decimals that real units echo; 0.2 mm on the ground
+_MINUTE_DECIMALS = 7  # decimals in echoes of real units; 0.2 mm on the ground
 
 
 def rmc(fix: GnssFix) -> bytes:
-    """Write the sentence of one whole second: 13 fields of NMEA 0183 version 2.3 with checksum, CR and LF (63-9243 Rev D, section 7.4).
+    """Write the sentence of one whole second: 13 fields of NMEA 0183 v2.3, checksum, CR, LF (63-9243 Rev D, section 7.4).
 
-    If `fix.valid` is false the status is V and the mode letter N, and the last known numbers stay.
+    If `fix.valid` is false, the status is V and the mode letter N, with the last known numbers.
     """
-    import pynmea2  # here, since a sensor without a receiver does without it
+    import pynmea2  # here: a sensor without a receiver does not need it
 
     utc = _EPOCH + timedelta(seconds=fix.t_ns // S_NS)
     fields = (
@@ -42,11 +42,11 @@ def rmc(fix: GnssFix) -> bytes:
 
 
 def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
-    """Read the second that a sentence names, UTC in ns, and whether its status is A; fields of the place may be empty.
+    """Read the second of a sentence, UTC in ns, and whether its status is A; position fields may be empty.
 
-    The second is None where a receiver that has just been switched on does not know it.
+    The second is None if a receiver that has just been switched on does not know it.
 
-    Raises PacketError if it lacks `$GPRMC`, CR LF, a right checksum, or time, date and status where they belong.
+    Raises PacketError without `$GPRMC`, CR LF, a correct checksum, or time, date and status in their fields.
     """
     fields = fields_of(sentence)
     try:
@@ -57,7 +57,7 @@ def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
 
 
 def fields_of(sentence: bytes) -> list[str]:
-    """Return the fields of a sentence behind its name; errors as `rmc_time`."""
+    """Return the fields of a sentence after its name; errors as in `rmc_time`."""
     import pynmea2
 
     if not (sentence.startswith(b"$GPRMC,") and sentence.endswith(b"\r\n")):
@@ -72,14 +72,14 @@ def fields_of(sentence: bytes) -> list[str]:
 
 
 def _knots(speed_m_s: float) -> str:
-    """Write a speed; from 100 knots on a third decimal would take the sentence over the 82 characters of NMEA 0183."""
+    """Format a speed; from 100 knots on, a third decimal would exceed the 82 characters of NMEA 0183."""
     knots = speed_m_s / KNOT_M_S
     return f"{knots:.{3 if knots < 99.999 else 2}f}"
 
 
 def _degrees_minutes(angle_deg: float, width: int) -> str:
-    """Write ddmm.mmmm or dddmm.mmmm without sign."""
-    # Rounded as a whole: rounding the minutes alone would write 60 of them.
+    """Format ddmm.mmmm or dddmm.mmmm without sign."""
+    # The angle is rounded as a whole: rounding the minutes alone could give 60.
     steps = round(abs(angle_deg) * 60 * 10**_MINUTE_DECIMALS)
     degrees, minutes = divmod(steps, 60 * 10**_MINUTE_DECIMALS)
     whole, fraction = divmod(minutes, 10**_MINUTE_DECIMALS)

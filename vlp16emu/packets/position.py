@@ -1,11 +1,11 @@
-"""Position packets: the 512 bytes that carry GPS state and sentence, and when they leave.
+"""Position packets: the 512 bytes with GPS state and sentence, and their send times.
 
-What was measured on a real unit (57 packets in 0.38 s, January 2016, 600 rpm, strongest return): the
-packets come from two clocks. One ticks every 10.00 ms, the other every 16 data packets of single
-return, 21.234 ms; fitted to either, the packets scatter by 0.1 to 0.3 ms. Where the ticks come close
-the second packet waits until 1.85 ms after the first (never less than 1.47 ms), and where they
-coincide only one is sent. That gives the intervals of about 1.8, 9 and 9.8 ms, their mean of 6.86 ms
-and standard deviation of 3.17 ms. Here the first clock ticks 70 times in 33 ticks of the second, every
+Measurements on a real unit (57 packets in 0.38 s, January 2016, 600 rpm, strongest return): the
+packets come from two timers. One ticks every 10.00 ms, the other every 16 data packets of single
+return, 21.234 ms; the packets scatter by 0.1 to 0.3 ms around either. If ticks are close,
+the second packet waits until 1.85 ms after the first (never less than 1.47 ms), and if they
+coincide only one packet is sent. This gives intervals of about 1.8, 9 and 9.8 ms, with a mean of 6.86 ms
+and a standard deviation of 3.17 ms. Here the first timer ticks 70 times in 33 ticks of the second, every
 10.010 ms, so that the pattern repeats after 102 packets and 0.7007 s: 145.57 packets per second.
 """
 
@@ -24,12 +24,12 @@ from vlp16emu.types import I8, PpsState, ReturnMode
 from vlp16emu.units import US_NS
 
 PositionRate = Literal["measured", "manual"]
-"""146 packets per second at the spacing of real units, or the 53.8 of the manual."""
+"""Rate of position packets: 146 per second with the spacing of real units, or the manual's 53.8."""
 
 STAMP_LEAD_NS = 350 * US_NS
-"""The time in a position packet is that of the sensor's clock this long before the packet leaves.
+"""Time between the stamp of a position packet, on the sensor's clock, and its sending.
 
-Measured on the same unit: median delay from stamp to arrival 0.979 ms less than that of data packets,
+Measured on the same unit: the median delay from stamp to arrival is 0.979 ms less than for data packets,
 which is 1.327 ms from the first firing to the end of the packet.
 """
 
@@ -40,7 +40,7 @@ _DATA_PERIOD_NS = SEQUENCES_PER_PACKET[ReturnMode.STRONGEST] * SEQUENCE_NS
 
 @dataclass(frozen=True, slots=True)
 class _Schedule:
-    """Instants that repeat, each packet late by a random part of `jitter_ns`."""
+    """Periodic instants, with each packet late by a random part of `jitter_ns`."""
 
     pattern_ns: I8
     cycle_ns: int
@@ -48,7 +48,7 @@ class _Schedule:
 
 
 def _measured() -> _Schedule:
-    """Merge the two clocks of the real unit over one cycle."""
+    """Merge the two timers of the real unit over one cycle."""
     cycle_ns = 33 * 16 * _DATA_PERIOD_NS
     timer_ns = np.arange(70) * cycle_ns // 70
     every_16_ns = np.arange(1, 33) * 16 * _DATA_PERIOD_NS  # tick 0 coincides with the timer's
@@ -67,14 +67,14 @@ _SCHEDULES: dict[PositionRate, _Schedule] = {
 
 
 def positions_from_ns(rate: PositionRate, start_ns: int, phase: float) -> int:
-    """Return the instant from which position packets are counted, so that `phase`, a share of their pattern, is over at `start_ns`."""
+    """Return the instant from which position packets are counted: `phase` of their pattern has passed at `start_ns`."""
     return start_ns - int(phase * _SCHEDULES[rate].cycle_ns)
 
 
 def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, count: int) -> I8:
-    """Return the times (count,) in UTC ns at which position packets leave; the return mode does not matter.
+    """Return the send times (count,) of position packets in UTC ns, in any return mode.
 
-    They increase from `start_ns` on, from which packets are counted; `first` is the number of the first one wanted, from 0.
+    They increase from `start_ns` on, where the count of packets begins; `first` is the number of the first packet, from 0.
     Source: 63-9243 Rev D, section 8.2.3.
     """
     schedule = _SCHEDULES[rate]
@@ -84,9 +84,9 @@ def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, co
 
 
 def first_position_packet(rate: PositionRate, seed: int, start_ns: int, t_ns: int) -> int:
-    """Find the number of the first position packet that leaves at `t_ns` UTC or later; other parameters as of `position_due_ns`."""
+    """Find the first position packet that is sent at or after `t_ns` UTC; other parameters as in `position_due_ns`."""
     schedule = _SCHEDULES[rate]
-    # Whatever its jitter, a packet planned before this instant has left before t_ns.
+    # With any jitter, a packet planned before this instant is sent before t_ns.
     cycle, rest_ns = divmod(t_ns - start_ns - schedule.jitter_ns, schedule.cycle_ns)
     place = int(np.searchsorted(schedule.pattern_ns, rest_ns))
     number = max(0, cycle * len(schedule.pattern_ns) + place)
@@ -94,13 +94,13 @@ def first_position_packet(rate: PositionRate, seed: int, start_ns: int, t_ns: in
 
 
 def pack_position(clock_ns: int, pps: PpsState, sentence: bytes) -> bytes:
-    """Write one position packet; what the firmware of 2016 leaves zero is zero.
+    """Write one position packet; fields that firmware of 2016 leaves zero are zero.
 
     Parameters
     ----------
-    clock_ns : the sensor's clock `STAMP_LEAD_NS` before the packet leaves; whole hours fall away
+    clock_ns : the sensor's clock `STAMP_LEAD_NS` before the packet is sent; whole hours are dropped
     pps : state of the pulse-per-second input
-    sentence : the NMEA sentence last received, with CR LF; empty where none ever came
+    sentence : last received NMEA sentence, with CR LF; empty if none was received
 
     Raises InputError for a sentence longer than 128 bytes, not ASCII, or without CR LF at its end.
     """

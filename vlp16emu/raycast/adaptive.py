@@ -1,11 +1,11 @@
 """Decision whether a pulse has enough sub-rays.
 
-After each round of eight two things are asked. First, what is the range of the strongest echo still worth? The error that
-is meant is the mean absolute error of that range, where another echo taken for it counts as the resolution. It is
-estimated for each pulse; if estimates fall as 1/n with the number of sub-rays, rays are best spent where the last ray of
-every pulse buys the same, estimate / n = constant, and the mean error falls as the root of that constant. Second, is the
-strongest echo seen at all? Where it is near the detection threshold, and its sub-rays leave its amplitude less certain
-than the receiver's own noise does, another round settles what would be lost or invented.
+Two criteria are tested after each round of eight. First, the error of the strongest echo's range: the
+mean absolute error, where another echo in its place counts as the resolution. It is
+estimated for each pulse; if estimates fall as 1/n with the number of sub-rays, rays are spent best if the last ray of
+every pulse gains the same, estimate / n = constant, and the mean error falls as the root of that constant. Second, the
+detection of the strongest echo: if it is near the detection threshold, and its sub-rays leave its amplitude less certain
+than the receiver's own noise does, another round decides about lost or invented echoes.
 """
 
 import math
@@ -18,45 +18,45 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F4, F8, NO_SURFACE, U4
 
 _NONE = np.uint32(NO_SURFACE)
-_LEAST_SQUARED = np.float32(1e-12)  # least square of a range, in m2
+_LEAST_SQUARED = np.float32(1e-12)  # smallest squared range, in m2
 _PER_RAY = 5200.0
-"""Error that a ray must take off, over the 3.5th power of the target, so that scenes/reference_forest and birch_walk come out at their
-target or below, from 0.02 to 0.05 m: in m-2.5, fitted."""
+"""Error reduction required of a ray over the target to the power 3.5, in m-2.5, fitted so that scenes/reference_forest and
+birch_walk reach targets from 0.02 to 0.05 m or better."""
 _MOST = 0.65
-"""No error is estimated to be more, in resolutions: half of one for another echo, and what eight rays of one echo leave."""
-_EVENNESS = 0.27  # variance of a share by a round or two of sub-rays over that by random points; see `beam`
+"""Upper limit of an estimated error, in resolutions: half of one for another echo, plus the rest for eight rays of one."""
+_EVENNESS = 0.27  # variance of a share from one or two rounds of sub-rays over that from random points; see `beam`
 _DOUBT = 0.75
-"""Chance that sub-rays decide whether an echo is seen, over the greatest there is: what asks for another round. Chosen on
-scenes/reference_forest: with 6 % more rays a third of the echoes that were lost or invented are left out."""
+"""Probability that sub-rays decide whether an echo is seen, over its maximum, from which another round is cast. Chosen on
+scenes/reference_forest: 6 % more rays remove a third of the lost or invented echoes."""
 _PLAIN = 0.4, 2.0
-"""Amplitudes over the threshold, of all that is met and of one ray's share, below and above which nothing is in doubt."""
+"""Amplitudes over the threshold, of all hits and of one ray's share, below and above which there is no doubt."""
 
 
 class RayBudget(NamedTuple):
     """Number of sub-rays that the pulses of a beam need."""
 
     most: int  # most sub-rays of a pulse
-    adaptive: bool  # true if `enough` decides after each round
-    worth_m: float  # error that each ray must take off; see `worth_of_ray_m`
+    adaptive: bool  # True if `enough` decides after each round
+    worth_m: float  # error reduction required of each ray; see `worth_of_ray_m`
     resolution_m: float
-    threshold: float  # amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen
+    threshold: float  # amplitude at which half of the echoes are seen, in m-2; 0 if every echo is seen
     amplitude_noise: float  # one sigma
 
 
 def worth_of_ray_m(target_m: float) -> float:
-    """Return the error that each ray must take off, so that the mean error comes to a target."""
+    """Return the error reduction required of each ray, so that the mean error reaches a target."""
     return _PER_RAY * target_m * target_m * target_m * math.sqrt(target_m)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8) -> bool:
-    """Return True if n sub-rays decide on the strongest echo, and on whether it is seen, well enough for the target.
+    """Return whether n sub-rays determine the strongest echo and its detection well enough for the target.
 
     Parameters
     ----------
-    range_m, surface, cos_incidence : (n,) what the sub-rays met
-    reflectance : (m,) of the surfaces
-    order : (2, n or more) room to sort in
+    range_m, surface, cos_incidence : (n,) hits of the sub-rays
+    reflectance : (m,) reflectance of the surfaces
+    order : (2, n or more) scratch for sorting
     """
     n, resolution_m = range_m.shape[0], budget.resolution_m
     worth_m = n * budget.worth_m
@@ -73,13 +73,13 @@ def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, threshold: float) -> bool:
-    """Return True if the rays clearly make an echo, or none, against the threshold."""
+    """Return whether the rays clearly give an echo, or none, against the threshold."""
     total, bright = np.float32(0.0), _PLAIN[1] * threshold
     for i in range(range_m.shape[0]):
         if surface[i] != _NONE:
             squared = max(range_m[i] * range_m[i], _LEAST_SQUARED)
             energy = reflectance[surface[i]] * cos_incidence[i] / squared
-            if energy >= bright:  # of most pulses the first ray says so
+            if energy >= bright:  # for most pulses the first ray suffices
                 return True
             total += energy
     return bool(total <= _PLAIN[0] * threshold)
@@ -87,7 +87,7 @@ def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, thre
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
-    """Return True if the places of n sub-rays, rather than noise, decide whether the strongest echo is seen."""
+    """Return whether the positions of n sub-rays, rather than noise, decide if the strongest echo is seen."""
     first, last, strongest = _strongest(order, 0, met, budget.resolution_m / 2)
     squares = 0.0
     for a in range(first, last + 1):
@@ -110,7 +110,7 @@ def _error_m(order: F8, met: int, resolution_m: float) -> float:
         off_m = order[0, a] - mean_m
         spread += order[1, a] / strongest * (off_m * off_m)
     standard_error_m = math.sqrt(_EVENNESS * spread * squares) / strongest
-    # Shares of two echoes differ by chance with the variance of a count, in units of a usual ray's energy.
+    # The difference of two echoes' shares has the variance of a count, in units of a typical ray's energy.
     before = strongest - second
     lead = before * before / (_EVENNESS * (strongest + second) * squares / strongest)
     return 0.5 * exp(-lead / 2) * resolution_m + standard_error_m
@@ -118,7 +118,7 @@ def _error_m(order: F8, met: int, resolution_m: float) -> float:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, order: F8) -> int:
-    """Fill ranges and energies of what was met, nearest first; the energy falls with the square of the range."""
+    """Fill ranges and energies of the hits, nearest first; the energy falls with the square of the range."""
     met = 0
     for i in range(range_m.shape[0]):
         if surface[i] == _NONE:
@@ -137,7 +137,7 @@ def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, o
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _strongest(order: F8, first: int, stop: int, resolution_m: float) -> tuple[int, int, float]:
-    """Return first, last and energy of the strongest stretch no longer than the resolution, among sorted echoes."""
+    """Return first, last and energy of the strongest interval within the resolution, among sorted echoes."""
     best, best_first, best_last = 0.0, first, first - 1
     near, energy = first, 0.0
     for far in range(first, stop):

@@ -2,17 +2,17 @@
 
 At range D the beam is `spot + divergence * D` wide: on a VLP-16 horizontally 12.7 mm + 3.0 mrad, vertically
 9.5 mm + 1.5 mrad. Divergences are full angles, the growth of the beam's diameter (VLS-128 manual, appendix F.2.3,
-table F-1). Assumption: the diameter is that at 1/e2 of a Gaussian profile, so four standard deviations. A sub-ray
-with standard normal coordinates (x, y) starts x and y standard deviations of the spot off the middle of the lens, and leans
+table F-1). Assumption: the diameter is the 1/e2 diameter of a Gaussian profile, so four standard deviations. A sub-ray
+with standard normal coordinates (x, y) starts x and y standard deviations of the spot off the centre of the lens, and leans
 x and y standard deviations of the divergence off the pulse's direction.
 
-Sub-rays of an adaptive beam are support points of that profile: of all sets of eight those with the least energy
-distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the best beside
-those before. A pulse turns and mirrors them at random. Sub-rays of a fixed beam, and those of an adaptive one from the
+Sub-rays of an adaptive beam are support points of that profile: the set of eight with the least energy
+distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the best addition
+to the previous ones. A pulse rotates and mirrors them at random. Sub-rays of a fixed beam, and of an adaptive one from the
 65th on, are points of the R2 sequence, steps of the plastic number and of its square (M. Roberts, "The unreasonable
-effectiveness of quasirandom sequences", 2018), shifted around the unit square by two random numbers of the pulse
-(Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and laid on the plane by Box and Muller (1958): each alone is a
-fair draw from the profile, so that means over them have no bias, whatever their number.
+effectiveness of quasirandom sequences", 2018), shifted in the unit square by two random numbers of the pulse
+(Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and mapped to the plane by Box and Muller (1958): each alone is a
+random draw from the profile, so that means over any number of them are unbiased.
 """
 
 from dataclasses import dataclass, replace
@@ -29,10 +29,10 @@ from vlp16emu.types import F4, F8, Firings
 _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / (_PLASTIC * _PLASTIC)))
 ROUND = 8  # sub-rays per round: a packet
-_Y = 4 * ROUND  # offset of the row of the first direction, which holds a coordinate of the profile until then
+_Y = 4 * ROUND  # offset of the row of the first direction; used before for a coordinate of the profile
 _TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
-"""Revolutions at once, in which what stands in one direction stays in the cache; and, over all of them, sub-rays of a
-direction as a rule, and at most."""
+"""Revolutions cast at once, so that geometry in one direction stays in the cache; and, over all of them, usual and greatest
+number of sub-rays per direction."""
 _BITS = 12
 _SHIFT = np.uint32(32 - _BITS)
 _TURN = int(Purpose.FOOTPRINT)
@@ -40,22 +40,22 @@ _TURN = int(Purpose.FOOTPRINT)
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """The light of a unit's pulses: how it is spread, and by how many rays it is followed."""
+    """Footprint of a unit's pulses: the beam profile and its sub-rays."""
 
     section: Beam
     seed: int = 0  # of the unit
     resolution_m: float = 0.0  # echoes farther apart than this are separate
     threshold: float = 0.0
-    """Amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen."""
+    """Amplitude at which half of the echoes are seen, in m-2; 0 if every echo is seen."""
     amplitude_noise: float = 0.0  # of the receiver, one sigma
 
     def changed(self, **settings: object) -> "Footprint":
-        """Return this light with other settings of its section."""
+        """Return this footprint with other settings of its section."""
         return replace(self, section=self.section.model_copy(update=settings))
 
     @property
     def rays(self) -> int:
-        """Most rays of a pulse."""
+        """Greatest number of rays of a pulse."""
         return 1 if self.section.model == "none" else self.section.rays
 
     @property
@@ -65,13 +65,13 @@ class Footprint:
 
     @property
     def together(self) -> int:
-        """Revolutions that are best cast at once: fewer where that would be long, or take much room."""
+        """Best number of revolutions to cast at once: fewer if that would take long, or much memory."""
         usual = {"fixed": self.rays, "adaptive": ROUND}.get(self.section.model, 1)
         return max(1, min(_TOGETHER, _USUAL_RAYS // usual, _MOST_RAYS // self.rays))
 
     @property
     def budget(self) -> RayBudget:
-        """Number of sub-rays that its pulses want."""
+        """Budget of sub-rays for its pulses."""
         return RayBudget(
             most=1 if self.section.model == "angle" else self.rays,
             adaptive=self.section.model == "adaptive",
@@ -83,7 +83,7 @@ class Footprint:
 
     @property
     def sigmas(self) -> F8:
-        """(4,) standard deviations: spot horizontal and vertical in metres, divergence likewise in radians."""
+        """Standard deviations (4,): spot horizontal and vertical in metres, divergence likewise in radians."""
         section = self.section
         return np.array([1e-3 * width for width in (*section.spot_mm, *section.divergence_mrad)]) / 4
 
@@ -93,7 +93,7 @@ LINE = Footprint(Beam(model="none", spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.
 
 def _ring_radii() -> F8:
     outside = 1.0 - np.arange(2**_BITS) / 2**_BITS
-    mass = np.append(2 * outside * (1 - log(outside)), 0.0)  # of r squared, outside of a ring's inner edge
+    mass = np.append(2 * outside * (1 - log(outside)), 0.0)  # of r squared, outside a ring's inner edge
     return np.sqrt((mass[:-1] - mass[1:]) * 2**_BITS)
 
 
@@ -124,26 +124,26 @@ _SUPPORT = np.array(
 _REACH = np.append(np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()).astype(
     np.float32
 )
-FARTHEST = float(_REACH[-1])  # greatest distance of a sub-ray from the middle, in standard deviations
+FARTHEST = float(_REACH[-1])  # greatest distance of a sub-ray from the centre, in standard deviations
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
-    """Draw the two random numbers of a pulse's pattern, in steps of 2**-32."""
+    """Draw the two random numbers of a pulse's sub-ray pattern, in steps of 2**-32."""
     u, v = uniform_pair(seed, _TURN, firing, laser)
     return np.uint32(u * 2.0**32), np.uint32(v * 2.0**32)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, support: bool) -> None:
-    """Lay eight sub-rays of a pulse, number `first` and on: origins in rows 0 to 2 of eight, unit directions in rows 4 to 6.
+    """Fill eight sub-rays of a pulse from number `first`: origins in rows 0 to 2 of eight, unit directions in rows 4 to 6.
 
     Parameters
     ----------
     rays : (56 or more,) rows of eight, as in `RayPacket`
     axes : (4, 3) origin, direction, horizontal and vertical axis of the pulse, by `pulse_axes`
     sigmas : (4,) as in `Footprint`
-    u, v : of the pulse, by `turn`
+    u, v : random numbers of the pulse, from `turn`
     support : whether the first 64 are support points
     """
     if support and first < len(_SUPPORT):
@@ -175,7 +175,7 @@ def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def reach_of(first: int, support: bool) -> np.float32:
-    """Return the greatest distance of the round of sub-rays `first` from the middle, in standard deviations."""
+    """Return the greatest distance of the round of sub-rays `first` from the centre, in standard deviations."""
     return _REACH[first // ROUND] if support and first < len(_SUPPORT) else _REACH[-1]
 
 
@@ -192,7 +192,7 @@ def pulse_axes(origin_m: F8, direction: F8, beam_axis: F8, from_m: F8, i: int, j
 def beam_axis_of(firings: Firings, beam: Footprint) -> F8:
     """Horizontal axes of the footprints, (k, L, 3).
 
-    Raises ValueError where the firings have none.
+    Raises ValueError if the firings have none.
     """
     if firings.beam_axis is None:
         raise ValueError(f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}")

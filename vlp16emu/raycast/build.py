@@ -29,7 +29,7 @@ class Shape(NamedTuple):
 
 
 def shape_of(meshes: Sequence[Mesh]) -> Shape:
-    """Cut the triangles of a shape's meshes into pieces."""
+    """Group the triangles of a shape's meshes into pieces."""
     square_m2 = 0.0
     for x_m, y_m, z_m in (mesh.vertices_m.T for mesh in meshes):
         square_m2 = max(square_m2, float((x_m * x_m + y_m * y_m + z_m * z_m).max(initial=0.0)))
@@ -37,35 +37,35 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
 
 
 _WIDER_M = 2.0**-10
-"""Margin by which edges are moved outwards for Embree: its rays are off by 1 um at 15 m and 8 um at 100 m, and by
-1 / cosine as much in the plane of a face that light grazes. Twice as much casts 4 % slower in `scenes/spruce_walk`."""
+"""Margin by which edges are moved outwards for Embree: its rays are off by 1 um at 15 m and 8 um at 100 m, times
+1 / cosine in the plane of a face at grazing incidence. Twice the margin casts 4 % slower in `scenes/spruce_walk`."""
 _SHARPEST = 0.25
-"""Sine of the angle at a corner; that of a sharper one, such as the tip of a blade of grass, moves no farther, and its edges
-there less: whole needles of room beyond each tip cost a tenth of casting."""
+"""Least sine of a corner's angle; sharper corners, such as tips of grass blades, move no farther, and their edges
+move less there: long needles of margin beyond each tip would cost a tenth of casting."""
 
 
 class EmbreeMesh:
-    """A shape, and committed scenes of those of its pieces that were asked for, which share buffers with numpy.
+    """A shape and the committed scenes of its requested pieces, which share buffers with numpy.
 
     Parameters
     ----------
-    shape : with its faces by mesh; hits give their numbers
+    shape : shape with its faces by mesh; hits give face numbers
     """
 
     def __init__(self, shape: Shape) -> None:
         self.faces, self._begin, self.boxes_m, self.radius_m = shape
         self.buffers = np.empty((*self._begin[1:].shape, 2), np.uint64)
-        """(pieces, meshes, 2) addresses of corners, and of the first triangle of each piece."""
+        """Addresses (pieces, meshes, 2) of corners, and of the first triangle of each piece."""
         for mesh, (vertices_m, triangles) in enumerate(self.faces):
             self.buffers[:, mesh, 0] = vertices_m.ctypes.data
             self.buffers[:, mesh, 1] = triangles.ctypes.data + triangles.strides[0] * self._begin[:-1, mesh]
         self._scenes, self._building = dict[int, int](), threading.Lock()
-        self._wider = list[NDArray[np.generic]]()  # Embree has their addresses
+        self._wider = list[NDArray[np.generic]]()  # Embree holds their addresses
 
     def scene(self, piece: int) -> int:
-        """Return the address of the scene of a piece; build it the first time.
+        """Return the address of the scene of a piece; build it at the first call.
 
-        Raises RunError where Embree fails.
+        Raises RunError if Embree fails.
         """
         with self._building:
             if piece not in self._scenes:
@@ -99,7 +99,7 @@ _COUNTED = [np.arange(3 << 16, dtype=np.uint32)]
 
 
 def _counting(n: int) -> U4:
-    """Return 0, 1, 2 ... up to n or more, one array for all meshes: the corners of triangles that share none."""
+    """Return 0, 1, 2 ... up to n or more, one array for all meshes: the corners of triangles without shared corners."""
     counted = _COUNTED[0]
     if len(counted) < n:
         counted = _COUNTED[0] = np.arange(max(n, 2 * len(counted)), dtype=np.uint32)
@@ -108,11 +108,11 @@ def _counting(n: int) -> U4:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def widened(vertices_m: F4, triangles: U4) -> F4:
-    """Move the corners of triangles (t, 3) outwards in their planes, so that their edges lie `_WIDER_M` farther out.
+    """Move the corners of triangles (t, 3) outwards in their planes, so that their edges are `_WIDER_M` farther out.
 
     Returns
     -------
-    (3 t + 1, 3) corners of one triangle after the other; the last is unused, as Embree reads 16 bytes at a vertex of 12
+    Corners (3 t + 1, 3), triangle by triangle; the last is unused, as Embree reads 16 bytes at a vertex of 12
     """
     out = np.zeros((3 * len(triangles) + 1, 3), np.float32)
     edge_m, length_m = np.empty((3, 3)), np.empty(3)
@@ -128,11 +128,11 @@ def widened(vertices_m: F4, triangles: U4) -> F4:
         doubled_m2 = math.sqrt(nx * nx + ny * ny + nz * nz)
         for k in range(3):
             after_m, before_m = length_m[k], length_m[k - 1]
-            # Both edges move by one over the sine of the angle between them, which is this area over their lengths.
+            # The corner moves by one over the sine of the angle between both edges, which is this area over their lengths.
             by_m = _WIDER_M / max(doubled_m2, _SHARPEST * after_m * before_m)
             for axis in range(3):
                 outwards_m2 = edge_m[k - 1, axis] * after_m - edge_m[k, axis] * before_m
-                moved_m = by_m * outwards_m2 if outwards_m2 else 0.0  # no area: nothing meets it
+                moved_m = by_m * outwards_m2 if outwards_m2 else 0.0  # without area no ray hits it
                 out[3 * t + k, axis] = vertices_m[triangles[t, k], axis] + moved_m
     return out
 
@@ -145,7 +145,7 @@ def relative_to_window(window: Window) -> F8:
 
 
 def inverses(transforms: F8) -> F8:
-    """Invert affine transforms (n, 3, 4), by cofactors in a stated order: no library rounds them in its own way."""
+    """Invert affine transforms (n, 3, 4) by cofactors in a fixed order, so that no library's rounding matters."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = transforms.transpose(1, 2, 0)
     rows = (
         (e * i - f * h, c * h - b * i, b * f - c * e),
@@ -161,7 +161,7 @@ def inverses(transforms: F8) -> F8:
 
 
 def sheared(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
-    """Move placements (m, 3, 4) level by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
+    """Shear placements (m, 3, 4) horizontally by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
     over_foot = world_T_shape[:, 2].copy()
     over_foot[:, 3] -= foot_z_m
     moved = np.broadcast_to(world_T_shape, (*shear.shape[:-1], 3, 4)).copy()
@@ -170,41 +170,41 @@ def sheared(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
 
 
 def _new_scene(owner: object) -> tuple[int, Callable[[], object]]:
-    """Return the address of an empty scene, released with its owner, and a function that releases it before."""
+    """Return the address of an empty scene, released with its owner, and a function that releases it earlier."""
     lib = rtc.library()
     scene: int = lib.rtcNewScene(rtc.device())
     release = weakref.finalize(owner, lib.rtcReleaseScene, scene)
-    release.atexit = False  # the system takes memory back quicker
+    release.atexit = False  # the system frees memory faster
     lib.rtcSetSceneFlags(scene, rtc.SCENE_FLAGS)
     return scene, release
 
 
 class Placed:
-    """Pieces of the placements of a window, each an instance with a number of its own.
+    """Pieces of the placements of a window, each a numbered instance.
 
     Parameters
     ----------
-    window, meshes : with a mesh for each placement
-    workers : where pieces are built side by side
+    window, meshes : window, and a mesh for each placement
+    workers : threads that build pieces in parallel
 
-    Raises RunError where a window lasts too long for Embree.
+    Raises RunError if a window lasts too long for Embree.
     """
 
     def __init__(self, window: Window, meshes: Sequence[EmbreeMesh], workers: Executor) -> None:
         self.window, self.meshes, self._workers = window, meshes, workers
         self.motion, self._moving = motion_of(window)
         counts = [len(mesh.boxes_m) for mesh in meshes]
-        self.placement = np.repeat(np.arange(len(meshes)), counts)  # (n,) of each piece
+        self.placement = np.repeat(np.arange(len(meshes)), counts)  # (n,) placement of each piece
         self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])
-        """(n, 2, 3) around each, in coordinates of its shape."""
+        """Boxes (n, 2, 3) of pieces, in coordinates of the shape."""
         self.buffers, self.row = _buffers(meshes, counts)
-        """(b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
+        """Buffers (b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
         self._pieces = [(mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)]
 
     def scene(self, kept: NDArray[np.bool_]) -> int:
-        """Build the scene of some pieces (n,) and return its address, valid for the life of this object.
+        """Build the scene of selected pieces (n,) and return its address, valid for the life of this object.
 
-        Raises RunError where Embree fails.
+        Raises RunError if Embree fails.
         """
         wanted = defaultdict[EmbreeMesh, set[int]](set)
         numbers = np.flatnonzero(kept).tolist()
@@ -238,7 +238,7 @@ class Placed:
 
 
 def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I8]:
-    """Join the buffers of the different meshes of placements; return them and the first row of each piece."""
+    """Concatenate the buffers of the distinct meshes of placements; return them and the first row of each piece."""
     first, tables, stop = dict[int, int](), [np.zeros((0, 2), np.uint64)], 0
     for mesh in meshes:
         if id(mesh) not in first:
@@ -253,7 +253,7 @@ def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I
 
 _MOST_KNOTS = 129  # RTC_MAX_TIME_STEP_COUNT (Embree 4, rtcore_common.h)
 
-rtc.library()  # kernels of this file and of those that cast are linked with it
+rtc.library()  # kernels of this and the casting modules link with it
 _set_count = types.ExternalFunction("rtcSetGeometryTimeStepCount", types.void(types.uintp, types.uint32))
 _set_transform = types.ExternalFunction(
     "rtcSetGeometryTransform", types.void(types.uintp, types.uint32, types.int32, types.uintp)
@@ -265,8 +265,8 @@ class InstanceMotion(NamedTuple):
 
     start_ns: int  # UTC of the first knot
     span_ns: int  # time from the first knot to the last; 0 if nothing moves
-    shear: F4  # (k, n, 2) as in `Sway`, of all placements; no knots where nothing moves
-    foot_m: F8  # (n,) height in the window at which a placement does not move; empty where nothing moves
+    shear: F4  # (k, n, 2) as in `Sway`, for all placements; no knots if nothing moves
+    foot_m: F8  # (n,) height in the window at which a placement does not move; empty if nothing moves
 
     def times(self, t_ns: I8) -> F4:
         """Return ray times 0..1 at UTC instants of any shape, clipped to the span."""
@@ -280,9 +280,9 @@ def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, F4]]:
 
     Returns
     -------
-    The motion, and window_T_shape (k, 3, 4) at all knots of each placement that moves
+    The motion, and window_T_shape (k, 3, 4) at all knots of each moving placement
 
-    Raises RunError where a window lasts too long for Embree.
+    Raises RunError if a window lasts too long for Embree.
     """
     if (sway := window.sway) is None:
         return InstanceMotion(0, 0, np.empty((0, len(window.shape), 2), np.float32), np.empty(0)), {}
@@ -309,7 +309,7 @@ def _set_steps(geometry: int, transforms: F4) -> None:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def knot_at(knots: int, time: float) -> tuple[int, float]:
-    """Return the knot before a ray time 0..1, and the share of the way from it to the next."""
+    """Return the knot before a ray time 0..1, and the fraction from it to the next knot."""
     at = np.float64(time) * (knots - 1)
     knot = min(int(at), knots - 2)
     return knot, at - knot

@@ -1,4 +1,4 @@
-"""Casters, the choice between one of faces alone and one with a far medium, and the sky that a caster sees."""
+"""Casters, the choice of a caster with or without a far medium, and the sky cover by casting."""
 
 import math
 from concurrent.futures import Executor
@@ -13,18 +13,18 @@ from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.types import F8, Firings, Hits, Window, World
 
 _RINGS = 16
-_SECTORS = 16  # rings of equal solid angle, and rays on each: 256 rays measure a share to 0.03
+_SECTORS = 16  # rings of equal solid angle, and rays on each: 256 rays give a share within 0.03
 
 
 class Geometry(Protocol):
-    """A window ready to be cast against."""
+    """A window ready for casting."""
 
     @property
     def surfaces(self) -> NDArray[np.void]:
-        """(m,) `SURFACE`, the window's table."""
+        """Table (m,) `SURFACE` of the window."""
 
     def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
-        """Cast the pulses of k sequences, k a multiple of 8; `as_far` casts what is near as the medium too, where there is one."""
+        """Cast the pulses of k sequences, k a multiple of 8; `as_far` casts near content as the medium too, if there is one."""
 
 
 class Caster(Protocol):
@@ -35,11 +35,11 @@ class Caster(Protocol):
 
 
 def caster(world: World, workers: Executor) -> Caster:
-    """Make the caster of a world: of faces alone, or with what the door "far" has.
+    """Make the caster of a world: faces alone, or with a far medium (door "far").
 
-    Raises EmbreeMissingError where the library cannot be loaded.
+    Raises EmbreeMissingError if the library cannot be loaded.
     """
-    # Kernels bind to the library as soon as they are loaded, and a world that has nothing far needs none for it.
+    # Kernels bind to the library when they are loaded, and a world without a far medium does not need its kernels.
     if math.isinf(world.near_m):
         from vlp16emu.raycast.near import EmbreeCaster
 
@@ -49,16 +49,16 @@ def caster(world: World, workers: Executor) -> Caster:
 
 
 def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, far_m: float) -> float:
-    """Return the share of the sky that surfaces hide, 0..1, by solid angle.
+    """Return the hidden share of the sky, 0..1, by solid angle.
 
-    Crowns overhead are cast as the far medium: they hide as much, and need not be built if no pulse meets them.
+    Crowns overhead are cast as the far medium: they hide as much, and are not built unless a pulse meets them.
 
     Parameters
     ----------
-    t_ns : UTC, at which what moves stands somewhere
+    t_ns : UTC, for moving surfaces
     position_m : (3,) world
     lowest_deg : elevation below which the sky does not count
-    far_m : surfaces beyond hide nothing
+    far_m : range beyond which surfaces do not count
     """
     direction = _directions(sin(math.radians(lowest_deg)))
     rays = Firings.rays(t_ns, position_m, direction)
@@ -67,9 +67,9 @@ def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, 
 
 
 def _directions(lowest_sine: float) -> F8:
-    """Return directions (sectors, rings, 3), unit length: rays that are cast together are neighbours on a ring."""
+    """Return unit directions (sectors, rings, 3): rays that are cast together are neighbours on a ring."""
     sine = lowest_sine + (1.0 - lowest_sine) * (np.arange(_RINGS) + 0.5) / _RINGS
-    # A ring begins where the one below it does not: the golden ratio leaves no gap and no row.
+    # Rings are rotated by the golden ratio against each other, without gaps and rows.
     start = np.arange(_RINGS) * (math.sqrt(5.0) - 1.0) / 2.0
     azimuth = 2.0 * math.pi / _SECTORS * (np.arange(_SECTORS)[:, None] + start % 1.0)
     across = np.sqrt(1.0 - sine * sine)

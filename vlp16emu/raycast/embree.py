@@ -1,7 +1,7 @@
-"""The Embree library inside the embreex wheel, made callable.
+"""Binding to the Embree library inside the embreex wheel.
 
-`embreex` itself offers neither instances nor quads nor ray packets; the complete Embree 4 library that
-its wheel carries offers all three. Numbers and signatures: Embree 4.4, `rtcore_*.h`.
+`embreex` itself has no instances, quads or ray packets; the complete Embree 4 library in
+its wheel has all three. Constants and signatures: Embree 4.4, `rtcore_*.h`.
 """
 
 import ctypes
@@ -20,10 +20,10 @@ BUFFER_INDEX, BUFFER_VERTEX = 0, 1
 FORMAT_UINT3 = 0x5003
 FORMAT_FLOAT3, FORMAT_FLOAT3X4_ROW_MAJOR = 0x9003, 0x9134
 SCENE_FLAGS = 1 << 2 | 1 << 3
-"""Robust, so that no box is missed by rounding, and with the filter of a query's arguments."""
+"""Scene flags: robust, so that no box is missed by rounding, and with the filter of a query's arguments."""
 FLAG_COHERENT = 1 << 16
-"""Rays of a packet are near each other: nearly doubles the speed of neighbouring azimuths of one laser."""
-FLAG_FILTER = 1 << 1  # the filter of a query's arguments is asked for each candidate, of whatever geometry
+"""Coherent rays: nearly doubles the speed for neighbouring azimuths of one laser."""
+FLAG_FILTER = 1 << 1  # the filter of a query's arguments is called for each candidate of any geometry
 
 _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),
@@ -48,13 +48,13 @@ _ERRORS = {1: "unknown error", 2: "invalid argument", 3: "invalid operation", 4:
 
 
 class EmbreeMissingError(Vlp16emuError):
-    """The library is not where the wheel of embreex should have it, or lacks a function."""
+    """The Embree library is missing in the embreex wheel, or lacks a function."""
 
 
 def library_path() -> Path:
     """Return the path of the library in the wheel.
 
-    Raises EmbreeMissingError where embreex is not installed or carries no such file.
+    Raises EmbreeMissingError if embreex is not installed or has no such file.
     """
     try:
         files = metadata.files("embreex") or []
@@ -70,9 +70,9 @@ def library_path() -> Path:
 def library() -> ctypes.CDLL:
     """Load the library once, for kernels too, and declare its functions.
 
-    Raises EmbreeMissingError where it cannot be loaded or a function is missing.
+    Raises EmbreeMissingError if it cannot be loaded or a function is missing.
     """
-    import embreex.rtcore_scene  # noqa: F401  # brings the libraries that Embree itself needs
+    import embreex.rtcore_scene  # noqa: F401  # loads the libraries that Embree itself needs
     from llvmlite import binding
 
     path = library_path()
@@ -88,18 +88,18 @@ def library() -> ctypes.CDLL:
 
 
 def device() -> int:
-    """Return the one device of the process; beside a second one Embree would keep a thread busy for ever.
+    """Return the only device of the process; with a second one Embree would keep a thread busy for ever.
 
-    Raises RunError where Embree gives none.
+    Raises RunError if Embree gives none.
     """
-    with _MAKING:  # the cache alone would let two threads make one each
+    with _MAKING:  # the cache alone would let two threads each make one
         return _new_device()
 
 
 @cache
 def _new_device() -> int:
-    """Make a device; tests add to its configuration by `VLP16EMU_EMBREE`: `isa=sse4.2`, `verbose=1`."""
-    # One thread per build: our own workers build shapes side by side.
+    """Make a device; tests extend its configuration with `VLP16EMU_EMBREE`: `isa=sse4.2`, `verbose=1`."""
+    # One thread per build: our own workers build shapes in parallel.
     own = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
     handle: int | None = library().rtcNewDevice(",".join(filter(None, own)).encode())
     if handle is None:
@@ -108,13 +108,13 @@ def _new_device() -> int:
 
 
 def give_memory_back() -> None:
-    """Return freed memory to the system, if the allocator is glibc: its free blocks between live ones would grow for ever."""
+    """Return freed memory to the system, if the allocator is glibc, whose fragmentation would grow for ever."""
     if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
         libc.malloc_trim(0)
 
 
 def check(doing: str) -> None:
-    """Raise a `RunError` if Embree failed on this thread, to which alone it reports, for instance for want of memory."""
+    """Raise `RunError` if Embree failed on this thread, for instance because memory ran out; it reports per thread."""
     if error := library().rtcGetDeviceError(device()):
         raise RunError(f"Embree could not {doing}: {_meaning(error)}")
 

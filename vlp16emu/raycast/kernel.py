@@ -1,9 +1,9 @@
-"""The inner loop: sub-rays of a pulse as one packet of eight through what is near, and those that miss on into what is far.
+"""The inner loop: sub-rays of a pulse as one packet of eight through near faces, then the misses through the far medium.
 
-Eight sequences are cast at a time, step by step: all their pulses through the faces that are near, then those that are
-left through what is far, so that the memory of one does not drive out that of the other. Which rays share a packet depends
-on firing numbers and on what was met, never on threads. What makes no arrays counts no references (`_nrt=False`), and
-loops take arrays out of tuples first: a twentieth of the time.
+Eight sequences are cast at a time, step by step: all their pulses through the near faces, then the remaining ones
+through the far medium, so that their memory does not compete for the cache. Which rays share a packet depends
+on firing numbers and hits, never on threads. Kernels without new arrays count no references (`_nrt=False`), and
+loops take arrays out of tuples first: saves a twentieth of the time.
 """
 
 from typing import Any, NamedTuple
@@ -24,16 +24,16 @@ ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
 
 
 class PulseBatch(NamedTuple):
-    """Pulses that are cast, and their width."""
+    """Pulses to cast, and their width."""
 
     origin_m: F8
     """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
     direction: F8
     beam_axis: F8
-    time: F4  # (k, L) between the scene's first knot and its last, 0..1
+    time: F4  # (k, L) time between the scene's first knot and its last, 0..1
     near_m: F8  # (L,) range at which each laser's light begins
-    reach_m: float  # range at which what is near ends; `far_m` where it does not
-    far_m: float  # range at which the light is given up
+    reach_m: float  # range at which near faces end; else `far_m`
+    far_m: float  # farthest range
     order: I8  # (k / 8,) first sequence of each packet, in the order of casting
     sigmas: F4  # (4,) as in `Footprint`; `seed` alike
     seed: int
@@ -49,22 +49,22 @@ class MetRays(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Room for the pulses of eight sequences, those of a laser one after the other."""
+    """Buffers for the pulses of eight sequences, ordered by laser."""
 
     row: F4
-    """(n, ROW) rays of a pulse, rows of eight: origins, directions, ranges, cosines; of a light without width only the first."""
+    """Rays (n, ROW) of a pulse, rows of eight: origins, directions, ranges, cosines; one ray for a beam without width."""
     surface: U4  # (n, 8)
-    axes: F4  # (n, 4, 3) of the pulses; the first two make up the middle
+    axes: F4  # (n, 4, 3) axes of the pulses; the first two are the centre ray
     axes_row: F4  # (n, 12) the same numbers
-    missed: NDArray[np.bool_]  # (n,) which pulses go on: of some of their rays nothing near is met
-    todo: I8  # (n,) numbers of the pulses that are cast
-    have: I8  # (n,) how many sub-rays each has
-    hits: MetRays  # (n m,) of these, those of a pulse one after the other; m is a multiple of eight
-    scratch: F8  # (2, m) to sort in
+    missed: NDArray[np.bool_]  # (n,) mask of pulses with rays that meet nothing near
+    todo: I8  # (n,) numbers of the pulses to cast
+    have: I8  # (n,) number of sub-rays of each
+    hits: MetRays  # (n m,) hits of these, pulse by pulse; m is a multiple of eight
+    scratch: F8  # (2, m) for sorting
 
 
 def batch_of(pulses: int, most: int) -> Batch:
-    """Make room for so many pulses of up to `most` sub-rays each."""
+    """Make buffers for pulses of up to `most` sub-rays each."""
     most = -(-most // ROUND) * ROUND
     n = pulses * most
     axes_row = np.zeros((pulses, 12), np.float32)
@@ -91,22 +91,22 @@ class Cast(NamedTuple):
 
 
 def go_on(passage: Any, cast: Cast, todo: int, count: int, reach: np.float32) -> None:
-    """Let the rays of pulses that have met nothing near go on through what is far.
+    """Continue the rays of pulses that have met nothing near through the far medium.
 
-    A far medium overloads it by `numba.extending.overload`: casting near faces needs none of it.
+    A far medium overloads it by `numba.extending.overload`: casting near faces does not need it.
 
     Parameters
     ----------
-    reach : how far from the middle they are at most, in standard deviations of the beam
+    reach : greatest distance from the centre ray, in standard deviations of the beam
     """
     raise NotImplementedError
 
 
 @numba.njit(cache=True, nogil=True)
 def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, surface: U4, cos_incidence: F4) -> None:
-    """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fill arrays (k, L).
+    """Cast one ray per pulse and fill arrays (k, L); packets hold eight consecutive firings of a laser.
 
-    If nothing is far, `beyond` and `passage` are None, and numba leaves out what is for them.
+    Without a far medium, `beyond` and `passage` are None, and numba leaves out their code.
     """
     batch, pulses, one = cast.batch, PACKET * cast.light.origin_m.shape[1], ZERO + 1
     set_filter(cast.packet)
@@ -122,17 +122,17 @@ def cast_lines(cast: Cast, beyond: Target | None, passage: Any, range_m: F4, sur
 
 @numba.njit(cache=True, nogil=True)
 def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudget, count: U2, first_round: U4) -> U4:
-    """Cast the sub-rays of every pulse, by rounds of eight.
+    """Cast the sub-rays of every pulse in rounds of eight.
 
     Parameters
     ----------
     count : (k, L) output, sub-rays of each pulse
-    first_round : (3, k L r) output, bits of the ranges, surfaces, bits of the cosines of the first r of each, in order of
-        pulses: the place of most is known before they are cast
+    first_round : (3, k L r) output: bits of the ranges, surfaces, bits of the cosines of the first r of each, in order of
+        pulses: most positions are known in advance
 
     Returns
     -------
-    (3, n) the same of all others, in order of pulses
+    (3, n) the same for all further sub-rays, in order of pulses
     """
     batch, pulses = cast.batch, PACKET * count.shape[1]
     set_filter(cast.packet)
@@ -160,7 +160,7 @@ def cast_pulses(cast: Cast, beyond: Target | None, passage: Any, budget: RayBudg
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
-    """Fill hits (3, n) from those of first rounds and the others, as of `cast_pulses`, in order of pulses."""
+    """Fill hits (3, n) from first and further rounds, as in `cast_pulses`, in order of pulses."""
     pulses, lasers = count.size, count.shape[1]
     each = first_round.shape[1] // pulses
     for row in range(3):
@@ -180,7 +180,7 @@ def join_rounds(count: U2, first_round: U4, further: U4, hits: U4) -> None:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
-    """Cast the middles of the pulses of eight sequences against faces, those of a laser as one packet."""
+    """Cast the centre rays of the pulses of eight sequences against faces, one packet per laser."""
     near, light, packet, batch = cast
     rays = packet.rays
     origin_m, direction, from_m = light.origin_m, light.direction, near.window_origin_m
@@ -204,7 +204,7 @@ def _cast_middles(cast: Cast, beyond: Target | None, first: int) -> None:
 def _cast_near(
     cast: Cast, beyond: Target | None, budget: RayBudget, first: int, todo: int, have: int, count: int
 ) -> None:
-    """Cast the next sub-rays of pulses, which have some already, against faces, those of a pulse as one packet."""
+    """Cast the next sub-rays of pulses against faces, one packet per pulse."""
     near, light, packet, batch = cast
     valid, reach_m = packet.valid, light.reach_m
     for t in range(todo):
@@ -223,7 +223,7 @@ def _cast_near(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) -> None:
-    """Store hits, of all rays of pulse q (step 0) or of one ray of each pulse from q on (step 1); send the others on."""
+    """Store hits of all rays of pulse q (step 0), or of one ray of each pulse from q on (step 1); pass on the misses."""
     near, light, packet, batch = cast
     instance, valid, row, surface = packet.instance, packet.valid, batch.row, batch.surface
     missed, far_m = 0, light.far_m
@@ -242,7 +242,7 @@ def _put_down(cast: Cast, beyond: Target | None, q: int, step: int, count: int) 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
-    """Store the rays that go on for the medium, and cast them against what is cast as faces at any range."""
+    """Store the rays that go on for the medium, and cast them against faces at any range."""
     _, light, packet, batch = cast
     own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface
     if step == 0:
@@ -265,11 +265,11 @@ def _send_on(cast: Cast, beyond: Target, q: int, step: int, count: int) -> None:
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: int, have: int, count: int) -> int:
-    """Take the hits of a round; list the pulses that need another, and return how many.
+    """Take the hits of a round; list the pulses that need another round, and return their number.
 
     Parameters
     ----------
-    first_round : as of `cast_pulses`
+    first_round : as in `cast_pulses`
     first : number of the first sequence
     """
     batch, reflectance = cast.batch, cast.near.reflectance
@@ -302,7 +302,7 @@ def _settle(cast: Cast, budget: RayBudget, first_round: U4, first: int, todo: in
 
 @numba.njit(cache=True, nogil=True)
 def _further(batch: Batch, each: int, first: int, count: U2) -> U4:
-    """Count the hits of eight sequences and return those behind the first `each` in order of pulses, (3, n) as `cast_pulses`."""
+    """Count the hits of eight sequences; return the ones after the first `each`, (3, n) as in `cast_pulses`."""
     most, n = batch.scratch.shape[1], ZERO
     for q in range(PACKET * count.shape[1]):
         count[first + q % PACKET, q // PACKET] = batch.have[q]

@@ -1,4 +1,4 @@
-"""Scenes of windows as faces in Embree; shapes are kept from window to window."""
+"""Windows as Embree scenes of faces; shapes are kept from window to window."""
 
 import threading
 import weakref
@@ -20,12 +20,12 @@ from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
 from vlp16emu.units import INCLUSIVE
 
 _SECTOR_DEG = 1.6
-"""Width of a sector: its faces stay in the cache from revolution to revolution; with eight of them a fifth less time for
-one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. Sectors of 12 degrees gain half of that."""
+"""Width of a sector, whose faces stay in the cache from revolution to revolution: over eight revolutions it saves a fifth
+of the time for one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. 12 degrees save half."""
 
 
 class Stages(NamedTuple):
-    """Stages that rays go through, one after the other."""
+    """Consecutive stages of a cast."""
 
     near: Target
     reach_m: float  # range at which the next stages begin
@@ -34,21 +34,21 @@ class Stages(NamedTuple):
 
 
 class EmbreeGeometry:
-    """A window ready to be cast against; any number of threads may cast at once.
+    """A window ready for casting by any number of threads.
 
     Parameters
     ----------
-    near : what is cast as faces
-    kept : (n,) which of its pieces; None for all
+    near : placements that are cast as faces
+    kept : (n,) mask of their pieces; None for all
     """
 
     def __init__(self, near: Placed, kept: NDArray[np.bool_] | None = None) -> None:
         self.meshes, self.surfaces = near.meshes, near.window.surfaces
-        self._placed = near  # which scenes go with
+        self._placed = near  # keeps its scenes alive
         self._near = target_of(near, kept)
 
     def stages(self, far_m: float, rise: float, *, as_far: bool) -> Stages:  # noqa: ARG002 - nothing is far
-        """Return the stages of rays up to range `far_m` that rise or fall by at most `rise` per metre."""
+        """Return the stages for rays up to range `far_m` with a slope of at most `rise`."""
         return Stages(self._near, far_m)
 
     def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
@@ -56,13 +56,13 @@ class EmbreeGeometry:
 
         Parameters
         ----------
-        firings : k sequences, k a multiple of 8, with `beam_axis` where the beam has a width
+        firings : k sequences, k a multiple of 8, with `beam_axis` if the beam has a width
         near_m : (L,) range at which each laser's light begins
-        far_m : range at which it is given up
-        beam : how wide a pulse is
-        as_far : whether near content, too, is cast as the far medium, where there is one
+        far_m : farthest range
+        beam : footprint of a pulse
+        as_far : whether near content is also cast as the far medium, if there is one
 
-        Raises ValueError where the firings are not as said above.
+        Raises ValueError for other firings.
         """
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
@@ -88,7 +88,7 @@ class EmbreeGeometry:
         own = Cast(near, pulses, ray_packet(), batch_of(PACKET * shape[1], most))
         if beam.has_width:
             count = np.empty(shape, np.uint16)
-            # Arrays of numpy's are in huge pages: those that kernels make have a page fault every 4 kB.
+            # Numpy's arrays are in huge pages; arrays made in kernels have a page fault every 4 kB.
             met_bits = first_round = np.empty((3, count.size * min(ROUND, most)), np.uint32)
             further = cast_pulses(own, *beyond, beam.budget, count, first_round)
             if further.size:
@@ -103,7 +103,7 @@ class EmbreeGeometry:
 
 
 def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
-    """Build the scene of some pieces (n,) of what is placed, or of all."""
+    """Build the scene of selected pieces (n,), or of all."""
     window, placement, motion = placed.window, placed.placement, placed.motion
     scene = placed.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
     return Target(
@@ -121,18 +121,18 @@ def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
 
 
 def _by_sectors(azimuth_deg: F8) -> I8:
-    """Return the first sequence of each packet, (k / 8,), so that revolutions go through a sector one after the other."""
+    """Return the first sequence of each packet (k / 8,), so that all revolutions pass a sector before the next one."""
     sector = (azimuth_deg[::PACKET, 0] / _SECTOR_DEG).astype(np.int64)
     return np.argsort(sector, kind="stable") * PACKET
 
 
 class EmbreeCaster:
-    """Opens windows, building only what no open window has yet.
+    """Opens windows; builds only shapes that no open window has.
 
     Parameters
     ----------
     world : grows the meshes of shapes
-    workers : where shapes are grown and built side by side
+    workers : threads that grow and build shapes in parallel
     """
 
     def __init__(self, world: World, workers: Executor) -> None:
@@ -143,7 +143,7 @@ class EmbreeCaster:
     def open(self, window: Window) -> EmbreeGeometry:
         """Make a window ready for casting.
 
-        Raises RunError where Embree reports an error, for instance that memory ran out.
+        Raises RunError if Embree reports an error, for instance that memory ran out.
         """
         try:
             with self._lock:
@@ -155,7 +155,7 @@ class EmbreeCaster:
         return EmbreeGeometry(self._placed(window, self._begun(window)))
 
     def _begun(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
-        """Return the shapes of a window in order, or futures of those that no window has yet."""
+        """Return the shapes of a window in order, or futures of new shapes."""
         return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
 
     def _grown(self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> list[EmbreeMesh]:

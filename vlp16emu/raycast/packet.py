@@ -1,12 +1,12 @@
-"""The Embree packet: eight rays that are cast together, and what they meet.
+"""The Embree packet: eight rays that are cast together, and their hits.
 
-Embree finds candidates, and `_decide` says which of them is met and where. Embree rounds as its instruction set has it: with
-another one the same ray meets a leaf at its edge or passes it, or meets the other of two faces that cut each other. So
-Embree has triangles that are a little wider (`build.widened`), candidates stay open to `_SLACK_M` behind the nearest, and
-each is decided in float64, by sums, products and one division, from the corners as they are. Of two at the same range the
-one with the lower number is met. Neither Embree's arithmetic nor the order of candidates then matters.
+Embree finds candidates, and `_decide` selects the hit and its range. Embree's rounding depends on the instruction set: with
+another one the same ray hits a leaf at its edge or misses it, or hits the other of two intersecting faces. So
+Embree has slightly wider triangles (`build.widened`), candidates are kept up to `_SLACK_M` behind the nearest, and
+each is decided in float64, by sums, products and one division, from the original corners. Of two at the same range the
+one with the lower number is hit. So neither Embree's arithmetic nor the order of candidates matters.
 
-What makes no arrays counts no references (`_nrt=False`), and loops take arrays out of tuples first.
+Kernels without new arrays count no references (`_nrt=False`), and loops take arrays out of tuples first.
 """
 
 import math
@@ -25,8 +25,8 @@ from vlp16emu.types import F4, F8, I4, I8, U4, U8
 PACKET = 8  # rays per packet; 16 is slower without AVX-512
 
 LEVEL = np.float32(sin(math.radians(20.0)))
-"""Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
-3 degrees. Half of the faces of `scenes/reference_forest` that are near are met by no level ray, and are not built."""
+"""Greatest slope of a level ray: includes all rays of a VLP-16 that is carried upright, with a lean of up to 3 degrees.
+Half of the near faces of `scenes/reference_forest` are met by no level ray, and are not built."""
 
 _intersect = types.ExternalFunction("rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp))
 
@@ -38,25 +38,25 @@ NONE = np.uint32(0xFFFFFFFF)
 _NO_INSTANCES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 _SLACK_M = 2.0**-6
-"""Embree's ranges are off by micrometres, and by 1 / sine as much where light grazes a face; ten times this costs no more."""
+"""Slack of Embree's ranges: they are off by micrometres, times 1 / sine at grazing incidence; ten times this costs no more."""
 
-# Where rows of `RayPacket.state` begin: the range of what a ray meets, or its limit; the normal there in coordinates of the shape, and its
-# product with the direction.
+# Offsets of rows of `RayPacket.state`: range of the hit, or the limit; the normal there in coordinates of the shape, and
+# its product with the direction.
 _LIMIT, _NORMAL, _FACING, _STATE = (PACKET * row for row in (0, 1, 4, 5))
 
 
 class Target(NamedTuple):
     """Faces that rays are cast against."""
 
-    scene: int  # address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing
+    scene: int  # address of a committed RTCScene of instances that level rays may meet; 0 for none
     steep: int  # address of the scene for rays that are not `LEVEL`; 0 also if no such ray is cast
-    window_origin_m: F8  # (3,) taken from the origins in float64, before the step to float32
+    window_origin_m: F8  # (3,) subtracted from the origins in float64, before conversion to float32
     first_surface: U4  # (n,) per instance, as in `Window`
     shape_T_window: F8  # (n, 3, 4) per instance, at rest
-    row: I8  # (n,) per instance: the row of `buffers` at which the meshes of its piece begin
-    buffers: U8  # (b, 2) addresses of the corners of a mesh, and of the triangles of it that are in a piece
+    row: I8  # (n,) per instance: first row of `buffers` of its piece
+    buffers: U8  # (b, 2) addresses of the corners of a mesh, and of its triangles in a piece
     shear: F4  # (knots, n, 2) per instance, as in `build.InstanceMotion`
-    foot_m: F8  # (n,) per instance: height in the window at which nothing moves; empty where nothing moves at all
+    foot_m: F8  # (n,) per instance: height in the window of its fixed foot; empty if nothing moves
     reflectance: F4  # (m,) of the surfaces
 
 
@@ -64,15 +64,15 @@ class RayPacket(NamedTuple):
     """A thread's own packet."""
 
     rays: F4
-    """(168,) rows of eight: loops over lanes read and write at constant places, so that the compiler makes vectors of them."""
+    """Rows of eight (168,): loops over lanes read and write at constant offsets, so that the compiler vectorizes them."""
     valid: I4
     context: U8
     arguments: U8
     own: F4
-    """(64,) the first rows of `rays`, with the least range that counts: Embree turns its rays into instances and back."""
+    """First rows of `rays` (64,), with the least range: Embree transforms its rays into instances and back."""
     state: F8  # (40,) likewise
-    instance: U4  # (8,) that a ray meets, or `NONE`
-    face: U8  # (8,) of it: number of the mesh in the upper half, of the triangle in the lower
+    instance: U4  # (8,) instance that a ray hits, or `NONE`
+    face: U8  # (8,) face of it: mesh number in the upper half, triangle number in the lower
     desk: U8  # (11,) addresses for `_decide`
 
 
@@ -82,7 +82,7 @@ _DTYPES = ["f4", "i4", "u8", "u8", "f4", "f8", "u4", "u8", "u8"]
 
 
 def _pointer(kind: Any) -> Any:
-    """Make a function that takes an address for a pointer to numbers of a type."""
+    """Make a function that converts an address to a pointer to numbers of a type."""
 
     @numba.extending.intrinsic
     def pointer(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - the signature is numba's
@@ -151,10 +151,10 @@ def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[_Vector, _Vec
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tuple[float, float, bool]:
-    """Cut a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
+    """Intersect a ray with a triangle: return range, product of normal and direction, and whether it passes inside.
 
-    The three determinants of the direction and two corners have one sign where it does, and for two triangles that share an
-    edge its determinants are the same but for the sign: no ray passes between them.
+    The three determinants of the direction and two corners then have the same sign. For two triangles with a common
+    edge the edge's determinants differ only in sign, so no ray passes between them.
     """
     origin_m, along = ray
     a, b, c = _minus(corners[0], origin_m), _minus(corners[1], origin_m), _minus(corners[2], origin_m)
@@ -166,7 +166,7 @@ def _cut(corners: _Corners, normal: _Vector, ray: tuple[_Vector, _Vector]) -> tu
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def _decide(arguments: int) -> None:
-    """Take or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
+    """Accept or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
     words = _as_uint64(arguments)
     valid, desk, n = (_as_int32(words[0]), _as_uint64(_as_uint64(words[2])[1]), np.int64(words[5] & np.uint64(NONE)))
     far_m, numbers, hit = _as_float32(words[3]), _as_uint32(words[3]), _as_uint32(words[4])
@@ -179,7 +179,7 @@ def _decide(arguments: int) -> None:
             continue
         r, instance = np.int64(numbers[_ID // PACKET * n + i]), hit[_HIT_INSTANCE * n + i]
         face = np.uint64(hit[_HIT_MESH * n + i]) << np.uint64(32) | np.uint64(hit[_HIT_PRIMITIVE * n + i])
-        if instance != last or face != last_face:  # as a rule the same for all rays
+        if instance != last or face != last_face:  # usually the same for all rays
             last, last_face, corners = instance, face, _corners(desk, np.int64(instance), face)
             normal = _cross(_minus(corners[1], corners[0]), _minus(corners[2], corners[0]))
         range_m, facing, is_inside = _cut(corners, normal, _in_shape(desk, own, r, np.int64(instance)))
@@ -198,7 +198,7 @@ def _decide(arguments: int) -> None:
 
 @numba.extending.intrinsic
 def _filter(typingctx: Any) -> Any:
-    """Return the address of `_decide` as a C function, compiled into the kernel that asks."""
+    """Return the address of `_decide` as a C function, compiled into the calling kernel."""
     kind = types.Dispatcher(_decide)
     decision = kind.get_call_type(typingctx, (types.uint64,), {})
 
@@ -241,13 +241,13 @@ def ray_packet() -> RayPacket:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def set_filter(packet: RayPacket) -> None:
-    """Have the candidates of a packet decided by this kernel's `_decide`."""
+    """Set this kernel's `_decide` as the filter of a packet."""
     packet.arguments[2] = _filter()
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) -> None:
-    """Cast the rays of a packet that are valid between two ranges, all of them as steep ones where one is steep."""
+    """Cast the valid rays of a packet between two ranges; if one is steep, all are cast as steep."""
     rays, own, valid, desk = packet.rays, packet.own, packet.valid, packet.desk
     state, instance, rise = packet.state, packet.instance, np.float32(0.0)
     for lane in range(PACKET):
@@ -274,8 +274,8 @@ def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) 
 def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
     """Return range, surface and cosine of incidence of the hit of ray r.
 
-    The normal in the window is that of the shape times the transpose of `shape_T_window`; where the shape is sheared level
-    it changes in height only. Its product with the direction is the same in both.
+    The normal in the window is the shape's normal times the transpose of `shape_T_window`; a horizontal shear
+    changes its vertical component only. Its product with the direction is the same in both frames.
     """
     instance, state, T = packet.instance[r], packet.state, target.shape_T_window
     surface = np.uint32(target.first_surface[instance] + np.uint32(packet.face[r] >> np.uint64(32)))

@@ -1,4 +1,4 @@
-"""Texture and relief: patches of brighter and darker surface on bark, ground and walls, and walls that are not quite flat."""
+"""Texture and relief: brighter and darker patches on bark, ground and walls, and slightly uneven walls."""
 
 import math
 from dataclasses import replace
@@ -13,40 +13,41 @@ from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import F4, F8, I8, U2, U4, Firings, Hits, PlantPart
 
 _GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.2, 0.1, 0.15
-"""Sizes of patches, of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are equal as
-often, and differ as much, as on real sensors, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
+"""Patch sizes of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are
+equal as often, and differ as much, as on real sensors, and relief correlates at pulses 0.2 degrees apart, not at 0.4
+(protocol/README.md)."""
 _RELIEF_FROM_M, _FINEST = 6.0, 32.0
-"""Range from which on relief has patches of that size, which halves with the range, and how much finer it is at most: real surfaces are rough at
-all scales, and what a pulse shows of them is as large as its footprint, at 1 m (mrpt) as at 10 m (2014)."""
-_SAME_M = 0.1  # sub-rays of a pulse that end within this of each other end on one patch
-_SPREAD = math.sqrt(3.0)  # half-width of an even distribution of variance one
-_CELL_BITS = 3  # eight patches across have a contrast of their own: a wall, a floor or bark is made of such surfaces
+"""Range from which on relief has patches of that size, which halve with the range, and the greatest refinement: real
+surfaces are rough at all scales, and a pulse resolves its footprint, at 1 m (mrpt) as at 10 m (2014)."""
+_SAME_M = 0.1  # sub-rays of a pulse that end within this distance share a patch
+_SPREAD = math.sqrt(3.0)  # half-width of a uniform distribution of variance one
+_CELL_BITS = 3  # eight patches across share a contrast: a wall, a floor or bark consists of such areas
 _LN_STRENGTH = 1.2
-"""Spread of the logarithm of the contrast over surfaces: the scatter of reflectivity, with white errors, has 0.65 to 0.74 on real units."""
+"""Spread of the logarithm of the contrast over areas: reflectivity scatter, with white errors, has 0.65 to 0.74 on real units."""
 _NORMAL = np.array([0.078, 0.237, 0.402, 0.579, 0.776, 1.01, 1.318, 1.863])
 _STRENGTH = exp(_LN_STRENGTH * np.concatenate([-_NORMAL, _NORMAL]) - _LN_STRENGTH * _LN_STRENGTH) * 1.4229
-"""Sixteen equal shares of a log-normal distribution by the middle of each, with a mean square of one."""
+"""Midpoints of sixteen equal shares of a log-normal distribution, with a mean square of one."""
 _FLATTEST = 0.15
-"""Cosine of incidence at which the contrast no longer grows, as unevenness turns a slanted surface by more of its cosine."""
+"""Cosine of incidence below which the contrast no longer grows: unevenness changes the cosine more on slanted surfaces."""
 _STANDING_OUT = math.sqrt(11.0)
-"""Half-width for the fifth power of an even distribution: most of a wall is flat, and little of it stands out far."""
+"""Half-width for the fifth power of a uniform distribution: most of a wall is flat, few parts stand out far."""
 _EVEN, _UNEVEN = 0.213, 0.8519
-"""Least relief of a surface over that of the settings, and what its contrast adds: surfaces are not equally even, and the mean square is one."""
+"""Least relief of an area over the setting, and the addition by its contrast: areas differ, with a mean square of one."""
 _TEXTURE = ZERO + Purpose.TEXTURE
 _Known = tuple[I8, F8]
-"""Cells (4, L, 3) that pulses of each laser met last, and what was drawn for them (4, L): patch and surface, of texture and of relief."""
+"""Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of relief."""
 
 
 def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> Hits:
-    """Return hits with the texture and relief of each surface: brighter and darker, nearer and farther from place to place.
+    """Return hits with the texture and relief of each surface: local changes of brightness and range.
 
-    The brightness goes as the cosine of incidence does, and makes nothing brighter than a white surface. Relief moves
-    what is met along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
+    Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves
+    hits along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
 
     Parameters
     ----------
     surfaces : (m,) `SURFACE`, the window's table
-    seed : of the world
+    seed : seed of the world
     """
     if not (surfaces["texture"].any() or surfaces["relief_m"].any()):
         return hits
@@ -74,7 +75,7 @@ def _texture(
     out_m: F4,
     cosine: F4,
 ) -> None:
-    """Move the ranges (n,) of the sub-rays of pulses (k, L) by the relief, and multiply their cosines by the texture."""
+    """Add the relief to the ranges (n,) of the sub-rays of pulses (k, L), and multiply their cosines by the texture."""
     (count, range_m, met), stop = rays, ZERO
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
@@ -109,9 +110,9 @@ def _texture(
 def _of_patch(
     seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float, slot: int, known: _Known
 ) -> tuple[float, float]:
-    """Draw a number in [0, 1) of the patch at a range along a pulse (i, j), and the contrast of the surface that it is part of.
+    """Draw a number in [0, 1) for the patch at a range along a pulse (i, j), and the contrast of its area.
 
-    Folds make the borders of a grid's cells crooked.
+    Folds make the borders of grid cells irregular.
     """
     x = per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0])
     y = per_m * (origin_m[i, j, 1] + at_m * direction[i, j, 1])
@@ -126,7 +127,7 @@ def _of_patch(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _of_cell(seed: int, u: int, v: int, w: int, slot: int, j: int, known: _Known) -> float:
-    """Draw a number of a cell, unless the last pulse of laser j met it too."""
+    """Draw the number of a cell, unless the last pulse of laser j hit it too."""
     cells, values = known
     if cells[slot, j, 0] != u or cells[slot, j, 1] != v or cells[slot, j, 2] != w:
         cells[slot, j, 0], cells[slot, j, 1], cells[slot, j, 2] = u, v, w

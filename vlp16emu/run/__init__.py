@@ -1,1 +1,1 @@
-"""Runs of an engine: into a capture, and over UDP."""
+"""Runs of an engine: recordings and streams over UDP."""

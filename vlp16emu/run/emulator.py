@@ -1,4 +1,4 @@
-"""The public class: a scene as arrays of scans, as a capture, or over UDP."""
+"""The public class: a scene as scans in arrays, as a capture, or over UDP."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -30,18 +30,18 @@ Scene = str | Path | Mapping[str, Any] | Scenario
 class Emulator:
     """A sensor, or several on one carrier, in the world of a scene.
 
-    Nothing random is drawn but from the scene's seed: the same scene and settings give the same scans and the same
-    bytes, whatever the threads.
+    All random numbers come from the scene's seed: the same scene and settings give the same scans and the same
+    bytes, with any number of threads.
 
     Parameters
     ----------
     scene : name (see `vlp16emu scenes`), path of a .toml file, its tables as a dictionary, or a scenario
-    settings : values of the scene that are changed, by key: `{"sensor.rpm": 1200, "seed": 7}`
+    settings : changed values of the scene by key: `{"sensor.rpm": 1200, "seed": 7}`
     ideal : a sensor without errors: beams without width, no noise, clear air
     threads : workers, 0 for one per core; they change the speed only
-    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not of a live run
-    like : another emulator; where both go the same way through the same world, what that one has grown and built is used
-        again. Never changes a byte.
+    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not in a live run
+    like : another emulator; if both follow the same path through the same world, its grown and built geometry is
+        reused. Never changes a byte.
 
     Raises InputError if the scene cannot be read, or a part of it cannot be made.
 
@@ -65,21 +65,21 @@ class Emulator:
         like: "Emulator | None" = None,
     ) -> None:
         scenario = load(scene, settings, ideal=ideal)
-        # Poses of a live run are not known again when its pulses are cast a second time.
+        # The poses of a live run are not available when its pulses are cast a second time.
         wanted = audit and has_door("audit") and not scenario.motion.takes_poses
         self.audit: Any = door("audit")(scenario) if wanted else None
         """Tap that casts a sample of the pulses again, an `extras.accuracy.audit.Audit`; None without an audit."""
         taps = [self.audit] if self.audit else []
         self.engine: Engine = Engine.of(scenario, threads=threads, taps=taps, like=like.engine if like else None)
-        """Makes the packets."""
+        """Engine that makes the packets."""
         is_named = isinstance(scene, str | Path)
         self.name = str(scene) if is_named else scenario.title  # Name, path or title of the scene
         self.files = (*([find(str(scene))] if is_named else []), *named_files(scenario))
-        """Files that the run reads; no output replaces them."""
+        """Input files of the run; no output replaces them."""
 
     @property
     def scenario(self) -> Scenario:
-        """Everything that decides the bytes."""
+        """Scenario, which determines all bytes."""
         return self.engine.scenario
 
     @property
@@ -108,7 +108,7 @@ class Emulator:
         return other
 
     def changed(self, settings: Mapping[str, object] | Sequence[str]) -> Self:
-        """Return an emulator with some settings changed, which shares the world if that stays the same."""
+        """Return an emulator with changed settings; it shares the world if that stays the same."""
         scenario, engine = load(self.scenario, settings), self.engine
         if scenario == self.scenario:
             return self
@@ -117,16 +117,16 @@ class Emulator:
         return other.with_engine(replace(other.engine, truth_of=engine.truth_of))
 
     def with_truth_in(self, to: TruthTo | None) -> Self:
-        """Return an emulator whose packets carry the ground truth of their records, if `to` asks for it."""
+        """Return an emulator whose packets carry the ground truth of their records, if `to` requires it."""
         if to is None or not to.per_return:
             return self
         return self.with_engine(replace(self.engine, truth_of=door("truth_of_records")))
 
     @contextmanager
     def truth(self, to: TruthPlace | None, span_s: tuple[float, float], *, of: Any = None) -> Iterator[Any]:
-        """Open the folder for the ground truth of a span, an `extras.truth.truth.Truth`; None if none is wanted.
+        """Open the folder for the ground truth of a span, an `extras.truth.truth.Truth`; None without `to`.
 
-        It is the truth of the feed `of`, with its events so far, or of the scene as it is.
+        It is the ground truth of the feed `of`, with its events so far, or of the scene.
         """
         if (place := TruthTo.of(to)) is None:
             yield None
@@ -139,40 +139,40 @@ class Emulator:
         """Return the packets due from `start_s` until before `stop_s` after the first pulse, in order of sending.
 
         Raises ScenarioError if the sensor has no packets; TrajectoryError if the span begins before the first pulse, or
-        the walk ends before the span does.
+        if the walk ends before the span.
         """
         return self.engine.packets(start_s, stop_s)
 
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 1, *, truth: bool = False
     ) -> Iterator[Returns]:
-        """Yield the returns of unit 1, 2 ... before packing, in whole blocks that hold at least the span.
+        """Yield the returns of unit 1, 2 ... before packing, in whole blocks that cover the span.
 
-        With `truth` they have the surfaces that they are from.
-        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span does.
+        With `truth` they include the surfaces that reflected them.
+        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span.
         """
         return self.engine.returns(start_s, stop_s, self.number(unit), truth=truth)
 
     def scans(
         self, *, start_s: float = 0.0, duration_s: float | None = None, unit: int = 1, truth: bool = False
     ) -> Iterator[Scan]:
-        """Yield whole revolutions of a sensor, straight from the engine: distances are not on the 2 mm grid of packets.
+        """Yield whole revolutions of a sensor, directly from the engine: distances are not on the 2 mm grid of packets.
 
         Parameters
         ----------
-        start_s : since the first pulse
-        duration_s : until the end of the scene if left out; begun revolutions at both ends are left out
-        unit : which sensor of a rig, from 1
-        truth : whether scans have labels
+        start_s : begin since the first pulse
+        duration_s : duration, by default to the end of the scene; incomplete revolutions at both ends are left out
+        unit : sensor of a rig, from 1
+        truth : True for scans with labels
 
-        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span does.
+        Raises InputError if there is no such unit; TrajectoryError if the walk ends before the span.
         """
         span_s = self.scenario.span_s(start_s, duration_s)
         scans: Iterator[Scan] = door("scans")(self.engine, self.number(unit), span_s, truth=truth)
         return scans
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
-        """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
+        """Return poses (n, 4, 4) of a sensor at instants (n,) UTC; they transform `Scan.xyz_m` to the world."""
         return self.parts.units[self.number(unit)].world_T_sensor(t_ns)
 
     def record(
@@ -183,7 +183,7 @@ class Emulator:
         stop: Event | None = None,
         **options: Any,
     ) -> Recording:
-        """Write data and position packets into a pcap file, in the frames of a real sensor; or all that a robot has into a bag.
+        """Write data and position packets into a pcap file, in the frames of a real sensor, or a robot's topics into a bag.
 
         Parameters
         ----------
@@ -193,9 +193,9 @@ class Emulator:
         stop : ends the recording from another thread; the file is valid
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
-        Raises InputError if an option is not right; OutputError if file or folder cannot be written, or are an input of
-        the scene, or the name is that of another format; ScenarioError if the sensor has no packets; TrajectoryError if
-        the walk ends before the span does; RunError if the disk is full; the packets before are kept.
+        Raises InputError for a wrong option; OutputError if file or folder cannot be written, or are an input of
+        the scene, or if the name belongs to another format; ScenarioError if the sensor has no packets; TrajectoryError if
+        the walk ends before the span; RunError if the disk is full; the packets before it are kept.
         """
         return record(self, path, RecordOptions(**options), progress=progress, stop=stop)
 
@@ -204,26 +204,26 @@ class Emulator:
 
         The options are fields of `extras.bench.options.BenchOptions`, and functions that `stream_run` calls while it runs.
 
-        Raises OutputError if the receiver is unknown or out of reach, or the sensor's address is not this machine's;
-        InputError if an option is not right, options exclude each other, or poses are for a scene that is not live;
-        ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span does; RunError if
-        the system cannot send any more.
+        Raises OutputError if the receiver is unknown or unreachable, or the sensor's address is not this machine's;
+        InputError for a wrong option, options that exclude each other, or poses for a scene that is not live;
+        ScenarioError if the sensor has no packets; TrajectoryError if the walk ends before the span; RunError if
+        the system can no longer send.
         """
         hooks = {name: options.pop(name) for name in options.keys() & signature(stream_run).parameters.keys()}
         return stream_run(self, stream_options()(**options), **hooks)
 
     def keep_up(self, speed: float = 1.0) -> Any:
-        """Measure this machine for some seconds, and set the beam and the reach so that a stream leaves a fifth of its time free.
+        """Measure this machine for some seconds, and set beam and reach so that a stream leaves a fifth of its time free.
 
-        Its speed is in simulated seconds per second. Returns `extras.keep_up.KeptUp`, with the rung of the ladder that is
-        taken; its settings are those of `vlp16emu record --set`, with the same bytes.
+        `speed` is in simulated seconds per second. Returns `extras.keep_up.KeptUp` with the chosen step of the ladder;
+        its settings can be given to `vlp16emu record --set` and give the same bytes.
         """
         chosen, kept = door("keep_up")(self, speed)
         self.engine, self.audit = chosen.engine, chosen.audit
         return kept
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
-        """Bring a pose into a live scene, from any thread; parameters, result and errors as `PoseInput.put`.
+        """Put a pose into a live scene, from any thread; parameters, result and errors as in `PoseInput.put`.
 
         Raises TrajectoryError if the scene is not live.
         """

@@ -1,7 +1,7 @@
-"""Options of runs, each declared once at a field of a frozen dataclass: name, unit, limits and help.
+"""Options of runs, each declared once as a field of a frozen dataclass: name, unit, limits and help.
 
-Python reads the dataclasses as they are; `vlp16emu.cli.verb` makes command-line options of the same fields. They are of no
-library: `vlp16emu stream --help` reads nothing else.
+Python uses the dataclasses directly; `vlp16emu.cli.verb` makes command-line options from the same fields. They need no
+library, so `vlp16emu stream --help` loads nothing else.
 """
 
 import math
@@ -19,23 +19,23 @@ _LONGEST_S = 7 * 86_400  # longest scene
 LAST_PORT = 65_535
 _SLOWEST = 0.001  # one simulated second in a quarter of an hour
 _UNITS = ("_s", "_hz", "_m", "_deg", "_px")
-"""Units at the end of field names; the names of command-line options have none."""
+"""Units at the end of field names; command-line options have names without them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """Meaning of a value, and which values are right.
+    """Meaning of a value, and its valid values.
 
     Parameters
     ----------
     help : one or two sentences
-    metavar : what stands for the value in help; None for a flag or a choice
-    name : on the command line; made of the field's name, without its unit, if left out. One without dashes is an argument
+    metavar : placeholder of the value in help; None for a flag or a choice
+    name : name on the command line; by default the field's name without unit. A name without dashes is an argument
     ge, gt, le, lt : limits of a number
-    words : the texts that are admitted
-    parse : reads the text of the command line, ValueError if it cannot; the type of the field if left out
-    expected : says in words what is right; made of limits and words if left out
-    shown : whether help shows the default, or what it shows instead
+    words : valid texts
+    parse : parses the text of the command line, ValueError if invalid; by default the type of the field
+    expected : valid values in words; by default made from limits and words
+    shown : whether help shows the default, or the text that it shows instead
     """
 
     help: str
@@ -51,7 +51,7 @@ class Option:
     shown: bool | str = True
 
     def check(self, where: str, kind: type, value: Any, found: object = None) -> None:
-        """Raise InputError, in the name of `where`, if `value` is not right."""
+        """Raise InputError for `where` if `value` is not valid."""
         limits = (operator.ge, self.ge), (operator.gt, self.gt), (operator.le, self.le), (operator.lt, self.lt)
         if kind in (int, float):
             kept = [holds(value, limit) for holds, limit in limits if limit is not None]
@@ -62,7 +62,7 @@ class Option:
             raise InputError(where, f"found {value if found is None else found}", self._expected(kind))
 
     def read(self, where: str, kind: type, text: str) -> Any:
-        """Return the value of a text of the command line; InputError, in the name of `where`, if it is not right."""
+        """Return the value of a text of the command line; InputError for `where` if it is not valid."""
         try:
             value = (self.parse or kind)(text)
         except ValueError:
@@ -87,8 +87,8 @@ class Declared(NamedTuple):
     """A field that is an option."""
 
     field: str
-    name: str  # on the command line: with dashes, or the word of an argument
-    kind: type  # of the value, without None; `list` if the option can be repeated
+    name: str  # name on the command line: with dashes, or the word of an argument
+    kind: type  # type of the value, without None; `list` if the option can be repeated
     default: Any  # MISSING if there is none
     option: Option
 
@@ -108,7 +108,7 @@ def declared(name: str, annotation: Any, default: Any = MISSING) -> Declared | N
 
 
 class Options:
-    """Base of frozen dataclasses of options. InputError if a value is not right, in the name of its field."""
+    """Base of frozen dataclasses of options; raises InputError, with the field's name, for a value that is not valid."""
 
     def __post_init__(self) -> None:
         for one in options_of(type(self)):
@@ -117,7 +117,7 @@ class Options:
 
 
 def options_of(owner: type) -> Iterator[Declared]:
-    """Yield the options that the fields of a dataclass declare, without those of dataclasses inside it."""
+    """Yield the options that the fields of a dataclass declare, without nested dataclasses."""
     for field in fields(owner):
         if one := declared(field.name, field.type, field.default):
             yield one
@@ -129,12 +129,12 @@ Start = Annotated[
 Duration = Annotated[
     float | None, Option("Simulated seconds; to the end of the scene if left out.", "S", gt=0, le=_LONGEST_S)
 ]
-WhichUnit = Annotated[int, Option("Sensor of a rig; 1 is that of [sensor].", "N", ge=1)]
+WhichUnit = Annotated[int, Option("Sensor of a rig; 1 is [sensor].", "N", ge=1)]
 
 
 @dataclass(frozen=True)
 class Span(Options):
-    """Part of a scene that is run."""
+    """Span of a scene to run."""
 
     start_s: Start = 0.0
     duration_s: Duration = None
@@ -153,10 +153,10 @@ TruthReturns = Annotated[
 
 @dataclass(frozen=True)
 class TruthTo(Options):
-    """Folder for the ground truth of a run, and which files it gets."""
+    """Folder for the ground truth of a run, and its files."""
 
     folder: Annotated[
-        Path, Option("Write the ground truth of the run too: trajectory, GNSS, rig, scenario.", "DIR", "--truth")
+        Path, Option("Also write the ground truth of the run: trajectory, GNSS, rig, scenario.", "DIR", "--truth")
     ]
     rate_hz: TruthRate = 200
     per_packet: TruthPackets = False
@@ -164,7 +164,7 @@ class TruthTo(Options):
 
     @property
     def scenario(self) -> Path:
-        """File of the scene with all its values, which can be recorded again."""
+        """Path of the scene file with all values, which can be recorded again."""
         return self.folder / "scenario.json"
 
     @staticmethod
@@ -184,7 +184,7 @@ class BagOptions(Options):
     slam: Annotated[
         str | None,
         Option(
-            "Write beside a bag the configuration that a SLAM program reads for it, such as fast-lio2 or kiss-icp, or all of them.",
+            "Also write the configuration of a SLAM program for the bag, such as fast-lio2 or kiss-icp, or all of them.",
             "NAME",
             "--for",
         ),
@@ -192,8 +192,8 @@ class BagOptions(Options):
     tf: Annotated[
         str,
         Option(
-            "What the true pose in /tf of a bag moves: a frame of its own, so that a SLAM program can move base_link (slam), or "
-            "base_link, to look at clouds without one (truth).",
+            "Child frame of the true pose in /tf of a bag: a separate frame, so that a SLAM program can move base_link (slam), or "
+            "base_link, to view clouds without a SLAM program (truth).",
             words=("slam", "truth"),
         ),
     ] = "slam"
@@ -203,7 +203,7 @@ class BagOptions(Options):
 class RecordOptions(Span):
     """Options of a recording."""
 
-    split: Annotated[bool, Option("Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")] = False
+    split: Annotated[bool, Option("Write each sensor of a rig into a separate file: OUT_1.pcap and so on.")] = False
     truth: TruthPlace | None = None
     bag: BagOptions | None = None
     """None for a bag with the defaults, or no bag."""
@@ -216,15 +216,15 @@ class SendOptions(Options):
     to: Annotated[
         str | None,
         Option(
-            "Receiver; may be a broadcast address. PORT is that of data packets. Left out it is this machine, 127.0.0.1, "
-            "and with --interface all stations behind that, 255.255.255.255.",
+            "Receiver; may be a broadcast address. PORT is for data packets. By default it is this machine, 127.0.0.1, "
+            "and with --interface all stations on that network, 255.255.255.255.",
             "HOST[:PORT]",
         ),
     ] = None
     data_port: Annotated[
         int | None,
         Option(
-            "Receiver's port for data packets, instead of sensor.data_port; 0 for a free one, of each sensor.",
+            "Receiver's port for data packets, instead of sensor.data_port; 0 for a free port for each sensor.",
             "PORT",
             ge=0,
             le=LAST_PORT,
@@ -238,8 +238,8 @@ class SendOptions(Options):
     late: Annotated[
         str,
         Option(
-            "Packets late by more than 50 ms: leave at the sensor's own spacing, and the stream stays late (pace), or "
-            "are dropped until it is at now (skip). Neither bursts.",
+            "Treatment of packets late by more than 50 ms: send them at the sensor's spacing, so the stream stays late (pace), or "
+            "drop them until the stream is in time (skip). Neither sends bursts.",
             words=("pace", "skip"),
         ),
     ] = "pace"
@@ -248,9 +248,7 @@ class SendOptions(Options):
     ] = False
     interface: Annotated[
         str | None,
-        Option(
-            "The same by this network interface of the machine, for instance eth0, whatever its routes are.", "IFACE"
-        ),
+        Option("As --as-sensor, through this network interface, for instance eth0, regardless of the routes.", "IFACE"),
     ] = None
     now: Annotated[
         bool,
@@ -259,9 +257,9 @@ class SendOptions(Options):
 
     @property
     def receiver(self) -> tuple[str, int | None]:
-        """Host, and port of data packets if one is given.
+        """Host, and port of data packets if given.
 
-        Raises InputError if the port is none, or is given twice.
+        Raises InputError if the port is invalid, or given twice.
         """
         to = self.to or ("127.0.0.1" if self.interface is None else "255.255.255.255")
         host, colon, port = to.partition(":")
@@ -275,7 +273,7 @@ class SendOptions(Options):
 
     @property
     def is_from_sensor(self) -> bool:
-        """True if packets leave from the sensor's own address."""
+        """True if packets are sent from the sensor's own address."""
         return self.as_sensor or self.interface is not None
 
 
@@ -289,7 +287,7 @@ class ReplayOptions(SendOptions):
 
 @dataclass(frozen=True)
 class StreamOptions(SendOptions):
-    """Options of a stream; `extras.bench.options` has the types of what stands beside it, None for what there is not."""
+    """Options of a stream; `extras.bench.options` has the types of the nested options, None if not installed."""
 
     duration_s: Duration = None
     truth: TruthPlace | None = None
@@ -308,5 +306,5 @@ class StreamOptions(SendOptions):
 
 
 def stream_options() -> type[StreamOptions]:
-    """Return the options of a stream in this installation, with or without those of extras."""
+    """Return the options of a stream in this installation, with or without extras."""
     return door("stream_options") if has_door("stream_options") else StreamOptions

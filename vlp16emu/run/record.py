@@ -1,4 +1,4 @@
-"""A run into a capture file or a bag, stamped by the clock of the host that records."""
+"""Recording of a run into a capture file or a bag, stamped by the clock of the recording host."""
 
 import math
 import time
@@ -27,7 +27,7 @@ from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 if TYPE_CHECKING:
     from vlp16emu.run.emulator import Emulator
 
-_LONGEST_US = 4_500.0  # later than any host that keeps up: `verify` takes 5 ms for a delay of the network
+_LONGEST_US = 4_500.0  # limit of a host's delay: `verify` treats 5 ms as a network delay
 _LANES_PER_UNIT = 8
 _LANE = {kind: place for place, kind in enumerate(PacketKind)}
 _MIDDLE_PPM, _SPREAD_PPM, _AHEAD_MS = 3.0, 10.0, 3.0
@@ -41,16 +41,16 @@ def record(
     progress: Callable[[float], None] = lambda _: None,
     stop: Event | None = None,
 ) -> Recording:
-    """Write the packets of a run into a file; parameters and errors as `Emulator.record`."""
+    """Write the packets of a run into a file; parameters and errors as in `Emulator.record`."""
     units, truth = emulator.parts.units, TruthTo.of(options.truth)
     paths = _paths_of_units(Path(path), len(units)) if options.split else [Path(path)]
     for one in paths:
-        spare(emulator.files, one)  # an input of the scene is never written over
+        spare(emulator.files, one)  # an input of the scene is never overwritten
     files = _files(emulator, path, paths, truth, options)
     emulator, scenario, stop = emulator.with_truth_in(truth), emulator.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
     host = HostClock(scenario.capture, scenario.seed, scenario.start_ns)
-    packets = emulator.engine.packets(*span_s)  # checks the span before a file is touched
+    packets = emulator.engine.packets(*span_s)  # checks the span before a file is opened
     began_s, simulated_s = time.perf_counter(), 0.0
     sent, returns = [Counter[PacketKind]() for _ in units], [0] * len(units)
     begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
@@ -61,7 +61,7 @@ def record(
         suppress(CancelledError),
     ):
         for packet in writer.beside(packets) if writer else packets:
-            if stop.is_set():  # between two packets: the file ends with a whole one
+            if stop.is_set():  # between packets, so that the file ends with a whole one
                 break
             sinks[min(packet.unit, len(sinks) - 1)].send(host.stamped(packet))
             sent[packet.unit][packet.kind] += 1
@@ -97,7 +97,7 @@ def _paths_of_units(path: Path, units: int) -> list[Path]:
 def _files(
     emulator: "Emulator", name: str | Path, paths: Sequence[Path], truth: TruthTo | None, options: RecordOptions
 ) -> AbstractContextManager[Sequence[Any]]:
-    """Return the files of a run, which are opened when they are entered: captures, or a bag."""
+    """Return the files of a run, captures or a bag, as a context manager that opens them."""
     is_bag = paths[0].suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
     if not is_bag:
         check_ending(paths[0])
@@ -120,7 +120,7 @@ def _captures(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[Pca
 
 
 class HostClock:
-    """Clock of the host that records, which stamps the packets of a capture in their order.
+    """Clock of the recording host, which stamps the packets of a capture in order.
 
     A stamp depends on the seed and the packet alone, unless it would precede the stamp before it.
 
@@ -144,7 +144,7 @@ class HostClock:
         self._is_ideal = not (self._ppm or self._ahead_ms or section.jitter_us or section.late_share)
 
     def stamped(self, packet: Packet) -> Packet:
-        """Return a packet that is due when it is captured."""
+        """Return a packet whose due time is its capture time."""
         if self._is_ideal:
             return packet
         since_ns = packet.due_ns - self._start_ns

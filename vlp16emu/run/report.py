@@ -1,4 +1,4 @@
-"""Results of runs: what left, when and how punctually, and how far it can be trusted."""
+"""Results of runs: packets sent, their timing, and the estimated error."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class About:
 class Turn:
     """Rotation of a sensor over a run."""
 
-    rpm: float  # speed at the start, to which the next two belong
+    rpm: float  # speed at the start; the next two fields refer to it
     azimuth_step_deg: float  # angle from one firing sequence to the next
     sequences_per_revolution: float
     revolutions: float
@@ -54,7 +54,7 @@ def turn_of(head: Head, simulated_s: float) -> Turn:
 
 @dataclass(frozen=True, slots=True)
 class UnitSent:
-    """Packets that one sensor sent, and its revolutions."""
+    """Packets sent by one sensor, and its revolutions."""
 
     unit: int  # From 1
     name: str
@@ -63,12 +63,12 @@ class UnitSent:
     position_port: int
     packets: int  # Data packets
     position_packets: int
-    returns: int | None = None  # None if they were not counted, as in a stream
+    returns: int | None = None  # None if not counted, as in a stream
     turn: Turn | None = None  # None for a capture
 
     @classmethod
     def of(cls, unit: Unit, sent: Mapping[PacketKind, int], simulated_s: float, returns: int | None = None) -> Self:
-        """Describe what a sensor of a scene sent, by kind."""
+        """Describe the packets sent by a sensor of a scene, by kind."""
         sensor, turn = require_packets(unit.section), turn_of(unit.head, simulated_s)
         where = sensor.name, sensor.address, sensor.data_port, sensor.position_port
         return cls(unit.number + 1, *where, sent[PacketKind.DATA], sent[PacketKind.POSITION], returns, turn)
@@ -99,9 +99,9 @@ class Recording(OfUnits):
     about: About
     units: tuple[UnitSent, ...]
     bytes: int
-    sha256: str  # Of the whole file; of several in their order
+    sha256: str  # Of the whole file; for several files, in their order
     simulated_s: float
-    walk_share: float | None  # Share of the whole motion, in time; None if that has no end
+    walk_share: float | None  # Share of the whole motion, in time; None for an endless motion
     wall_s: float
     audit: Any  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
     interrupted: bool  # True if the stop event ended it
@@ -120,17 +120,17 @@ class Recording(OfUnits):
 
 @dataclass(frozen=True, slots=True)
 class Streamed(OfUnits):
-    """Result of a stream: packets sent, and how punctual they were."""
+    """Result of a stream: packets sent, and their punctuality."""
 
     about: About
     to: str
-    speed: float  # Simulated seconds per second that were asked for
-    late: str  # What happened to late packets, `pace` or `skip`
+    speed: float  # Requested simulated seconds per second
+    late: str  # Treatment of late packets, `pace` or `skip`
     units: tuple[UnitSent, ...]
     sent: StreamReport
-    """When packets left; `moved_s` leads from the time of the scene, which truth has, to that of stamps and sentences."""
+    """Send times; `moved_s` is the offset from scene time, used by the ground truth, to stamps and sentences."""
     keeps_up_with: tuple[str, ...]
-    """Options of `vlp16emu stream` with which the engine would keep up, each enough by itself."""
+    """Options of `vlp16emu stream` that would let the engine keep up, each sufficient alone."""
     audit: Any  # `AuditFinding` of `extras.accuracy.audit`; None without an audit
     live: Any | None  # `LiveReport` of a run whose poses came in; else None
     gps_in: Any | None  # `GpsInResult` of a real receiver; None without one

@@ -1,4 +1,4 @@
-"""A scene over UDP in real time."""
+"""Streaming of a scene over UDP in real time."""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
@@ -35,13 +35,13 @@ def stream_run(
     notify: Callable[[FellBehind], None] = lambda _: None,
     stop: Event | None = None,
 ) -> Streamed:
-    """Send the packets of a run over UDP, each at its time; errors as `Emulator.stream`.
+    """Send the packets of a run over UDP, each at its time; raises the errors of `Emulator.stream`.
 
     Parameters
     ----------
-    watched : called with the sink of the packets and their clock; returns the sink that takes them instead
+    watched : called with the sink of the packets and their clock; returns the sink that replaces it
     opened : called with the sensors, which have their ports, before the first packet is computed, when the sockets are open
-    look_ahead : packets of a sensor that are computed before the first one leaves
+    look_ahead : packets of a sensor that are computed before the first one is sent
     preparing : called with the simulated seconds computed so far into `prepare`
     progress : called with the simulated seconds so far, packet by packet
     notify : called each time that the stream falls behind
@@ -52,7 +52,7 @@ def stream_run(
     _check(options, truth)
     with ExitStack() as stack:
         enter = stack.enter_context
-        emulator = enter(_on_ports(emulator.with_truth_in(truth), options))  # frames have the ports in them
+        emulator = enter(_on_ports(emulator.with_truth_in(truth), options))  # frames contain the ports
         scenario, units = emulator.scenario, emulator.parts.units
         span_s = scenario.span_s(0.0, options.duration_s)
         enter(emulator.engine.windows.stopped_by(stop))
@@ -60,7 +60,7 @@ def stream_run(
         flight = enter(door("live")(emulator, options.poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
         outlets = enter(door("outlets")(outlets)) if outlets else None
-        engine = replace(emulator.engine, prompt=http is not None)  # what is set there should show soon
+        engine = replace(emulator.engine, prompt=http is not None)  # settings from there should take effect soon
         feed = enter(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
         udp = enter(_udp(emulator, options, host, progress))  # a wrong address fails before any casting
         way = outlets.open(udp, scenario.imu) if outlets else udp
@@ -72,7 +72,7 @@ def stream_run(
             packets = writer.beside(feed) if writer else feed
         way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
         gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
-        way = enter(gps_in).sink(way) if gps_in else way  # outside: who watches sees what leaves
+        way = enter(gps_in).sink(way) if gps_in else way  # outermost: watchers see the packets that are sent
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
         report = stream(
@@ -97,7 +97,7 @@ def stream_run(
 def _streamed(
     emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any
 ) -> Streamed:
-    """Return the result of a stream, `beside` are its last fields, and write when it began to its ground truth."""
+    """Return the result of a stream, with `beside` as its last fields, and write its start time to the ground truth."""
     scenario, speed = emulator.scenario, options.speed
     if (truth := TruthTo.of(options.truth)) and report.first:  # so that live results can be compared with the truth
         times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
@@ -124,7 +124,7 @@ def _check(options: StreamOptions, truth: TruthTo | None) -> None:
 
 @contextmanager
 def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulator"]:
-    """Yield the emulator with the ports of the options; those of 0 are free ones, one for each sensor, which are reserved meanwhile."""
+    """Yield the emulator with the ports of the options; port 0 gives a reserved free port for each sensor."""
     _, data_port = options.receiver
     ports = {"sensor.data_port": data_port, "sensor.position_port": options.position_port}
     settings: dict[str, object] = {key: port for key, port in ports.items() if port is not None}
@@ -152,15 +152,15 @@ def _udp(emulator: "Emulator", options: StreamOptions, host: str, progress: Call
 
 
 class PacketFeed:
-    """Iterator over the packets of a run in order of sending, which can skip ahead or go on with other events.
+    """Iterator over the packets of a run in order of sending, which can skip ahead or continue with other events.
 
     Parameters
     ----------
-    engine : makes them
+    engine : engine that makes the packets
     start_s, stop_s : span of the run, since the first pulse
-    also : kinds that are sent beside the packets of the sensors
+    also : further kinds of packets to send
 
-    Raises InputError if the engine has no such span, or the scene no device that `also` asks for.
+    Raises InputError if the engine does not have the span, or the scene lacks a device for `also`.
     """
 
     def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:
@@ -187,17 +187,17 @@ class PacketFeed:
         return packet
 
     def close(self) -> None:
-        """Stop the workers, and wait for the blocks under way."""
+        """Stop the workers, and wait for the blocks in progress."""
         self._packets = iter(())
 
     def go_on_from(self, due_ns: int) -> None:
-        """Skip packets due before a UTC time, from the next one on; from any thread."""
+        """Skip packets due before a UTC time, from the next packet on; callable from any thread."""
         self._from_ns = due_ns
 
     def begin_again(self, from_ns: int, engine: Engine) -> None:
-        """Go on from a UTC time, or from where the run is if that is earlier, with another engine; between two packets."""
+        """Continue from a UTC time, or from the present packet if that is earlier, with another engine; between packets."""
         before, self.engine = self._packets, engine
-        if isinstance(before, Generator):  # its workers end beside us, as the next packet is wanted at once
+        if isinstance(before, Generator):  # its workers end in the background, as the next packet is due at once
             Thread(target=before.close, name="let go", daemon=True).start()
         if from_ns > self._reached_ns:
             from_ns, there = self._reached_ns, self._at_reached
@@ -212,18 +212,18 @@ class PacketFeed:
         return iter(self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
 
     def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
-        """Yield packets due from a UTC time on, without those of `there` due just then, which have been sent."""
+        """Yield packets due from a UTC time on, without packets of `there` due at that time, which have been sent."""
         for packet in self._from(self._since_s(from_ns)):
             if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
                 yield packet
 
     def _leave_out(self, from_ns: int) -> None:
-        """Go on at a UTC time, and count the packets before it as skipped."""
+        """Continue at a UTC time, and count the packets before it as skipped."""
         stop_ns = self.engine.scenario.start_ns + round(self._stop_s * S_NS)
         from_ns = min(from_ns, stop_ns)
         if from_ns <= self._reached_ns:
             return
-        self.close()  # of the packets before
+        self.close()  # generator of the earlier packets
         self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
         self._packets = self._from(self._since_s(from_ns))
 

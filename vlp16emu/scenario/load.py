@@ -1,4 +1,4 @@
-"""From the name of a scene, TOML, JSON or a dictionary to `Scenario`; errors name file, key path, what was found and expected."""
+"""Loading of a `Scenario` from a name, TOML, JSON or a dictionary; errors name file, key, finding and expectation."""
 
 import difflib
 import json
@@ -20,16 +20,16 @@ from vlp16emu.sensor.settings import Lidar
 from vlp16emu.settings import DEEPEST, LazySection, OneOf, Preset, SceneFile, Section, toml
 
 _UNIT_ERRORS = dict.fromkeys((*Lidar.presets["unit"], "eccentricity_deg", "clock_error_ppm"), 0.0)
-"""Errors among the keys of `[sensor]` and `[[rig]]`, switched off."""
+"""Values that switch off the errors in `[sensor]` and `[[rig]]`."""
 
 
 class _Setting(NamedTuple):
-    """One value of a scene that is changed."""
+    """A changed value of a scene."""
 
     key: str
     value: object
     where: str  # Its name in errors
-    rivals: Sequence[Iterable[str]] = ()  # Of each name of the key, those that it excludes, and takes the place of
+    rivals: Sequence[Iterable[str]] = ()  # For each name of the key, the keys that it excludes and replaces
 
 
 class _Source(NamedTuple):
@@ -37,8 +37,8 @@ class _Source(NamedTuple):
 
     where: str  # Its name in errors
     tree: dict[str, Any]
-    folder: Path  # From which its files are found
-    is_json: bool  # JSON has no dates, so they are read from text there
+    folder: Path  # Base folder of its relative paths
+    is_json: bool  # JSON has no dates; they are read from text
 
 
 def load(
@@ -52,21 +52,21 @@ def load(
 
     Parameters
     ----------
-    scene : name or path (one that ends in .json is read as the truth beside a run gives it), the tables of a scene
+    scene : name or path (.json is the form of a run's ground truth folder), the tables of a scene
         file as a dictionary, or a scenario
-    settings : values by `key.path`, or `key.path=value` with the value in TOML, in order; their files are found from
-        the current folder, words need not have the case of those in a scene, and 600.0 is the whole number 600
-    ideal : light without width, in clear air, and sensors without errors, as far as no setting wants otherwise
-    folder : from which the files that a dictionary names are found; the current one if not given
+    settings : values by `key.path`, or `key.path=value` with the value in TOML, in order; their files are relative to
+        the current folder, words may have any case, and 600.0 is the whole number 600
+    ideal : beams without width, clear air, and sensors without errors, unless settings change them
+    folder : base of relative paths in a dictionary; by default the current folder
 
-    Raises ScenarioError if the file or a setting is no scene.
+    Raises ScenarioError if the file or a setting is not valid.
     """
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene
     source = _source(scene, folder or Path.cwd())
     given = settings.items() if isinstance(settings, Mapping) else ()
     read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in given] or [*map(_parsed, settings)]
-    changes = [_meant(one) for one in read]
+    changes = [_converted(one) for one in read]
     if ideal:
         _without_errors(source.tree)
     try:
@@ -98,12 +98,12 @@ def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path) -> _
 
 
 def _checked(source: _Source) -> Scenario:
-    context = {"folder": source.folder}  # so that a file is found from wherever it is named again
+    context = {"folder": source.folder}  # so that relative paths stay valid
     if source.is_json:
         source.tree.pop("written_by", None)
         try:
             text = json.dumps(source.tree, default=str, ensure_ascii=False).encode()
-        except UnicodeEncodeError as error:  # half a pair of surrogates, which \ud800 may write
+        except UnicodeEncodeError as error:  # a lone surrogate, as from \ud800
             found = f"found {error.object[error.start]!a}"
             raise ScenarioError(source.where, found, "text in Unicode") from None
         return Scenario.model_validate_json(text, context=context)
@@ -116,7 +116,7 @@ def _read(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8-sig")
     try:
         tree = parse(text)
-    except (ValueError, RecursionError) as error:  # the parser's own error, a vast integer, a vast nesting
+    except (ValueError, RecursionError) as error:  # the parser's error, a huge integer, too deep nesting
         raise ScenarioError(str(path), f"no valid {kind}: {error}", f"a {kind} file") from None
     if not isinstance(tree, dict):
         raise ScenarioError(str(path), "no table", f"a {kind} file with the tables of a scene")
@@ -124,7 +124,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _check_depth(where: str, tree: Any) -> None:
-    """Refuse a tree that is too deep to be followed."""
+    """Refuse a tree that is nested too deeply."""
     level = [tree]
     for _ in range(DEEPEST):
         inner = [one.values() if isinstance(one, Mapping) else one for one in level]
@@ -135,16 +135,16 @@ def _check_depth(where: str, tree: Any) -> None:
 
 
 def _without_errors(tree: dict[str, Any]) -> None:
-    """Make a scene's light, air and sensors ideal."""
+    """Make a scene's beam, air and sensors ideal."""
     tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={}, capture={"preset": "ideal"})
     units = rig if isinstance(rig := tree.get("rig"), list) else []
     for unit in (tree.setdefault("sensor", {}), *units):
-        if isinstance(unit, dict):  # what is no table is found when the scene is checked
+        if isinstance(unit, dict):  # other types are reported when the scene is checked
             unit.update({"preset": "steady"} | _UNIT_ERRORS)
 
 
-def _meant(setting: _Setting) -> _Setting:
-    """Return a setting with its value as its key takes it, and what it excludes, by the tables that its path may lead through."""
+def _converted(setting: _Setting) -> _Setting:
+    """Return a setting with its value converted for its key, and with excluded keys, from the tables on its path."""
     kinds, rivals = list[Any]([Scenario]), list[set[str]]()
     for name in setting.key.split("."):
         tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)]
@@ -153,11 +153,11 @@ def _meant(setting: _Setting) -> _Setting:
         ]
         rivals.append({*chain(*groups)} - {name})
         kinds = _kinds_of(kinds, name)
-    return setting._replace(value=_as_meant(setting.value, kinds), rivals=rivals)
+    return setting._replace(value=_converted_value(setting.value, kinds), rivals=rivals)
 
 
 def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
-    """List the types that a key may have in tables of some kinds."""
+    """List the possible types of a key in tables of some kinds."""
     found = []
     for kind in kinds:
         if isinstance(kind, type) and issubclass(kind, Section):
@@ -174,12 +174,12 @@ def _parts_of(kind: Any) -> list[Any]:
     return [kind, *(inner for part in parts for inner in _parts_of(part))]
 
 
-def _as_meant(value: object, kinds: Sequence[Any]) -> object:
-    """Return a value as a key of some types takes it: a whole number, a file from here, a word in its own case."""
+def _converted_value(value: object, kinds: Sequence[Any]) -> object:
+    """Convert a value to the types of a key: a whole number, a path relative to this folder, a word with correct case."""
     if isinstance(value, dict):
-        return {key: _as_meant(inner, _kinds_of(kinds, key)) for key, inner in value.items()}
+        return {key: _converted_value(inner, _kinds_of(kinds, key)) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_as_meant(inner, kinds) for inner in value]
+        return [_converted_value(inner, kinds) for inner in value]
     if isinstance(value, float) and value.is_integer() and int in kinds and float not in kinds:
         return int(value)
     if isinstance(value, str) and value and SceneFile in kinds:
@@ -193,13 +193,13 @@ def _as_meant(value: object, kinds: Sequence[Any]) -> object:
 
 
 def _parsed(text: str) -> _Setting:
-    """Read `key.path=value`; a value that is no TOML is the bare word that was meant."""
+    """Parse `key.path=value`; a value that is not TOML is taken as a bare word."""
     key, _, value = (part.strip() for part in text.partition("="))
     try:
         parsed = toml(f"value = {value}")
     except (ValueError, RecursionError):
         parsed = {}
-    # A line break in the value would begin another key.
+    # A line break in the value could start another key.
     return _Setting(key if value else "", parsed["value"] if len(parsed) == 1 else value, f"--set {text}")
 
 
@@ -221,7 +221,7 @@ def _apply(tree: dict[str, Any], setting: _Setting) -> None:
 
 
 def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str, str]) -> str:
-    """Return the origin of a fault: the last setting of its key, the one without which there is none, or the scene."""
+    """Return the origin of a fault: the last setting of its key, the setting that causes it, or the scene."""
     key, _, _ = fault
     for setting in reversed(settings):
         if key == setting.key or key.startswith((f"{setting.key}.", f"{setting.key}[")):
@@ -241,15 +241,15 @@ def _folders() -> Iterator[Path]:
     if own := os.environ.get("VLP16EMU_SCENES"):
         yield Path(own)
     package = Path(str(resources.files("vlp16emu")))
-    # A checkout has scenes/ beside the package; a copy inside it would be stale there.
+    # A checkout has scenes/ beside the package; a copy inside would be outdated.
     checkout = package.parent / "scenes"
     yield checkout if (package.parent / "pyproject.toml").is_file() else package / "scenes"
 
 
 def scene_files() -> dict[str, Path]:
-    """Return all scenes by name, sorted: files, and folders with a file of their name in them.
+    """Return all scenes by name, sorted: files, and folders that contain a file of the same name.
 
-    Those of other packages, in the folders of their entry points `vlp16emu.scenes`, come last.
+    Scenes of other packages, in the folders of their entry points `vlp16emu.scenes`, come last.
     """
     found = _scenes_in(_folders())
     return dict(sorted((_scenes_in(Path(folder) for _, folder in added("scenes")) | found).items()))
@@ -265,9 +265,9 @@ def _scenes_in(folders: Iterable[Path]) -> dict[str, Path]:
 
 
 def find(scene: str) -> Path:
-    """Return the path of a scene given by name, with _ or - in it, or by path; whether a path exists is not checked.
+    """Return the path of a scene from its name, with _ or -, or its path, which is not checked.
 
-    Raises ScenarioError if there is no scene of that name.
+    Raises ScenarioError for an unknown name.
     """
     path = Path(scene)
     if path.suffix in (".toml", ".json") or path.parent != Path():
@@ -285,7 +285,7 @@ def find(scene: str) -> Path:
 
 
 def named_files(scenario: object) -> list[Path]:
-    """Return the files that a scenario, or a part of one, names: poses, waypoints, heights, trees, meshes."""
+    """Return the files named in a scenario or a part of it: poses, waypoints, heights, trees, meshes."""
     own, parts = list[Path](), list(scenario) if isinstance(scenario, list | tuple) else []
     if isinstance(scenario, Section):
         kinds, parts = get_type_hints(type(scenario), include_extras=True), [inner for _, inner in scenario]

@@ -1,4 +1,4 @@
-"""The scenario file as a frozen tree, with the tables of its own: `[capture]` and `[[rig]]`. Defaults live here and nowhere else."""
+"""The scenario file as a frozen tree, with its own tables `[capture]` and `[[rig]]`. All defaults are in the sections."""
 
 import ast
 import inspect
@@ -33,71 +33,71 @@ from vlp16emu.world.settings import People, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
-"""Seconds of a pcap file are 32 bits without sign and end 37 days later, farther off than any run reaches."""
+"""Latest start: unsigned 32-bit seconds of a pcap file end 37 days later, beyond any run."""
 
 
 _HOSTS: dict[str, dict[str, object]] = {
     "ideal": {},
     # On mrpt and nebula half of all stamps are within 1 us of an even spacing, and 6 % of nebula's are 10 to 230 us late.
     "quiet_pc": {"jitter_us": 1.3, "late_share": 0.06, "late_us": 60.0, "host_spread": 0.4},
-    # Up to 640 us were seen; the law of it is an assumption.
+    # Up to 640 us were seen; the distribution is an assumption.
     "busy_pc": {"jitter_us": 40.0, "late_share": 0.04, "late_us": 1500.0, "host_spread": 0.4},
 }
 
 
 class CaptureClock(Preset):
-    """The clock of the host that records; only stamps of pcap files follow it."""
+    """The clock of the recording host; only stamps of pcap files follow it."""
 
     presets = _HOSTS
 
     preset: Literal["ideal", "quiet_pc", "busy_pc"] = "quiet_pc"
-    """Values of the keys that are not given beside it; `ideal` stamps packets when they are due."""
+    """Preset of the keys that are not given; `ideal` stamps packets when they are due."""
     ppm: Annotated[float, Field(ge=-100, le=100)] | None = None
-    """How much the host's clock is fast; drawn unless given, as in captures of real units, where it is -15 to 20 against the sensor's.
-    0 with `ideal`."""
+    """Rate error of the host's clock, positive if fast; drawn unless given, as in captures of real units, where it is -15 to
+    20 against the sensor's. 0 with `ideal`."""
     ahead_ms: Annotated[float, Field(ge=-1000, le=1000)] | None = None
-    """How far the host's clock is ahead when the first pulse is fired; drawn unless given, one sigma of 3 ms as of a host on NTP
-    (assumption). 0 with `ideal`."""
+    """Offset of the host's clock at the first pulse, positive if ahead; drawn unless given, one sigma of 3 ms as for a host on
+    NTP (assumption). 0 with `ideal`."""
     jitter_us: Annotated[float, Field(ge=0, le=500)] = 0.0
-    """Delay of a stamp, one sigma of the normal law whose absolute value it has."""
+    """Delay of a stamp, one sigma of the half-normal distribution."""
     late_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """Share of packets that the host is late with; those behind them come in a burst."""
+    """Share of packets that the host handles late; the packets after them come in a burst."""
     late_us: Annotated[float, Field(ge=0, le=3000)] = 0.0
     """Mean of that delay, exponential, up to 4.5 ms."""
     host_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Host-to-host spread of jitter, share and delay, one sigma of the logarithm; drawn from the
-    seed. 0 for exactly these."""
+    seed. 0 for the exact values."""
 
 
 _OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port", "seed"})
-"""Keys that no two units have in common, so they are not taken from `[sensor]`."""
+"""Keys that are unique per unit and therefore not inherited from `[sensor]`."""
 
 
 class RigUnit(Sensor):
-    """A sensor beside that of `[sensor]`, whose keys hold here too unless others are given.
+    """A further sensor, which inherits the keys of `[sensor]` that are not given.
 
-    Name, serial number, address and ports count on from those of `[sensor]`; a preset of its own takes the place of that one's.
+    Name, serial number, address and ports count up from `[sensor]`; a preset given here replaces the preset of `[sensor]`.
     """
 
     mount: Mount = Mount()
-    """Mount on the carrier of `[motion]`, whose own `mount` is that of `[sensor]`."""
+    """Mount on the carrier of `[motion]`; `motion.mount` belongs to `[sensor]`."""
     seed: Seed | None = None
-    """Seed of its errors and all else that is random in it; from that of `[sensor]` if not set."""
+    """Seed of its random errors; by default derived from the seed of `[sensor]`."""
 
 
 def completed(table: Any, first: Sensor, place: int) -> Any:
-    """Return the table of a unit with the keys that it takes from the first one.
+    """Return the table of a unit completed with keys from the first unit.
 
     Parameters
     ----------
-    table : as the user wrote it; what is no table is left to the check of its type
+    table : the user's table; other types are reported by the type check
     first : `[sensor]`
     place : number of the table, from 1
     """
     if not isinstance(table, dict):
         return table
     not_taken = _OWN | (Sensor.either_or if Sensor.either_or & table.keys() else frozenset())
-    if "preset" in table:  # in place of all that a preset of the first one gives
+    if "preset" in table:  # replaces all keys of the first unit's preset
         not_taken |= {key for values in Sensor.presets.values() for key in values}
     given = first.model_dump(exclude_unset=True, exclude=set(not_taken))
     counted = {
@@ -118,7 +118,7 @@ def _from_text(start: Any) -> Any:
 
 
 class _Events:
-    """The type of `events`: what can happen is loaded by the first scene in which something does."""
+    """The type of `events`, loaded by the first scene that has events."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -134,22 +134,22 @@ class _Events:
 
 
 class Scenario(Section):
-    """Everything that decides the bytes of a run."""
+    """A scenario, which determines the bytes of a run."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     """Version of this file format."""
     title: str = "scene"
-    """One line that reports and pictures show; the name of the file unless given."""
+    """Title in reports and pictures, one line; by default the name of the file."""
     seed: Seed = 1
     """Seed of all random numbers: the same scenario and seed give the same bytes. `world.seed`, `motion.seed` and `sensor.seed`
-    take its place for the stand, the walk and the sensor."""
+    replace it for the stand, the walk and the sensor."""
     start_utc: Annotated[AwareDatetime, BeforeValidator(_from_text)] = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
-    """When the first pulse is fired, from 1970 to 2105. Within a whole second the instant is drawn, unless `sensor.preset` is `steady`; one
-    with a fraction of a second is kept."""
+    """Time of the first pulse, from 1970 to 2105. For a whole second the instant within it is drawn, unless `sensor.preset` is
+    `steady`; a time with a fraction of a second is exact."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
-    """Length of a recording, unless the command gives another."""
+    """Duration of a recording, unless the command gives another."""
     sensor: AnySensor = Sensor()
-    """The sensor; with `model = "free"` one of any beam table."""
+    """The sensor; `model = "free"` allows any beam table."""
     beam: Beam = Beam()
     detector: Detector = Detector()
     noise: Noise = Noise()
@@ -157,41 +157,41 @@ class Scenario(Section):
     gps: Gps = Gps()
     capture: CaptureClock = CaptureClock()
     motion: Annotated[MotionSection, OneOf(MotionSection, "motions")]
-    """How the sensor moves."""
+    """Motion of the sensor."""
     imu: Annotated[Any, LazySection("imu_section")] | None = None
-    """An inertial measurement unit beside the sensor; its samples are part of the truth."""
+    """An inertial measurement unit beside the sensor; its samples are part of the ground truth."""
     rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
-    """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
+    """Further sensors on the same carrier, numbered from 2; `[sensor]` is unit 1."""
     events: Annotated[list[Any], _Events, Field(default_factory=list)]
-    """What is set on the sensors while they run, and what goes wrong."""
+    """Changes of sensor settings during the run, and faults."""
     world: Annotated[WorldSection, OneOf(WorldSection, "worlds")]
-    """What the sensor sees."""
+    """World around the sensor."""
     wind: Annotated[Any, LazySection("wind_section")] | None = None
-    """What makes the trees sway; none in a hall."""
+    """Wind that makes the trees sway; not in a hall."""
     people: People | None = None
-    """People beside a carrier who walks; none without it."""
+    """People beside a walking carrier; none without this table."""
     conditions: Literal["perfect", "field"] = "perfect"
-    """`field` gives the keys that make a real walk harder, where they are not given: errors of the extrinsics, a `mast` that
-    bends, `imu.preset = "field"`, a light wind in a forest, and `people`."""
+    """Preset; `field` sets the keys of a difficult real walk unless given: errors of the extrinsics, a bending `mast`,
+    `imu.preset = "field"`, a light wind in a forest, and `people`."""
 
     @field_validator("start_utc")
     @classmethod
-    def _fits_a_capture(cls, start_utc: datetime) -> datetime:
+    def _check_start_utc(cls, start_utc: datetime) -> datetime:
         if not _FIRST_START <= start_utc < _NO_START:
             raise ValueError("a time from 1970 to 2105, as captures can be stamped with")
         return start_utc
 
     @field_validator("gps")
     @classmethod
-    def _keeps_the_phase(cls, gps: Gps, info: ValidationInfo) -> Gps:
+    def _check_phase_lock(cls, gps: Gps, info: ValidationInfo) -> Gps:
         if _is_locked(info.data.get("sensor")) and not gps.connected:
             raise ValueError("connected = true, whose pulse sensor.phase_lock_deg needs")
         return gps
 
     @field_validator("rig", mode="before")
     @classmethod
-    def _like_the_first(cls, tables: Any, info: ValidationInfo) -> Any:
-        first = info.data.get("sensor")  # absent where it is itself in error
+    def _completed_rig(cls, tables: Any, info: ValidationInfo) -> Any:
+        first = info.data.get("sensor")  # absent if it is itself in error
         if not isinstance(first, Sensor) or not isinstance(tables, list):
             if first is not None and tables and not isinstance(first, Sensor):
                 raise ValueError(f'none beside sensor.model = "{first.model}", which has no packets')
@@ -205,9 +205,9 @@ class Scenario(Section):
         units = [first, *rig] if isinstance(first, Sensor) else rig
         for key in ("name", "serial_number", "address"):
             if len({getattr(unit, key) for unit in units}) < len(units):
-                raise ValueError(f"{key} of its own for each unit, that of [sensor] included")
+                raise ValueError(f"{key} of its own for each unit, [sensor] included")
         if {unit.data_port for unit in units} & {unit.position_port for unit in units}:
-            raise ValueError("a data_port that is no unit's position_port, that of [sensor] included")
+            raise ValueError("a data_port that is no unit's position_port, [sensor] included")
         gps = info.data.get("gps")
         if gps is not None and not gps.connected and any(map(_is_locked, rig)):
             raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
@@ -215,7 +215,7 @@ class Scenario(Section):
 
     @field_validator("wind")
     @classmethod
-    def _has_trees(cls, wind: Any, info: ValidationInfo) -> Any:
+    def _check_wind(cls, wind: Any, info: ValidationInfo) -> Any:
         world = info.data.get("world")
         if wind is not None and world is not None and not world.has_trees:
             raise ValueError("none in a hall, which has no trees")
@@ -223,7 +223,7 @@ class Scenario(Section):
 
     @field_validator("people")
     @classmethod
-    def _goes_on_foot(cls, people: People | None, info: ValidationInfo) -> People | None:
+    def _check_people(cls, people: People | None, info: ValidationInfo) -> People | None:
         motion = info.data.get("motion")
         if people is not None and motion is not None and motion.kind != "walk":
             raise ValueError("none beside a motion that is no walk")
@@ -231,17 +231,17 @@ class Scenario(Section):
 
     @property
     def world_seed(self) -> int:
-        """Seed of what the sensor sees."""
+        """Seed of the world."""
         return self._seed_of(self.world)
 
     @property
     def motion_seed(self) -> int:
-        """Seed of how the carrier moves."""
+        """Seed of the carrier's motion."""
         return self._seed_of(self.motion)
 
     @property
     def sensor_seed(self) -> int:
-        """Seed of the first sensor and of the instruments beside it."""
+        """Seed of the first sensor and of the other instruments."""
         return self._seed_of(self.sensor)
 
     def _seed_of(self, section: Section) -> int:
@@ -251,7 +251,7 @@ class Scenario(Section):
     @property
     def start_ns(self) -> int:
         """UTC of the first pulse, ns since 1970."""
-        from vlp16emu.random import Purpose, uniform  # here: a scene is read without numba
+        from vlp16emu.random import Purpose, uniform  # here: scenes load without numba
 
         since = self.start_utc.astimezone(UTC) - _FIRST_START
         within_ns = since.microseconds * US_NS
@@ -260,7 +260,7 @@ class Scenario(Section):
         return (since.days * 86400 + since.seconds) * S_NS + within_ns
 
     def span_s(self, start_s: float, duration_s: float | None, *, where: str = "start_s") -> tuple[float, float]:
-        """Return begin and end of a run, in seconds since the first pulse; without a duration it ends with the scene.
+        """Return begin and end of a run, in seconds since the first pulse; by default it ends with the scene.
 
         Raises InputError if the run would begin after the end of the scene; `where` is the name of its begin in the
         error.
@@ -277,10 +277,10 @@ def _is_locked(sensor: Lidar | None) -> bool:
     return isinstance(sensor, Sensor) and sensor.phase_lock_deg is not None
 
 
-class _InOurWords(GenerateJsonSchema):
-    """Leave out the titles that repeat the keys, and describe keys by their docstrings.
+class _SceneSchema(GenerateJsonSchema):
+    """JSON Schema without titles, which repeat the keys, and with docstrings as descriptions.
 
-    Pydantic's `use_attribute_docstrings` parses the source of all sections at each start of the program, for 0.1 s.
+    Pydantic's `use_attribute_docstrings` would parse the source of all sections at each start, for 0.1 s.
     """
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
@@ -293,14 +293,14 @@ class _InOurWords(GenerateJsonSchema):
         return table
 
     def field_title_should_be_set(self, schema: CoreSchema | Any) -> bool:  # noqa: ARG002  # pydantic's signature
-        """Leave titles out: they would only repeat the keys."""
+        """Return False: titles would only repeat the keys."""
         return False
 
 
 @cache
 def schema() -> dict[str, Any]:
-    """Return the JSON Schema (draft 2020-12) of a scene file; the same object every time, so do not write to it."""
-    tree = Scenario.model_json_schema(schema_generator=_InOurWords)
+    """Return the JSON Schema (draft 2020-12) of a scene file; read-only, as the object is shared."""
+    tree = Scenario.model_json_schema(schema_generator=_SceneSchema)
     return {"$schema": GenerateJsonSchema.schema_dialect} | tree | {"title": "vlp16emu scene"}
 
 
@@ -310,7 +310,7 @@ def _docstrings(section: type[BaseModel]) -> dict[str, str]:
     for owner in reversed(section.__mro__[: section.__mro__.index(BaseModel)]):
         try:
             source = inspect.getsource(owner)
-        except OSError:  # a class without source, made from a table, describes its keys itself
+        except OSError:  # a class made from a table has no source and describes its keys itself
             continue
         (body,) = ast.parse(source).body
         assert isinstance(body, ast.ClassDef)

@@ -1,4 +1,4 @@
-"""Sinks of packets, a capture file and the network; and the clock that lets packets leave in time."""
+"""Sinks of packets, a capture file and the network, and the pacing of packets."""
 
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending

@@ -1,6 +1,6 @@
-"""Packets leave at absolute deadlines, and how late they are is measured.
+"""Pacing: packets are sent at absolute deadlines, and their lateness is measured.
 
-Sleeps end on time, and each time that a stream fell behind is on record.
+Sleeps end on time, and each time that a stream falls behind is recorded.
 """
 
 import ctypes
@@ -24,18 +24,18 @@ _FINEST_NS = 1  # 0 would restore the default of 50 us
 
 
 _SWITCH_INTERVAL_S = 0.000_2
-"""Longest time for which the thread that computes may keep the interpreter from the one that sends. Python's own
-5 ms would be four packets late."""
+"""Longest time for which the computing thread may hold the interpreter before the sending thread. Python's default of
+5 ms would delay four packets."""
 _lock, _before_s = threading.Lock(), list[float]()
-"""Interval before each of the streams under way: the interpreter has one for all, and the last to end restores the first."""
+"""Switch interval before each active stream: the interpreter has one for all, and the last stream restores the first."""
 
 
 @contextmanager
 def prompt() -> Iterator[None]:
-    """Let the calling thread wake at the end of its sleeps, and soon after another thread has the interpreter; as before afterwards.
+    """Make the calling thread wake promptly from sleeps and get the interpreter soon; restore the state afterwards.
 
-    The timer slack of Linux joins wake-ups to save power, up to 50 us later. Elsewhere sleeps are as late as the system makes
-    them, and the report of a stream says so.
+    Linux's timer slack delays wake-ups by up to 50 us to save power. On other systems sleeps end as late as the system
+    decides, and the report of a stream shows it.
     """
     prctl, before_ns = None, 0
     if sys.platform == "linux":
@@ -58,14 +58,14 @@ def prompt() -> Iterator[None]:
 
 
 TOLERANCE_NS = 50_000_000
-"""Lateness up to which a stream is not behind: half a revolution at 600 rpm. Pauses of 5 to 40 ms are common where
-other programs want the same cores; the usual receive buffer of Linux, 208 KiB, holds 120 ms of packets."""
+"""Lateness up to which a stream is not behind: half a revolution at 600 rpm. Pauses of 5 to 40 ms are common if
+other programs use the same cores; the usual receive buffer of Linux, 208 KiB, holds 120 ms of packets."""
 
 
 class Late(StrEnum):
     """Treatment of a packet that is late by more than the tolerance."""
 
-    PACE = "pace"  # It leaves, and the deadlines of all later ones move by as much: the delay stays
+    PACE = "pace"  # It is sent, and all later deadlines move by its lateness: the delay stays
     SKIP = "skip"  # It is dropped
 
 
@@ -76,10 +76,10 @@ class FellBehind:
     at_s: float  # Deadline of the first packet that was too late, from the start of the stream
     behind_s: float  # Lateness of that packet
     engine: bool
-    """The packet was not computed in time; else it was ready, and the process stood still or could not send."""
+    """True if the packet was not computed in time; else it was ready, and the process stood still or could not send."""
     engine_speed: float | None
-    """Simulated seconds per second that the engine computed since it was last ahead; None where that is unknown."""
-    total_s: float = 0.0  # Delay that came of it so far, with `pace`; greatest lateness, with `skip`
+    """Simulated seconds per second that the engine computed since it was last ahead; None if unknown."""
+    total_s: float = 0.0  # Resulting delay so far, with `pace`; greatest lateness, with `skip`
 
     @property
     def cause(self) -> str:
@@ -92,14 +92,14 @@ class FellBehind:
 
 
 _CLOSEST = 0.94
-"""Share of the sensor's own spacing that packets of a unit and kind keep on average while they catch up. The shortest
+"""Share of the sensor's spacing that packets of a unit and kind keep on average while they catch up. The shortest
 interval of a real sensor in 293 packets is 1 246 of 1 327 us: mrpt_vlp16_gps.pcap."""
 _JITTER_NS = 10_000_000
-"""Lateness of single packets that does not move the ones after it: two or three turns of 3 to 4 ms that Linux gives to
-other threads before it wakes ours. Where wake-ups come that late each of them sends several packets, 8 at most."""
+"""Lateness of single packets that does not delay later ones: two or three time slices of 3 to 4 ms that Linux gives to
+other threads before ours. After such a late wake-up several packets are sent at once, at most 8."""
 _NAP_S = 0.2
-"""Longest sleep at once: a signal sets an event, and Python goes on with a sleep that a signal interrupts (PEP 475)."""
-_BIN_BITS = 6  # significant bits that separate the bins of lateness, which gives quantiles within 1.6 %
+"""Longest single sleep: a signal sets an event, and Python resumes a sleep after a signal (PEP 475)."""
+_BIN_BITS = 6  # significant bits of the bins of lateness: quantiles are within 1.6 %
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class Lateness:
 
 
 class LatenessHistogram:
-    """Counts of lateness in bins that grow with it: a few hundred numbers, however long the stream."""
+    """Histogram of lateness with bins proportional to it: a few hundred numbers for a stream of any length."""
 
     def __init__(self) -> None:
         self._counts = Counter[int]()
@@ -131,7 +131,7 @@ class LatenessHistogram:
         return Lateness(self._counts.total(), self.quantile_ns(0.5), self.quantile_ns(0.99), self._max_ns)
 
     def quantile_ns(self, share: float) -> int:
-        """Middle of the bin that holds the given share's packet; 0 before the first one."""
+        """Centre of the bin of a quantile; 0 before the first packet."""
         rank = math.ceil(share * self._counts.total())
         seen = 0
         for middle_ns, count in sorted(self._counts.items()):
@@ -142,7 +142,7 @@ class LatenessHistogram:
 
 
 class Pacer:
-    """Waits for deadlines that all count from one start instant, so that errors never add up.
+    """Waits for deadlines that all count from one start instant, so that errors do not accumulate.
 
     The first packet starts the clock and is due at once.
 
@@ -162,19 +162,19 @@ class Pacer:
     ) -> None:
         self.speed, self.now_ns, self._sleep = speed, clock_ns, sleep
         self.first_due_ns: int | None = None  # Due time of the first packet; None before it
-        self.start_ns = 0  # Instant on the pacer's clock at which it was to leave
+        self.start_ns = 0  # Instant on the pacer's clock at which it was due
         self._planned_ns = 0
         self._last = dict[tuple[int, PacketKind], tuple[int, int]]()
-        self.delay_ns = 0  # Time by which all deadlines to come have been moved
-        self.late_ns = 0  # Lateness of the packet that was waited for last
-        self.elapsed_ns = (0, 0)  # Simulated time and clock time from the first packet that left to the last one
+        self.delay_ns = 0  # Shift of all future deadlines
+        self.late_ns = 0  # Lateness of the last packet
+        self.elapsed_ns = (0, 0)  # Simulated time and clock time from the first to the last sent packet
 
     def begin(self, due_ns: int, ago_ns: int = 0) -> None:
-        """Start the clock: what is due at a time leaves some time ago, or in some time where that is negative."""
+        """Start the clock so that `due_ns` was `ago_ns` before now; negative for the future."""
         self.first_due_ns, self.start_ns = due_ns, self.now_ns() - ago_ns
 
     def deadline_ns(self, due_ns: int) -> int:
-        """Instant on the pacer's clock at which a packet shall leave; the first call starts the clock."""
+        """Instant on the pacer's clock at which a packet is due; the first call starts the clock."""
         if self.first_due_ns is None:
             self.begin(due_ns)
         assert self.first_due_ns is not None
@@ -182,21 +182,21 @@ class Pacer:
         return self.start_ns + self.delay_ns + round(simulated_ns / self.speed)
 
     def due_in_ns(self, ahead_ns: int) -> int:
-        """Due time of a packet whose deadline is some time ahead of now; after the first deadline."""
+        """Due time of a packet whose deadline is `ahead_ns` after now; valid after the first deadline."""
         assert self.first_due_ns is not None
         ran_ns = self.now_ns() - self.start_ns - self.delay_ns
         return self.first_due_ns + round((ran_ns + ahead_ns) * self.speed)
 
     def break_off(self) -> None:
-        """Forget the spacing after packets were dropped: the next one leaves at its deadline."""
+        """Reset the spacing after packets were dropped: the next one is sent at its deadline."""
         self._last.clear()
 
     def wait(self, packet: Packet, deadline_ns: int, *, is_over: Callable[[], bool] = lambda: False) -> int:
-        """Sleep until a packet may leave or `is_over`, and return how late after its deadline that is, in ns.
+        """Sleep until a packet may be sent or `is_over`, and return the lateness after its deadline, in ns.
 
-        It leaves at its deadline, or later where its predecessors of the same unit and kind were late: n packets
-        take at least 0.94 of the sensor's own time for n packets, less 10 ms. (A leaky bucket; as such ITU-T I.371
-        has it as the generic cell rate algorithm.)
+        It is sent at its deadline, or later if predecessors of the same unit and kind were late: n packets
+        take at least 0.94 of the sensor's time for n packets, minus 10 ms. (A leaky bucket: the generic cell rate
+        algorithm of ITU-T I.371.)
         """
         last_due_ns, planned_ns = self._last.get((packet.unit, packet.kind), (packet.due_ns, deadline_ns))
         closest_ns = planned_ns + round(_CLOSEST * (packet.due_ns - last_due_ns) / self.speed)
@@ -207,7 +207,7 @@ class Pacer:
         return self.late_ns
 
     def left(self, packet: Packet) -> None:
-        """Note that the packet that was waited for has left just now."""
+        """Record that the awaited packet has just been sent."""
         assert self.first_due_ns is not None
         now_ns = self.now_ns()
         planned_ns = max(self._planned_ns, now_ns - _JITTER_NS)

@@ -1,4 +1,4 @@
-"""Packets into a classic pcap file, in the frames of a real sensor."""
+"""Writing of packets to a classic pcap file, in the frames of a real sensor."""
 
 import hashlib
 import os
@@ -20,7 +20,7 @@ _WAYS_TO = {
     ".db3": "; a name that ends in / is a bag of ROS 2, a folder with SQLite",
     **dict.fromkeys((".npz", ".ply", ".csv", ".las", ".laz", ".pcd"), "; `vlp16emu points` writes points"),
 }
-# Little-endian with microseconds: readers with fixed offsets and older libraries know no other kind of file.
+# Little-endian with microseconds: the only kind that readers with fixed offsets and older libraries accept.
 _FILE_HEADER = struct.pack("<I2H4I", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, 1)
 _RECORD_HEADER = struct.Struct("<4I")
 
@@ -35,15 +35,15 @@ class PcapResult:
 
 
 class PcapSink(PacketSink):
-    """Writes data and position packets to a file, stamped with the instants at which they are due.
+    """Writes data and position packets to a file, stamped with their due times.
 
-    Each record goes to the operating system in one write, so a killed program leaves a file NAME.xxxxxxxx.part that can be
-    read to its last whole packet. So does an error other than `KeyboardInterrupt`: the file stays under that name
-    and ends with a whole packet, and the earlier file NAME is as it was. No file is left without packets.
+    Each record is passed to the operating system in one write, so a killed program leaves a file NAME.xxxxxxxx.part that is
+    readable to its last whole packet. After an error other than `KeyboardInterrupt` the file also stays under that name
+    and ends with a whole packet, and an earlier file NAME is unchanged. No file is left without packets.
 
     Parameters
     ----------
-    path : as for `OutputFile`; an existing file is replaced when this one is whole
+    path : as for `OutputFile`; an existing file is replaced when this one is complete
     links : addresses and ports of each unit
 
     Raises OutputError if the file cannot be opened, or another run writes it; RunError if it cannot be written: here,
@@ -66,8 +66,8 @@ class PcapSink(PacketSink):
 
     def __exit__(self, *raised: object) -> None:
         error = raised[1] if raised else None
-        if not self._is_stdout:  # which may hold more than what is ours
-            with suppress(OSError):  # a pipe or a device has no end that could be cut
+        if not self._is_stdout:  # standard output may hold other data
+            with suppress(OSError):  # a pipe or a device cannot be truncated
                 os.ftruncate(self._file.fileno(), self._bytes)
         if not self._failed and (error is None or (self._sent and isinstance(error, KeyboardInterrupt))):
             self._output.keep()
@@ -79,7 +79,7 @@ class PcapSink(PacketSink):
         """Append one packet.
 
         Raises RunError if the disk is full or the device gone; it names the file with the packets before this one;
-        ValueError if the packet is NMEA, which travels by serial line and not by Ethernet.
+        ValueError for an NMEA packet, which is sent by serial line, not by Ethernet.
         """
         frame = self._frame(packet)
         seconds, rest_ns = divmod(packet.due_ns, S_NS)
@@ -100,10 +100,10 @@ class PcapSink(PacketSink):
         raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")
 
     def _write(self, record: bytes) -> None:
-        """Write a whole record, or fail and leave it uncounted."""
+        """Write a whole record, or fail without counting it."""
         try:
             written = self._file.write(record)
-            while written < len(record):  # a full disk takes what fits and refuses only the next byte
+            while written < len(record):  # a full disk takes a part and refuses only the next byte
                 written += self._file.write(record[written:])
         except OSError as error:
             self._failed = True

@@ -1,4 +1,4 @@
-"""Packets in real time: computed ahead by one thread, sent at their deadlines by another."""
+"""Real-time streaming: packets are computed ahead by one thread and sent at their deadlines by another."""
 
 import os
 import sys
@@ -19,35 +19,35 @@ from vlp16emu.units import S_NS
 LOOK_AHEAD_PACKETS = 2048  # About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB
 
 _SPACING_NS = 1_327_104
-"""Spacing of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
+"""Spacing of data packets in single return, the longest (VLP-16 manual 63-9243 Rev D, section 8.2)."""
 _PATIENCE_NS = 250_000_000
-"""Time of computing packets that are dropped, before the engine is asked to go on further ahead."""
+"""Time of computing dropped packets before the engine is asked to skip further ahead."""
 _LEAD_NS = 250_000_000
-"""First lead of the engine: most engines have ended the blocks under way and begun new ones by then; it doubles for others."""
+"""First lead of the engine: most engines have ended their blocks and started new ones by then; else it doubles."""
 _SETTLED_NS = 5 * S_NS
-"""Without a packet that is too late for so long, the next one is another time that the stream fell behind."""
-_POLL_S = 0.05  # interval at which a waiting thread looks whether to stop
+"""Time without late packets after which the next late packet counts as falling behind again."""
+_POLL_S = 0.05  # interval at which a waiting thread checks for a stop
 _REFILLS = 8
-"""Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
-packet would cost the one that sends as much as the sending."""
+"""Share of the full buffer that is taken before it is filled again: waking the computing thread for each
+packet would cost the sending thread as much as sending."""
 _NICE = 3
-"""Niceness added to threads that compute. A driver that shares a core with one of them gets two thirds of it; at equal
-priority it gets half, and one that needs half loses packets. More would cost speed where other programs are at work, and the
-thread that sends would be late more often: it waits for the interpreter, which a thread without a core holds."""
+"""Niceness added to computing threads. A driver that shares a core with one of them gets two thirds of it; at equal
+priority it gets half, and a driver that needs half loses packets. More niceness would cost speed beside other programs, and
+the sending thread would be late more often: it waits for the interpreter, which a thread without a core may hold."""
 
 
 class LookAhead:
-    """Runs through packets in a thread of its own, at most `capacity` of them ahead of `take`.
+    """Iterates over packets in its own thread, at most `capacity` of them ahead of `take`.
 
-    A context manager; leaving it stops the thread as soon as the packet under way is done. The thread is
-    a daemon, so a second Ctrl-C need not wait for that. On Linux it gives way to other threads, and so do those that
-    it starts, as a new thread has the priority of the one that starts it; elsewhere a priority is one of the process.
+    A context manager; leaving it stops the thread after the current packet. The thread is
+    a daemon, so a second Ctrl-C need not wait for it. On Linux it and the threads that it starts have a lower priority,
+    which new threads inherit; on other systems the priority belongs to the process.
 
     Parameters
     ----------
-    packets : in order of sending; used by the thread alone from now on
-    capacity : packets held at most
-    stop : ends the wait of both sides when somebody sets it
+    packets : packets in order of sending; from now on used by the thread alone
+    capacity : greatest number of packets held
+    stop : event that ends the wait of both sides
     """
 
     def __init__(self, packets: Iterable[Packet], capacity: int, stop: threading.Event) -> None:
@@ -75,34 +75,34 @@ class LookAhead:
 
     @property
     def first(self) -> Packet | None:
-        """The packet that `take` gives next, if it is there."""
+        """Packet that `take` returns next, if it is ready."""
         return self._ready[0] if self._ready else None
 
     @property
     def made_until_ns(self) -> int:
-        """Due time of the last packet that has been computed; far off once all have been."""
+        """Due time of the last computed packet; far in the future once all are computed."""
         return 2**63 if self._done else self._made_due_ns
 
     @property
     def engine_speed(self) -> float | None:
-        """Simulated time per time in which it was computed, since the buffer was last full; None before."""
+        """Simulated time per computing time since the buffer was last full; None before."""
         if (full := self._full) is None:
             return None
         clock_ns, due_ns = full
         return (self._made_due_ns - due_ns) / max(time.monotonic_ns() - clock_ns, 1)
 
     def fill(self) -> None:
-        """Wait until the buffer is full, the packets are at their end, or `stop` is set."""
+        """Wait until the buffer is full, the packets have ended, or `stop` is set."""
         with self._changed:
             while len(self._ready) < self._capacity and not self._done and not self._over:
                 self._changed.wait(_POLL_S)
 
     def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
-        """Next packet; None at the end or when `stop` is set. Where there is none yet, calls `waiting` with the engine's speed every 50 ms.
+        """Next packet; None at the end or when `stop` is set. While it waits, it calls `waiting` with the engine's speed every 50 ms.
 
         Raises
         ------
-        BaseException : What the packets themselves raised, once those before it have been taken.
+        BaseException : Error of the packet iterator, raised once the packets before it have been taken.
         """
         with self._changed:
             while not self._ready and not self._done and not self._over:
@@ -120,9 +120,9 @@ class LookAhead:
         return None
 
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
-        """Compute again the packets due from `due_ns` on that are not taken yet; from any thread. After the last packet, do nothing.
+        """Compute again the packets due from `due_ns` on that are not taken yet; from any thread. No effect after the last packet.
 
-        `restart` makes the iterator of packets begin again at a due time; the thread that computes calls it.
+        `restart` makes the packet iterator start again at a due time; the computing thread calls it.
         """
         with self._changed:
             if self._ended:
@@ -130,7 +130,7 @@ class LookAhead:
             earliest_ns = min(due_ns, self._redo[0]) if self._redo else due_ns
             while self._ready and self._ready[-1].due_ns >= earliest_ns:
                 self._ready.pop()
-            # A thread that is done waits until its buffer is empty, so that it can still begin again.
+            # A finished thread waits until its buffer is empty, so that it can still start again.
             self._redo, self._done = (earliest_ns, restart), False
             self._made_due_ns = min(self._made_due_ns, earliest_ns)
             self._changed.notify_all()
@@ -142,7 +142,7 @@ class LookAhead:
     def _wait_for_room(self, packet: Packet | None) -> None:
         """Wait until a share of the full buffer has been taken, after the last packet all of it; holds the lock.
 
-        It also ends if nobody wants more, or if the buffer is to be computed again.
+        It also ends at a stop, or if the buffer must be computed again.
         """
         most = self._room_at
         if packet is None:
@@ -173,7 +173,7 @@ class LookAhead:
                 if redo is not None:
                     due_ns, restart = redo
                     restart(due_ns)
-        except BaseException as error:  # noqa: BLE001  # belongs to the thread that takes, which raises it
+        except BaseException as error:  # noqa: BLE001  # raised in the taking thread
             self._error = error
         finally:
             with self._changed:
@@ -183,54 +183,54 @@ class LookAhead:
 
 @dataclass(frozen=True, slots=True)
 class UnderWay:
-    """A stream that is being sent, for those who change it."""
+    """An active stream, for code that changes it."""
 
     _ahead: LookAhead
     _pacer: Pacer
     _first_due_ns: int
 
     def due_in_ns(self, ahead_ns: int) -> int:
-        """Due time, UTC, of a packet that leaves some time ahead of now."""
+        """Due time, UTC, of a packet that is sent `ahead_ns` after now."""
         if self._pacer.first_due_ns is None:
             return self._first_due_ns + round(ahead_ns * self._pacer.speed)
         return self._pacer.due_in_ns(ahead_ns)
 
     @property
     def made_until_ns(self) -> int:
-        """Due time, UTC, up to which packets have been computed; far off once all have been."""
+        """Due time, UTC, up to which packets are computed; far in the future once all are."""
         return self._ahead.made_until_ns
 
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
-        """Compute packets again, as `LookAhead.redo`."""
+        """Compute packets again, as in `LookAhead.redo`."""
         self._ahead.redo(due_ns, restart)
 
 
 @dataclass(frozen=True, slots=True)
 class FirstPacket:
-    """Times at which the first packet of a stream left, by each clock in UTC ns since 1970."""
+    """Send time of the first packet of a stream, by each clock, in UTC ns since 1970."""
 
     truth_ns: int  # Time in the scene or the capture: the time of the ground truth
-    sensor_ns: int | None  # Time by the sensor's clock, as moved into the present; None if it was not moved
-    host_ns: int  # Time by the clock of this system, read as soon as it had left
+    sensor_ns: int | None  # Time by the sensor's clock, moved into the present; None if not moved
+    host_ns: int  # Time by this system's clock, read right after sending
 
 
 @dataclass(frozen=True, slots=True)
 class StreamReport:
-    """Punctuality and extent of a stream."""
+    """Punctuality and duration of a stream."""
 
-    lateness: Lateness  # Against deadlines as they were when each packet came to its turn
+    lateness: Lateness  # Relative to the deadlines valid when each packet was handled
     simulated_s: float  # Time that the packets span
     wall_s: float  # Time from sending the first to sending the last
-    behind: tuple[FellBehind, ...]  # Each time that packets were late by more than the tolerance, whatever the cause
-    delay_s: float  # Time by which deadlines have been moved in all; 0 where late packets are skipped
+    behind: tuple[FellBehind, ...]  # Each time that packets were late by more than the tolerance, from any cause
+    delay_s: float  # Total shift of deadlines; 0 if late packets are skipped
     skipped: Counter[PacketKind]  # Packets dropped because they were late
-    moved_s: int  # Whole seconds by which packets were moved into the present; 0 where they were not
+    moved_s: int  # Whole seconds by which packets were moved into the present; 0 if not moved
     first: FirstPacket | None  # None if no packet left
-    interrupted: bool  # Ended by Ctrl-C or the stop event, not by the last packet
+    interrupted: bool  # True if ended by Ctrl-C or the stop event
 
     @property
     def real_time_factor(self) -> float:
-        """Simulated seconds per second; the speed asked for, if the engine kept up. 0 for an empty stream."""
+        """Simulated seconds per second; the requested speed if the engine kept up. 0 for an empty stream."""
         return self.simulated_s / self.wall_s if self.wall_s > 0 else 0.0
 
 
@@ -249,25 +249,25 @@ def stream(
 ) -> StreamReport:
     """Send packets at their deadlines until they end, `stop` is set, or Ctrl-C is pressed.
 
-    The clock starts when the look-ahead buffer is full. Packets never leave in a burst: see `Pacer.wait`.
+    The clock starts when the look-ahead buffer is full. Packets are never sent in a burst: see `Pacer.wait`.
 
     Parameters
     ----------
-    packets : in order of sending; computed by a thread of their own
-    sink : where they go; stays open
-    pacer : fresh, with the speed
-    late : what happens to packets late by more than `TOLERANCE_NS`
+    packets : packets in order of sending; computed by a separate thread
+    sink : destination; stays open
+    pacer : new pacer with the speed
+    late : treatment of packets late by more than `TOLERANCE_NS`
     notify : called by the sending thread each time that the stream falls behind
-    go_on_from : with `skip`, makes `packets` leave out those that are due before a UTC time in ns
-    now : send packets as of the present: stamps and sentences moved by whole seconds
-    begun : called before the first packet leaves
+    go_on_from : with `skip`, makes `packets` leave out packets due before a UTC time in ns
+    now : move stamps and sentences by whole seconds into the present
+    begun : called before the first packet is sent
     stop : ends the stream from another thread
     look_ahead_packets : size of the buffer
 
-    Raises InputError if the present is wanted at another speed than its own; RunError if the sink cannot send.
+    Raises InputError if `now` is combined with a speed other than 1; RunError if the sink cannot send.
     """
     if now and pacer.speed != 1.0:
-        raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, which is that of the clock")
+        raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, the speed of the clock")
     stop = stop or threading.Event()
     present: Any = door("present")(sink) if now else None
     sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from, is_over=stop.is_set)
@@ -286,15 +286,15 @@ def stream(
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
                 if left is None and not stop.is_set():
                     left = FirstPacket(packet.due_ns, present.began_ns if present else None, time.time_ns())
-                had_to_wait = ahead.first is None  # asked before the wait, which would hide it
+                had_to_wait = ahead.first is None  # read before the wait, which would hide it
             interrupted = stop.is_set()
-    except (KeyboardInterrupt, CancelledError):  # the latter where `begun` waits for a world and `stop` is set
+    except (KeyboardInterrupt, CancelledError):  # the latter if `begun` waits for a world and `stop` is set
         interrupted = True
     return sender.report(interrupted=interrupted, moved_s=present.moved_s if present else 0, first=left)
 
 
 class Sender:
-    """Sends or drops packet by packet until `is_over`, and keeps the figures of the report; parameters as `stream`."""
+    """Sends or drops packet by packet until `is_over`, and collects the report; parameters as in `stream`."""
 
     def __init__(
         self,
@@ -316,7 +316,7 @@ class Sender:
         self._next_due_ns: int | None = None
 
     def send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None = None) -> None:
-        """Send at the deadline; `had_to_wait` says that the packet was not ready when it was asked for."""
+        """Send at the deadline; `had_to_wait` is True if the packet was not ready when requested."""
         pacer, self._next_due_ns = self._pacer, packet.due_ns + _SPACING_NS
         deadline_ns = pacer.deadline_ns(packet.due_ns)
         late_ns = pacer.now_ns() - deadline_ns
@@ -327,7 +327,7 @@ class Sender:
                 self._skip(packet, deadline_ns + late_ns, had_to_wait=had_to_wait)
                 return
             behind.total_s += late_s
-            pacer.delay_ns += late_ns  # for good: catching up would be a burst, which no sensor sends
+            pacer.delay_ns += late_ns  # permanently: catching up would be a burst, which no sensor sends
         self._skipping_since_ns, self._lead_ns = None, 0
         late_ns = pacer.wait(packet, deadline_ns, is_over=self._is_over)
         if self._is_over():
@@ -337,14 +337,14 @@ class Sender:
         pacer.left(packet)
 
     def watch(self, engine_speed: float | None) -> None:
-        """Notify if the next packet, which is waited for, is late by more than the tolerance already; its delay comes with it."""
+        """Notify if the awaited packet is already late by more than the tolerance; its delay is added when it is sent."""
         if self._next_due_ns is not None:
             deadline_ns = self._pacer.deadline_ns(self._next_due_ns)
             if (late_ns := self._pacer.now_ns() - deadline_ns) > TOLERANCE_NS:
                 self._fell_behind(late_ns, deadline_ns, engine_speed, engine=True)
 
     def _fell_behind(self, late_ns: int, deadline_ns: int, engine_speed: float | None, *, engine: bool) -> FellBehind:
-        """Return the time behind that lasts, or begin one and notify of it."""
+        """Return the present period behind, or start one and notify of it."""
         before_ns, self._last_ns = self._last_ns, deadline_ns + late_ns
         if not self._behind or self._last_ns - before_ns > _SETTLED_NS:
             at_s = (deadline_ns - self._pacer.start_ns) / S_NS
@@ -370,7 +370,7 @@ class Sender:
         )
 
     def _skip(self, packet: Packet, now_ns: int, *, had_to_wait: bool) -> None:
-        """Drop a packet; where dropping does not end, because the engine is too slow, let it go on further ahead.
+        """Drop a packet; if dropping continues because the engine is too slow, let the engine skip further ahead.
 
         The lead doubles until the engine's first packet from there on is in time.
         """

@@ -1,4 +1,4 @@
-"""Packets as UDP datagrams, of one sensor or of all sensors of a rig."""
+"""Sending of packets as UDP datagrams, for one sensor or all sensors of a rig."""
 
 import errno
 import ipaddress
@@ -17,16 +17,16 @@ LOOPBACK = "127.0.0.1"  # Default destination of packets: this machine
 _SO_NO_CHECK, _IP_MTU_DISCOVER = 11, 10
 _IP_PMTUDISC_DONT, _IP_PMTUDISC_DO = 0, 2
 
-_PORTS = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}  # port that a sensor sends a kind from
+_PORTS = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}  # source port of a sensor by kind
 _OF_SENSOR = {
-    # No UDP checksum, don't fragment and, for that reason, identification 0.
+    # No UDP checksum, don't fragment and therefore identification 0.
     DATA_PORT: (
         (socket.SOL_SOCKET, _SO_NO_CHECK, 1),
         (socket.IPPROTO_IP, socket.IP_TTL, DATA_TTL),
         (socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DO),
     ),
-    # May be fragmented, hence an identification that counts up: of a sensor by one, of Linux, between sockets that
-    # are not connected, by one or two at this rate.
+    # Fragmentation allowed, hence an identification that counts up: by one on a sensor, by one or two at this rate on
+    # Linux between unconnected sockets.
     POSITION_PORT: (
         (socket.IPPROTO_IP, socket.IP_TTL, POSITION_TTL),
         (socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DONT),
@@ -36,22 +36,22 @@ _OF_SENSOR = {
 
 
 class UdpSink(PacketSink):
-    """Sends the data and position packets of each unit from two sockets of its own, which are never connected.
+    """Sends the data and position packets of each unit from two separate, unconnected sockets.
 
-    A connected socket would give a running identification to frames that must carry 0, and would report
-    the refusals of a host on which nobody listens yet.
+    A connected socket would give a running identification to frames that must have 0, and would report
+    refusals of a host on which no program listens yet.
 
     Parameters
     ----------
-    links : of each unit; packets go to their ports
+    links : addresses of each unit; packets go to their ports
     host : address or name of the receiver; may be a broadcast address
     as_sensor : send from the units' own addresses, which must be this machine's, with the ports and header fields of a real
         sensor; else from any address, any free ports, and with headers as the system makes them
-    interface : by which all leaves; None for that which the system's routes give
+    interface : network interface for all packets; None for the system's routes
     sent : called after each packet with its due time, UTC ns
 
-    Raises OutputError if the host is unknown or out of reach, or the interface, address or port to send from is not to
-    be had.
+    Raises OutputError if the host is unknown or unreachable, or the interface, address or port to send from is not
+    available.
     """
 
     def __init__(
@@ -63,9 +63,9 @@ class UdpSink(PacketSink):
         interface: str | None = None,
         sent: Callable[[int], None] = lambda _: None,
     ) -> None:
-        self.sent = [Counter[PacketKind]() for _ in links]  # Packets that each unit has sent so far, by kind
+        self.sent = [Counter[PacketKind]() for _ in links]  # Packets sent so far by each unit, by kind
         self.latest_position = [b""] * len(links)
-        """Payload of the position packet that each unit has sent last; empty before the first."""
+        """Payload of the last position packet sent by each unit; empty before the first."""
         self._after, self._interface = sent, interface
         self._sources = [link.source if as_sensor else None for link in links]
         with ExitStack() as stack:
@@ -89,20 +89,20 @@ class UdpSink(PacketSink):
     def redirect(self, unit: int, host: str, data_port: int, position_port: int) -> None:
         """Send the packets of a unit to another receiver from now on; from any thread.
 
-        Raises OutputError if the host is unknown or out of reach; then all stays as it is.
+        Raises OutputError if the host is unknown or unreachable; then nothing changes.
         """
         address = resolve(host)
         if _is_broadcast(address, self._sources[unit], self._interface):
             for opened in self._sockets[unit].values():
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        # One assignment, as `send` runs on another thread and must see both ports change at once.
+        # One assignment, because `send` runs on another thread and must see both ports change together.
         self._to[unit] = {PacketKind.DATA: (address, data_port), PacketKind.POSITION: (address, position_port)}
 
     def send(self, packet: Packet) -> None:
         """Send one packet.
 
-        Raises RunError if the system cannot send any more, for instance because the link is gone; ValueError if the
-        packet is NMEA, which travels by serial line and not by Ethernet.
+        Raises RunError if the system can no longer send, for instance because the link is down; ValueError for an
+        NMEA packet, which is sent by serial line, not by Ethernet.
         """
         unit, kind = packet.unit, packet.kind
         if kind not in _PORTS:
@@ -120,7 +120,7 @@ class UdpSink(PacketSink):
 
 
 def resolve(host: str) -> str:
-    """IPv4 address of a host; a VLP-16 speaks no IPv6."""
+    """IPv4 address of a host; a VLP-16 does not support IPv6."""
     expected = "the IPv4 address or the name of a host"
     if not host or host.isspace():
         raise OutputError("destination", "nothing", expected)
@@ -135,10 +135,10 @@ def resolve(host: str) -> str:
 
 
 def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) -> bool:
-    """Ask the routing table, by a socket that is thrown away and sends nothing.
+    """Query the routing table with a temporary socket that sends nothing.
 
-    Whether 192.168.1.255 is a broadcast address depends on the netmask of the interface, and the system
-    alone knows it: it forbids the way there to a socket without SO_BROADCAST.
+    Whether 192.168.1.255 is a broadcast address depends on the netmask of the interface, which only the system
+    knows: it refuses broadcast addresses to a socket without SO_BROADCAST.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         _bind(probe, as_sensor, interface, 0)

@@ -1,1 +1,1 @@
-"""Surroundings of the sensor: the contract of worlds, and a hall of known shapes."""
+"""Surroundings of the sensor: the interface of worlds, and a hall of known shapes."""

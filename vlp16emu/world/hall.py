@@ -1,4 +1,4 @@
-"""A hall of known shapes, against which distances can be checked to a tenth of a millimetre."""
+"""A hall of known shapes, for checks of distances to a tenth of a millimetre."""
 
 import logging
 import math
@@ -16,10 +16,10 @@ from vlp16emu.world.vectors import closed
 _log = logging.getLogger(__name__)
 Thing = HallBox | HallPole | HallSphere
 _TOLERANCE_M = 5e-5
-"""Largest gap between a chord and its arc. Round things lie about half of it on either side of the truth;
+"""Largest gap between a chord and its arc. Round things deviate by about half of it to either side of the true shape;
 on a sphere the gaps of both angles add up to at most twice that."""
 _FEWEST_SIDES = 256
-_WALL_INSTANCE = 1  # of the walls and the ceiling; things follow from 2 in the order given, boxes, poles, spheres
+_WALL_INSTANCE = 1  # walls and ceiling; things follow from 2 in the given order: boxes, poles, spheres
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +30,13 @@ class _Room:
 
 
 class HallWorld:
-    """A closed room with things in it; a `World` that is in reach as a whole, and its own `Site`.
+    """A closed room with things in it; a `World` that is always wholly in reach, and its own `Site`.
 
-    Raises GeometryError for a thing that is not wholly inside.
+    Raises GeometryError for a thing that is not completely inside.
     """
 
     materials = ("room", "box", "pole", "sphere")  # names by `SURFACE` material number
-    near_m, seed = math.inf, 0  # fields of `World`: all of it is near, nothing random, and nothing kept
+    near_m, seed = math.inf, 0  # fields of `World`: all near, nothing random or kept
     name, origin_m, obstacles = "flat", (0.0, 0.0, 0.0), None  # fields of `Site`
 
     def __init__(self, section: Hall, _seed: int = 0) -> None:
@@ -52,7 +52,7 @@ class HallWorld:
         surfaces = np.zeros(2 + len(things), SURFACE)
         surfaces["reflectance"] = [section.wall_reflectance] * 2 + [thing.brightness for thing in things]
         surfaces["texture"] = [section.texture] * 2 + [thing.texture for thing in things]
-        surfaces["relief_m"][:2] = section.relief_m  # what stands in it is of known shape
+        surfaces["relief_m"][:2] = section.relief_m  # things in it have exact shapes
         surfaces["material"] = [0, 0, *[1] * len(boxes), *[2] * len(poles), *[3] * len(spheres)]
         surfaces["semantic"] = Semantic.OTHER
         surfaces["semantic"][0] = Semantic.GROUND
@@ -68,12 +68,12 @@ class HallWorld:
         wind: Any,  # noqa: ARG002  # nothing in it moves
         start_ns: int,  # noqa: ARG002
     ) -> tuple[World, None]:
-        """Return the hall; parameters and errors as of `Site`."""
+        """Return the hall; parameters and errors as in `Site`."""
         self.check(path_xy_m)
         return self._section.furnished(self, path_xy_m, reach_m), None
 
     def check(self, path_xy_m: F8) -> None:
-        """Warn where a path (n, 2) leads through a wall: nothing is seen from outside."""
+        """Warn if a path (n, 2) leads through a wall: nothing is visible from outside."""
         half_m = np.array(self.size_m[:2]) / 2
         outside = (np.abs(path_xy_m) >= half_m).any(axis=1)
         if outside.any():
@@ -84,7 +84,7 @@ class HallWorld:
             )
 
     def shape_name(self, _key: ShapeKey) -> str:
-        """Return no name: nothing of a hall is kept on disk."""
+        """Return an empty name: a hall is not kept on disk."""
         return ""
 
     def height_m(self, x_m: F8, y_m: F8) -> F8:
@@ -99,7 +99,7 @@ class HallWorld:
         world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [(0.0, 0.0, self.size_m[2] / 2), *places_m]
         first = np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32)
         placed = self._keys, np.arange(n, dtype=np.int32), world_T_shape, first
-        # Whole metres, which float32 has exactly, near the sensor.
+        # Whole metres near the sensor, exact in float32.
         return Window(np.round(track_m.mean(axis=0)), *placed, self._surfaces)
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
@@ -140,7 +140,7 @@ def _box_quads(size_m: tuple[float, float, float]) -> Mesh:
 
 
 def _sides(radius_m: float) -> int:
-    """Sides of a polygon whose chords keep within the tolerance; even, so that it halves."""
+    """Sides of a polygon whose chords are within the tolerance; even, so that it can be halved."""
     needed = math.pi / acos(1 - min(_TOLERANCE_M / radius_m, 1.0))
     return max(_FEWEST_SIDES, 2 * math.ceil(needed / 2))
 
@@ -161,7 +161,7 @@ def _sphere(radius_m: float) -> Mesh:
     """Make a ball of meridians and parallels about its centre, half inside and half outside the true surface."""
     sides = _sides(radius_m)
     half = math.pi / sides
-    # The middle of a face near the equator sinks below its corners by cos(half) in either angle.
+    # The centre of a face near the equator is below its corners by cos(half) in either angle.
     corner_m = radius_m * 2 / (1 + cos(half) * cos(half))
     latitude = np.pi * (np.arange(1, sides // 2) / (sides // 2) - 0.5)
     longitude = 2 * half * np.arange(sides)

@@ -1,4 +1,4 @@
-"""The tables `[world]` of a hall and `[people]`; and the contract of all worlds with the engine."""
+"""The tables `[world]` of a hall and `[people]`, and the interface between worlds and the engine."""
 
 import math
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from vlp16emu.doors import door
 from vlp16emu.settings import Fraction, LazySection, SceneFile, Section, Size
 
-if TYPE_CHECKING:  # scenes are read without numpy
+if TYPE_CHECKING:  # scenes load without numpy
     from vlp16emu.types import F8, World
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
@@ -19,19 +19,19 @@ UpAxis = Literal["z", "y"]
 
 
 class PartFinish(Section):
-    """Finish of a part, which is that of the whole unless one of these keys is given."""
+    """Finish of a part; by default the finish of the whole object."""
 
     either_or: ClassVar[frozenset[str]] = _KEYS
 
     reflectance: Fraction | None = None
     """Lambertian, at 903 nm."""
     retroreflection_cd_lx_m2: Annotated[float, Field(ge=1, le=1000)] | None = None
-    """Coefficient of retroreflection, instead of `reflectance`: least values of ASTM D4956 for new white sheeting are 70
-    of type I, 250 of type III and 700 of type VIII. Assumptions: at 903 nm it is as in visible light, and it falls with the
+    """Coefficient of retroreflection, instead of `reflectance`: minimum values of ASTM D4956 for new white sheeting are 70
+    for type I, 250 for type III and 700 for type VIII. Assumptions: at 903 nm it is as in visible light, and it falls with the
     cosine of incidence."""
 
     @model_validator(mode="after")
-    def _given_once(self) -> Self:
+    def _check_reflectance(self) -> Self:
         if self.retroreflection_cd_lx_m2 is not None and "reflectance" in self.model_fields_set:
             raise ValueError("reflectance or retroreflection_cd_lx_m2 in it, not both")
         return self
@@ -69,35 +69,35 @@ class MeshSource(Section):
 
 
 class Site(Protocol):
-    """The ground of a world, before the path that leads over it is known."""
+    """The ground of a world, before the path over it is known."""
 
     @property
     def name(self) -> str:
-        """Digest of all that decides the ground."""
+        """Digest of all inputs of the ground."""
 
     @property
     def origin_m(self) -> tuple[float, float, float]:
-        """Easting, northing and height in maps that are (0, 0, 0) in the world."""
+        """Easting, northing and height of the world's origin (0, 0, 0) in map coordinates."""
 
     @property
     def obstacles(self) -> "tuple[F8, F8] | None":
-        """Places (n, 2) that way points lead around, and how far (n,) from each; None if paths keep their way."""
+        """Positions (n, 2) that paths must avoid, and distances (n,) from them; None if paths stay as they are."""
 
     def height_m(self, x_m: "F8", y_m: "F8") -> "F8":
-        """Height of the ground over places."""
+        """Height of the ground at positions."""
 
     def world(
         self, path_xy_m: "F8", *, reach_m: float, farthest_m: float, wind: Any, start_ns: int
     ) -> "tuple[World, Any]":
-        """Return the world around a path, and what moves in it, as `forest.stand.wind.TreeSway`; None in still air.
+        """Return the world around a path, and its motion, a `forest.stand.wind.TreeSway`, or None in still air.
 
-        Raises GeometryError if the world cannot be made as it is written, or ends within reach.
+        Raises GeometryError if the world cannot be made, or ends within reach.
 
         Parameters
         ----------
         path_xy_m : (n, 2) path of the sensors
-        reach_m : from there, how far they see
-        farthest_m : range of the one that sees farthest
+        reach_m : distance from the path that is in reach
+        farthest_m : greatest range of the sensors
         wind : the table `[wind]`; None without it
         start_ns : UTC of the first pulse
         """
@@ -107,22 +107,22 @@ class WorldSection(Section):
     """Base class of the kinds of world."""
 
     has_trees: ClassVar[bool] = False
-    """Whether wind moves something in it."""
+    """True if wind can move something in it."""
     site_door: ClassVar[str]
-    """Name in `doors.DOORS` of what `site` makes; a section of another package overrides `site`."""
+    """Name in `doors.DOORS` of the class that `site` makes; a section of another package overrides `site`."""
     if TYPE_CHECKING:
         kind: str
 
     meshes: list[Annotated[Any, LazySection("mesh_section")]] = Field(default_factory=list)
-    """The user's own things; they may lie anywhere."""
+    """Objects from the user; they may be anywhere."""
 
     def site(self, seed: int) -> Site:
-        """Return the ground, on which path and world are made; raises GeometryError if it cannot be made as it is written."""
+        """Return the ground, on which path and world are made; raises GeometryError if it cannot be made."""
         site: Site = door(self.site_door)(self, seed)
         return site
 
     def furnished(self, bare: "World", path_xy_m: "F8", reach_m: float) -> "World":
-        """Return a world with the user's own meshes in it, as far as they are seen along a path (n, 2).
+        """Return a world with the user's meshes, as far as they are visible along a path (n, 2).
 
         Raises GeometryError if a mesh cannot be read.
         """
@@ -130,21 +130,21 @@ class WorldSection(Section):
 
 
 class People(Section):
-    """People beside a carrier who walks, as upright cylinders: shoulders, and a head on them."""
+    """People beside a walking carrier, as upright cylinders: shoulders and a head."""
 
     behind_m: Annotated[float, Field(ge=0, le=100)] = 1.5
-    """Distance of a companion who follows behind the carrier, and hides a sector of what is seen; 0 for none (assumption)."""
+    """Distance of a companion who follows the carrier and hides a sector of the view; 0 for none (assumption)."""
     passes_every_s: Annotated[float, Field(ge=0, le=86_400)] = 40.0
-    """Time from one person to the next who comes towards the carrier and passes 1 m to the side; 0 for none (assumption)."""
+    """Time between oncoming people, who pass the carrier 1 m to the side; 0 for none (assumption)."""
 
 
 class HallThing(Finish):
-    """Something of known shape."""
+    """An object of known shape."""
 
     name: str
     """Name in reports."""
     texture: Texture = 0.0
-    """Share by which its reflectance varies over patches, as that of the walls does; none unless set, so that it is of known brightness."""
+    """Relative variation of its reflectance over patches, as for the walls; 0 by default, for a known brightness."""
 
 
 class HallBox(HallThing):
@@ -160,7 +160,7 @@ class HallPole(HallThing):
     """An upright round pole."""
 
     foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
-    """x, y and z of the middle of the lower end."""
+    """x, y and z of the centre of the lower end."""
     diameter_m: Size
     """Diameter."""
     height_m: Size
@@ -192,11 +192,11 @@ class Hall(WorldSection):
     wall_reflectance: Fraction = 0.6
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
     texture: Texture = 0.16
-    """Share by which it varies over patches of some 0.1 m, one sigma over all; pieces of a wall of some 1.6 m differ
-    by a factor of three. With 0.16 neighbouring returns from walls scatter as on real units."""
+    """Relative variation of the reflectance over patches of about 0.1 m, one sigma overall; parts of a wall of about 1.6 m
+    differ by a factor of three. With 0.16 neighbouring returns from walls scatter as on real units."""
     relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
-    """How far walls, floor and ceiling stand out and back over patches of a few centimetres, one sigma; ground truth has
-    it too. Walls of the rooms that real sensors stood in have 0.002 to 0.005 m; without it, the hall is flat."""
+    """Unevenness of walls, floor and ceiling over patches of a few centimetres, one sigma; included in the ground truth.
+    Walls in captures of real sensors have 0.002 to 0.005 m; 0 gives a flat hall."""
     boxes: list[HallBox] = Field(default_factory=list)
     """Upright boxes."""
     poles: list[HallPole] = Field(default_factory=list)

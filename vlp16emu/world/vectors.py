@@ -1,4 +1,4 @@
-"""Places, directions of vectors, determinants, by sums, products, quotients and square roots; and closed bodies of rings."""
+"""Positions, unit vectors and determinants from sums, products, quotients and square roots; and closed bodies of rings."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from vlp16emu.types import F8, Mesh
 
 
 def places_m(rows: NDArray[np.void], axes: str = "xyz") -> F8:
-    """Return the places (n, 3), or along some axes, of rows that have them as x_m, y_m and z_m."""
+    """Return positions (n, 3), or selected axes, of rows with fields x_m, y_m and z_m."""
     return np.column_stack([rows[f"{axis}_m"] for axis in axes])
 
 
@@ -24,7 +24,7 @@ def determinant(matrices: F8) -> F8:
 
 
 def closed(rings: F8, ends: F8) -> Mesh:
-    """Make a closed body of rings (r, sides, 3), counter-clockwise seen from the last one, and the middles (2, 3) of its ends."""
+    """Make a closed body from rings (r, sides, 3), counter-clockwise seen from the last, and centres (2, 3) of its ends."""
     count, sides, _ = rings.shape
     vertices = np.concatenate([rings.reshape(-1, 3), ends])
     here = np.arange(sides)

@@ -116,4 +116,4 @@ def test_characters_that_come_one_by_one_are_taken_together(monkeypatch):
     assert heard == [(b"$GP", 1), (b"RMC", 2)]
     assert len(waited) == 3
     port = SimpleNamespace(in_waiting=5, read=lambda count: b"123456"[:count])
-    assert reader._look(port)[0] == b"1" + b"12345"
+    assert reader._poll(port)[0] == b"1" + b"12345"

@@ -217,10 +217,7 @@ BAD_TUM = [
     (LINE + "0.2 1 2 nan 0 0 0 1\n", ", line 2, column z_m: found nan; expected a number"),
     (LINE + "nan 1 2 3 0 0 0 1\n", ", line 2, column t_s: found nan; expected at most 4611686018 s"),
     (LINE + LINE, ", line 2: the time of the pose before; expected times that grow"),
-    (
-        LINE + "\n0.05 1 2 3 0 0 0 1\n",
-        ", line 3: a time 0.05 s before that of the pose before; expected times that grow",
-    ),
+    (LINE + "\n0.05 1 2 3 0 0 0 1\n", ", line 3: a time 0.05 s before the pose before; expected times that grow"),
     (LINE + "0.2 1 2 3 0 0 0 1.002\n", ", line 2: a quaternion of length 1.002; expected length 1, to 0.001"),
     (LINE + "0.2 1 2 3 0 0 0 0\n", ", line 2: a quaternion of length 0; expected length 1, to 0.001"),
 ]

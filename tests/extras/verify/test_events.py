@@ -107,7 +107,7 @@ RUNS = {
     "late_sentence": ([DARK, event("late_sentence", 3.0, duration_s=3.0)], 12.0, {},
      {Rule.NMEA_TIME: "0.85 s after its second"}),
     "missing_sentence": ([DARK, event("missing_sentence", 3.0, duration_s=3.0)], 12.0, {},
-     {Rule.NMEA_SECOND: "no sentence after that of "}),
+     {Rule.NMEA_SECOND: "no sentence after second "}),
     "void sentence": ([DARK, event("void_sentence", 3.0, duration_s=3.0)], 8.0, {"gps": {"canopy_loss": False}}, {}),
     "void sentence without lock": ([DARK, event("void_sentence", 3.0, duration_s=3.0)], 8.0,
      {"gps": {"canopy_loss": False, "requires_valid": True}}, {Rule.PPS: LOST_LOCK}),

@@ -83,7 +83,7 @@ def test_a_wrong_file_is_reported_by_file_species_and_key(write, old, new, messa
 def test_two_plants_with_one_number_and_a_missing_file_are_refused(write, tmp_path):
     """Numbers of a file must differ among its trees and shrubs, and a path that leads nowhere is named."""
     path = write(own_oak() + own_oak().replace("holm_oak", "cork_oak"))
-    with pytest.raises(GeometryError, match=r"cork_oak\.number: found 1000, which is that of holm_oak"):
+    with pytest.raises(GeometryError, match=r"cork_oak\.number: found 1000, the number of holm_oak"):
         flora(path)
     with pytest.raises(GeometryError, match=r"none\.toml: no such file"):
         flora(tmp_path / "none.toml")

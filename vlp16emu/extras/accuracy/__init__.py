@@ -1,1 +1,1 @@
-"""How exact a run is, and what it costs."""
+"""Accuracy of a run, and its cost."""

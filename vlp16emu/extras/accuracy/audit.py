@@ -1,9 +1,9 @@
-"""A few pulses of a run compared with their converged answer while it goes on.
+"""Comparison of a few pulses of a run with their converged answer while the run goes on.
 
-Of each block of firing sequences, eight consecutive ones of two lasers are drawn: 0.05 % of a VLP-16's pulses.
-The hits of the run itself are judged, so that only the answers are cast. Which pulses are drawn follows from the
-seed and the block, so neither threads nor order matter, and nothing of the run is touched. Errors are summed up as whole
-numbers by cluster, so that neither order nor number matters.
+In each block of firing sequences, eight consecutive sequences of two lasers are drawn: 0.05 % of a VLP-16's pulses. The
+audit judges the hits of the run itself, so only the answers are cast. The seed and the block determine the drawn
+pulses, so threads and order do not matter, and the run does not change. Errors are summed as integers by cluster, so
+the sums do not depend on order or number of threads.
 """
 
 import math
@@ -40,29 +40,29 @@ class Detections(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Comparison of pulses with the answer, by their strongest return unless said otherwise."""
+    """Comparison of pulses with the answer, by their strongest return unless noted."""
 
     pulses: int
     returns: int  # pulses with a return in the answer
-    lost: int  # the answer has a return, and nothing was detected
-    invented: int  # something was detected, and the answer has nothing
-    wrong_strongest: int  # another echo was taken for the strongest
-    wrong_last: int  # another echo was taken for the last
+    lost: int  # pulses with a return in the answer, but no detection
+    invented: int  # pulses with a detection, but no return in the answer
+    wrong_strongest: int  # pulses with another echo as the strongest
+    wrong_last: int  # pulses with another echo as the last
     error_m: F8  # (k,) range errors of the matched pulses
-    reflectivity_error: F8  # (k,) likewise, in counts
+    reflectivity_error: F8  # (k,) their reflectivity errors, in counts
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Errors over many pulses. Shares are of the answer's returns; NaN if there is nothing to take a mean of."""
+    """Errors over many pulses. Shares are relative to the answer's returns; a mean of no values is NaN."""
 
     pulses: int
     returns: int  # pulses with a return in the answer
-    range_rmse_m: float  # RMSE of strongest returns that match the answer's, as all that follow up to `range_p95_m`
+    range_rmse_m: float  # RMSE of strongest returns that match the answer's, like the next fields up to `range_p95_m`
     range_bias_m: float
-    range_p95_m: float  # 95 % of absolute errors are smaller
+    range_p95_m: float  # 95th percentile of absolute errors
     mean_error_m: float
-    """Mean absolute error of all strongest returns, a lost or wrong one counting as the detector's resolution."""
+    """Mean absolute error of all strongest returns; a lost or wrong return counts as the detector's resolution."""
     lost: float
     invented: float
     wrong_strongest: float
@@ -71,24 +71,24 @@ class Errors:
 
 
 def apart_m(detector: Detector) -> float:
-    """Return the range between echoes that are surely two: the resolution, or a pulse's full width if that is more."""
+    """Return the least range between two separate echoes: the resolution, or a pulse's full width if that is more."""
     return max(detector.resolution_m, _HALF_LIGHT_M_PER_NS * detector.pulse_ns)
 
 
 def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footprint:
-    """Return the beam of an answer; its sub-rays must not be those that it judges, so each number has a seed of its own."""
+    """Return the beam of an answer; its sub-rays must differ from the judged ones, so each number has a seed of its own."""
     own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
     return replace(beam.changed(model="fixed", rays=rays), seed=own)
 
 
 def detections_of(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector) -> Detections:
-    """Detect all echoes of some pulses with a detector without noise, in order of sequence, then of laser."""
+    """Detect all echoes of some pulses with a detector without noise, sorted by sequence, then by laser."""
     returns = detect(firings, hits, surfaces, exact, truth=False)
     return Detections(returns.distance_m.reshape(-1, 3), returns.reflectivity.reshape(-1, 3))
 
 
 def compare(answer: Detections, detected: Detections, resolution_m: float) -> Comparison:
-    """Compare the detections of n pulses with the answer; ranges more than half a resolution apart are of different echoes."""
+    """Compare the detections of n pulses with the answer; ranges more than half a resolution apart belong to different echoes."""
     seen, got = answer.distance_m[:, _STRONGEST] > 0, detected.distance_m[:, _STRONGEST] > 0
     off_m = detected.distance_m.astype(np.float64) - answer.distance_m
     other = (seen & got)[:, None] & (np.abs(off_m) > resolution_m / 2)
@@ -174,21 +174,21 @@ class Tally:
 
     @property
     def range_rmse_interval_m(self) -> tuple[float, float] | None:
-        """Interval of that RMSE over all pulses, from the clusters as a sample; None if they are too few.
+        """95 % confidence interval of this RMSE over all pulses, with the clusters as a sample; None if there are too few.
 
-        The mean square is a ratio of sums over clusters, whose variance is that of the clusters about the ratio
-        (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares are lopsided, so Student's interval is laid
-        on their logarithm, with a quarter of the degrees of freedom of as many clusters alike as carry the sum: of 40 to
-        600 clusters with lognormal errors, 91 to 96 % of intervals then hold the truth at sigma 0.5 and 0.8, and 87 to 90 %
-        at 1.1, where few clusters carry all; those that miss lie too low.
+        The mean square is a ratio of sums over clusters; its variance is the variance of the clusters about the ratio
+        (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares have a skewed distribution, so Student's interval
+        is on their logarithm, with a quarter of the degrees of freedom of the effective number of clusters. With 40 to 600
+        clusters and lognormal errors, 91 to 96 % of intervals then contain the truth at sigma 0.5 and 0.8, and 87 to 90 % at
+        1.1, where few clusters dominate; intervals that miss it are too low.
         """
         if self.with_errors < FEWEST_CLUSTERS or self.range_rmse_m is None:
             return None
-        from scipy.special import stdtrit  # here: the first packet need not wait for it
+        from scipy.special import stdtrit  # here: the first packet must not wait for the import
 
         mean = self.squares_um2 / self.matched
         away = self.squares_2_um4 - 2 * mean * self.squares_matched_um2 + mean**2 * self.matched_2
-        # If all clusters have the same error, rounding may leave a little less than nothing.
+        # If all clusters have the same error, rounding may give a value slightly below zero.
         relative = math.sqrt(max(away, 0.0) * self.clusters / (self.clusters - 1)) / self.squares_um2
         carrying = self.squares_um2**2 / self.squares_2_um4
         reach = relative * float(stdtrit(max(carrying / 4, 1.0), 0.5 + _CONFIDENCE / 2))
@@ -197,14 +197,14 @@ class Tally:
 
 _SEQUENCES, _LASERS = 8, 2
 _RAYS, _TIMES = 512, 4
-"""Sub-rays of an answer: at least the first, and the second times those of a pulse. With 512, what is left is a fifth of
-the error of pulses of 64, and 1/20 of that of one ray."""
+"""Sub-rays of an answer: at least the first number, and at least the second number times the sub-rays of a pulse. With
+512, the remaining error is a fifth of the error of pulses with 64, and 1/20 of the error of one ray."""
 _SAMPLED = ("fixed", "adaptive")
 
 
 @dataclass(frozen=True, slots=True)
 class AuditFinding:
-    """Error of a run, estimated from pulses that are cast again; shares are of returns, None if not known."""
+    """Error of a run, estimated from pulses that are cast again; shares are relative to returns, None if not known."""
 
     exact: bool  # a pulse is one ray, by the scene's own choice
     pulses: int  # pulses cast again
@@ -213,11 +213,11 @@ class AuditFinding:
     range_rmse_high_m: float | None
     lost: float | None
     invented: float | None
-    other_echo: float | None  # share whose strongest return is another echo
+    other_echo: float | None  # share of returns whose strongest echo is another one
 
 
 class Audit:
-    """Audit of a run, called from any number of threads; without effect if the scene itself chose one ray per pulse."""
+    """Audit of a run, called from any number of threads; without effect if the scene itself has one ray per pulse."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._apart_m = apart_m(scenario.detector)
@@ -235,15 +235,15 @@ class Audit:
         return AuditFinding(self.exact, tally.pulses, tally.range_rmse_m, low_m, high_m, lost, invented, other)
 
     def __call__(self, job: Job, firings: Firings, hits: Hits, geometry: Geometry) -> None:
-        """Audit the pulses of whole or partial blocks, in the geometry that they were cast against."""
+        """Audit the pulses of whole or partial blocks, in the same geometry."""
         if self.exact:
             return
         unit = job.unit
         block, index = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block, firings.index
         for begin in range(index // block * block, index + len(firings.t_ns), block):
-            self._look(unit, firings, hits, geometry, begin, block)
+            self._audit(unit, firings, hits, geometry, begin, block)
 
-    def _look(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int) -> None:
+    def _audit(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int) -> None:
         """Audit the drawn pulses of the block that begins with sequence `begin`, if they are among those that were cast."""
         lasers = firings.t_ns.shape[1]
         draw = generator(unit.seed, Purpose.AUDIT, unit.number, begin)

@@ -1,7 +1,7 @@
-"""Error against run time: settings of the beam and near_m, on pulses from all over a run.
+"""Error against run time: settings of the beam and near_m, on pulses from the whole run.
 
-Settings are judged by the converged answer: the same pulses with many more sub-rays, by a receiver without noise. Beyond
-`near_m` single leaves differ from those of the explicit world, so there means over the same pulses are compared, not pulses.
+The reference is the converged answer: the same pulses with many more sub-rays, detected without noise. Beyond `near_m`
+single leaves differ from the leaves of the explicit world, so means over the same pulses are compared there.
 """
 
 import math
@@ -31,19 +31,19 @@ from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Returns
 from vlp16emu.units import seconds_to_ns
 
 _WANTED_M = 0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01
-_ERRANT = "angle", "offset"  # models of the beam errors of the paper: to be compared with, not to be chosen
+_ERRANT = "angle", "offset"  # models of the beam errors of the paper: for comparison, not for use
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """Error and run time of one setting."""
 
-    model: str  # of the beam
-    name: str  # setting as `--set` takes it
-    in_use: bool  # whether it is the scene's own
+    model: str  # model of the beam
+    name: str  # setting in the form of `--set`
+    in_use: bool  # True for the scene's own setting
     errors: Errors
     us_per_pulse: float  # run time of casting and detecting on one core
-    us_spread: float  # difference between the slowest and the quickest repeat
+    us_spread: float  # difference between the slowest and the fastest repetition
     rays_per_pulse: float
 
 
@@ -53,7 +53,7 @@ class Mean:
 
     value: float
     off: float  # difference from the explicit world
-    half: float  # half of the 95 % interval of that difference
+    half: float  # half of the 95 % interval of this difference
 
     @property
     def departs(self) -> bool:
@@ -63,7 +63,7 @@ class Mean:
 
 @dataclass(frozen=True, slots=True)
 class LevelOfDetail:
-    """A world cast leaf by leaf to some distance."""
+    """A world with single leaves up to some distance."""
 
     name: str  # as `--set` takes it
     in_use: bool
@@ -83,7 +83,7 @@ class Accuracy:
 
 
 def choices(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the quickest settings for some wanted mean errors: by name, the least error in m that each is good for."""
+    """Return the fastest settings for some mean errors: by name, the least error in m for which each is the fastest."""
     found = dict[str, float]()
     for wanted_m in _WANTED_M:
         if good := [row for row in rows if row.errors.mean_error_m <= wanted_m and row.model not in _ERRANT]:
@@ -92,10 +92,10 @@ def choices(rows: Sequence[Row]) -> dict[str, float]:
 
 
 GROUP = 8
-"""Firing sequences of a group, from a multiple of eight on: an adaptive beam is judged among so many, and no others."""
+"""Firing sequences of a group, which begins at a multiple of eight: an adaptive beam adapts within these eight only."""
 TIMED_SEQUENCES = 96
-"""Firing sequences on which run time is measured in each window: then a call costs below a tenth of a ray each."""
-_MOST_SEGMENTS = 8  # most segments of a long walk: each needs a window of the world
+"""Firing sequences per window for run time: the overhead of a call is then below a tenth of a ray each."""
+_MOST_SEGMENTS = 8  # greatest number of segments of a long walk: each needs a window of the world
 
 
 def joined(parts: Sequence[Detections]) -> Detections:
@@ -106,9 +106,9 @@ def joined(parts: Sequence[Detections]) -> Detections:
 def draw_groups(
     batching: Batching, blocks: int, pulses: int, seed: int, *, moves: bool
 ) -> Iterator[tuple[int, list[range]]]:
-    """Draw groups of firing sequences of the first blocks of a run, of so many pulses at least, by segments that share a window.
+    """Draw groups of firing sequences from the first blocks of a run, with at least `pulses` pulses, by segments that share a window.
 
-    Yields the number of a segment, 0 alone if nothing moves, and its groups in order of time.
+    Yields the number of a segment, only 0 if nothing moves, and its groups in order of time.
     """
     draw = generator(seed, Purpose.AUDIT, -1)
     per_block, segment = batching.block // GROUP, batching.segment if moves else blocks
@@ -130,9 +130,9 @@ def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> I8:
 def opened_windows(
     scenario: Scenario, parts: Parts, pulses: int, pool: Executor
 ) -> Iterator[tuple[Geometry, list[range], float]]:
-    """Open the windows of a sample of the pulses of a run's first unit, one after the other; `pool` grows shapes.
+    """Open the windows of a sample of pulses of a run's first unit, one after the other; `pool` grows shapes.
 
-    Yields a window, groups in it, and the share of the run that ends with them.
+    Yields a window, the groups in it, and the share of the run at their end.
     """
     unit = parts.units[0]
     batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
@@ -159,12 +159,12 @@ class Bench:
         return geometry.cast(firings, self.unit.head.beams.near_m, self.unit.section.max_range_m, beam)
 
     def detections(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Detections:
-        """Cast pulses, and detect them with an exact receiver."""
+        """Cast pulses, and detect them without noise."""
         hits = self.cast(geometry, firings, beam)
         return detections_of(firings, hits, geometry.surfaces, self.unit.detector.without_chance())
 
     def answer(self, geometry: Geometry, firings: Firings, beam: Footprint, number: int = 0) -> Detections:
-        """Return the answer for some pulses; its number distinguishes answers with different sub-rays."""
+        """Return the answer for some pulses; `number` distinguishes answers with different sub-rays."""
         return self.detections(geometry, firings, answer_beam(beam, self.rays, self.unit.seed, number))
 
     def timed(self, geometry: Geometry, firings: Firings, beam: Footprint) -> tuple[float, float]:
@@ -176,10 +176,10 @@ class Bench:
 
 
 _COUNTS = (4, 8, 16, 32, 64, 128)
-_TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, over that of the scene
-_RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times those of a pulse of the scene
+_TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)  # targets of adaptive beams, relative to the scene's target
+_RAYS, _TIMES = 4096, 4  # sub-rays of an answer: at least the first, and the second times the sub-rays of a pulse
 _REPEATS = 5
-_ANSWERED_TWICE = 4  # every fourth group measures the error of the answer itself, as answers are costly
+_ANSWERED_TWICE = 4  # every fourth group also gives the error of the answer itself, because answers are expensive
 
 
 class BeamSetting(NamedTuple):
@@ -211,7 +211,7 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     return settings
 
 
-class _Ladder:
+class _SettingsBench:
     """All settings on one bench, measured window by window."""
 
     def __init__(self, bench: Bench, scenario: Scenario) -> None:
@@ -235,18 +235,18 @@ class _Ladder:
             self._detections[setting.name] += [bench.detections(geometry, one, setting.beam) for one in aimed]
 
     def time(self, geometry: Geometry, block: range) -> None:
-        """Measure run time of all settings, in turn, so that other load meets them alike."""
+        """Measure the run time of all settings in turn, so that other load affects all of them."""
         bench = self._bench
         firings = bench.aimed(block[:TIMED_SEQUENCES])
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
-            if repeat:  # the first one compiled and warmed up
+            if repeat:  # the first repetition compiles and warms up
                 for name, (us, rays) in timed.items():
                     self._us[name].append(us)
                     self._rays[name].append(rays)
 
     def summed(self, scene: str, seed: int) -> Accuracy:
-        """Return all errors and run times; two answers differ by the root of two times the error of one."""
+        """Return all errors and run times; the difference of two answers is the error of one times the root of two."""
         answer = self._errors("another answer", "answer of some")
         return Accuracy(
             scene=scene,
@@ -269,19 +269,19 @@ class _Ladder:
 def measure_accuracy(
     scenario: Scenario, scene: str, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> Accuracy:
-    """Measure errors and run time of the beams of a scene, which is called `scene`, with the first of its units.
+    """Measure errors and run time of the beams of the scene named `scene`, with its first unit.
 
     RunError if no pulse has a return.
 
     Parameters
     ----------
     pulses : number of pulses, rounded up to whole groups
-    done : called with the share of the work that is done
+    done : called with the completed share of the work
     """
     parts = assemble(scenario)
     unit = parts.units[0]
     block = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns).block
-    ladder = _Ladder(Bench(unit, max(_RAYS, _TIMES * unit.beam.rays)), scenario)
+    ladder = _SettingsBench(Bench(unit, max(_RAYS, _TIMES * unit.beam.rays)), scenario)
     with workers(os.cpu_count() or 1, "accuracy") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
             ladder.look(geometry, groups, pool)
@@ -301,9 +301,9 @@ _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 def measure_foliage(
     scenario: Scenario, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> tuple[LevelOfDetail, ...]:
-    """Measure means and run time of a scene's world cast leaf by leaf to some distances, the explicit one last; nothing for a hall.
+    """Measure means and run time of a scene's world with single leaves up to several distances, the explicit world last; empty for a hall.
 
-    Parameters are as in `measure_accuracy`; each world gets so many pulses.
+    Parameters as in `measure_accuracy`; each world gets `pulses` pulses.
     """
     if not isinstance(world := scenario.world, Woods):
         return ()
@@ -324,9 +324,9 @@ def measure_foliage(
 
 
 def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple[Returns, float, float]]:
-    """Cast groups of pulses of the first unit against a scene's world, leaf by leaf to `near_m`, and detect them without noise.
+    """Cast groups of pulses of the first unit against a scene's world with single leaves up to `near_m`, and detect them without noise.
 
-    Yields returns of a group, microseconds per pulse in its window on one core, and the share of the run that is done.
+    Yields returns of a group, microseconds per pulse in its window on one core, and the completed share of the run.
     """
     world = scenario.world.model_copy(update={"near_m": near_m})
     parts = assemble(scenario.model_copy(update={"world": world}))
@@ -347,7 +347,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
 
 
 def is_two(distance_m: F4) -> NDArray[np.bool_]:
-    """Return whether pulses have two returns in dual return, by their distances (..., 3)."""
+    """Return a mask (...,) of pulses that have two returns in dual return, from their distances (..., 3)."""
     is_apart = distance_m[..., _STRONGEST] != distance_m[..., _LAST]
     return np.asarray(is_apart | (distance_m[..., _SECOND] > 0))
 
@@ -369,11 +369,11 @@ def _means(returns: Returns, reach_m: float) -> dict[str, float]:
 
 
 def departures(groups: list[dict[str, float]], explicit: list[dict[str, float]]) -> dict[str, Mean]:
-    """Compare means of groups of equal size with those of the explicit world."""
+    """Compare means of groups of equal size with means of the explicit world."""
     held = dict[str, Mean]()
     for name in explicit[0]:
         own, other = (np.array([means[name] for means in of]) for of in (groups, explicit))
-        off = own - other  # pulses of a group see the same trees: groups are what is independent
+        off = own - other  # pulses of a group see the same trees: only groups are independent
         half = _NORMAL_95 * float(off.std(ddof=1)) / math.sqrt(len(off)) if len(off) > 1 else math.nan
         held[name] = Mean(float(own.mean()), float(off.mean()), half)
     return held

@@ -1,4 +1,4 @@
-"""Messages of ROS 1 and ROS 2 into a bag, without ROS."""
+"""Bags of ROS 1 and ROS 2, written without ROS."""
 
 import heapq
 import logging
@@ -18,7 +18,7 @@ from vlp16emu.units import S_NS
 _log = logging.getLogger(__name__)
 
 _SUFFIXES = (".mcap", ".bag", "")
-"""MCAP of ROS 2, bag of ROS 1, and a folder with SQLite of ROS 2, which every ROS 2 reads without a plugin."""
+"""MCAP of ROS 2, bag of ROS 1, and a folder with SQLite of ROS 2, which each ROS 2 reads without a plugin."""
 _OWN_TYPES = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
@@ -26,19 +26,18 @@ _OWN_TYPES = {
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
 }
 """Definitions in github.com/ros-drivers/velodyne (velodyne_msgs/msg) and nmea_msgs (msg), and in
-github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
+github.com/ros/geometry2 (tf2_msgs/msg), which rosbags lacks among the types of ROS 1."""
 _HELD_NS = S_NS  # time for which messages wait for earlier ones
-_FAILURES = (OSError, sqlite3.Error)  # errors of a full disk, the second one in a folder of ROS 2
+_FAILURES = (OSError, sqlite3.Error)  # errors for a full disk, the second one in a folder of ROS 2
 LATEST_NS = (2**31 - 1) * S_NS
-"""Latest stamp of builtin_interfaces/Time, whose seconds are an int32; those of ROS 1 reach farther."""
-_METADATA_VERSION = 8  # last version of rosbag2 whose quality of service is a text
+"""Latest stamp of builtin_interfaces/Time, whose seconds are an int32; stamps of ROS 1 reach farther."""
+_METADATA_VERSION = 8  # last metadata version of rosbag2 with the quality of service as a string
 
 
 def check_bag(path: Path) -> None:
-    """Refuse what no bag can be written to.
+    """Refuse a path that no bag can be written to.
 
-    Raises OutputError if the ending is another, or the folder is there already; MissingExtraError if rosbags is not
-    installed.
+    Raises OutputError if the suffix is no bag's, or the folder exists; MissingExtraError if rosbags is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES or not path.name:
@@ -50,12 +49,12 @@ def check_bag(path: Path) -> None:
 
 
 class BagFile:
-    """A bag, which takes its name when it is closed without error; a context manager.
+    """A bag that gets its name when it is closed without error; a context manager.
 
     It is .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not.
     Messages may come in any order within a second, and are written in the order of their times.
 
-    Raises OutputError if the suffix is another, the folder is there already, or nothing can be written there;
+    Raises OutputError if the suffix is no bag's, the folder exists, or nothing can be written there;
     MissingExtraError if rosbags is not installed.
     """
 
@@ -117,40 +116,39 @@ class BagFile:
 
     @staticmethod
     def time(t_ns: int) -> tuple[int, int]:
-        """Fields of the stamp of an instant UTC."""
+        """Return the fields of the stamp of a UTC instant."""
         return divmod(t_ns, S_NS)
 
     def header(self, t_ns: int, frame: str, topic: str) -> tuple[object, ...]:
-        """Fields of a header; the one of ROS 1 numbers the messages of its topic."""
+        """Return the fields of a header; headers of ROS 1 number the messages of their topic."""
         fields = self.time(t_ns), frame
         return (self.counts.get(topic, 0), *fields) if self.is_ros1 else fields
 
     def write(self, topic: str, t_ns: int, name: str, *fields: object) -> None:
-        """Write a message of a type such as `sensor_msgs/msg/Imu`, stamped with an instant UTC.
+        """Write a message of a type such as `sensor_msgs/msg/Imu`, stamped with a UTC instant.
 
-        Fields are in the order of the type's definition, and those of messages within it again so.
+        Fields are in the order of the type's definition, also in nested messages.
 
-        Raises RunError if the disk is full, or no bag can hold the stamp.
+        Raises RunError if the disk is full, or the stamp is out of the range of bags.
         """
         if not 0 <= t_ns <= LATEST_NS:
             raise RunError(f"{self.path}: a message at {t_ns / S_NS:.3f} s since 1970 fits no bag; no bag is written")
-        heapq.heappush(self._held, (t_ns, next(self._number), topic, self._make(name, fields)))
+        heapq.heappush(self._held, (t_ns, next(self._number), topic, self._message(name, fields)))
         self.counts[topic] = self.counts.get(topic, 0) + 1
         first_ns, last_ns = self.span_ns or (t_ns, t_ns)
         self.span_ns = min(first_ns, t_ns), max(last_ns, t_ns)
         while self._held[0][0] < self.span_ns[1] - _HELD_NS:
             self._append()
 
-    def _make(self, name: str, fields: Iterable[Any]) -> Any:
-        """Return a message with those inside it."""
+    def _message(self, name: str, fields: Iterable[Any]) -> Any:
         from rosbags.interfaces import Nodetype
 
         made = []
         for (_, (node, kind)), value in zip(self._store.fielddefs[name][1], fields, strict=True):
             if node == Nodetype.NAME:
-                made.append(self._make(kind, value))
+                made.append(self._message(kind, value))
             elif node != Nodetype.BASE and kind[0][0] == Nodetype.NAME:
-                made.append([self._make(kind[0][1], one) for one in value])
+                made.append([self._message(kind[0][1], one) for one in value])
             else:
                 made.append(value)
         return self._store.types[name](*made)
@@ -170,7 +168,7 @@ class BagFile:
         return RunError(f"{self.path}: {getattr(error, 'strerror', None) or error}; no bag is written")
 
     def _connection(self, topic: str, name: str) -> Any:
-        """Announce a topic: reliable, the last ten; fixed transforms are latched, as tf2_ros does."""
+        """Announce a topic: reliable, depth ten; fixed transforms are latched, as in tf2_ros."""
         from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
         is_fixed, any_time = topic == "/tf_static", QosTime(0, 0)

@@ -1,4 +1,4 @@
-"""The messages that ROS has of such a sensor, its carrier, an inertial unit and a receiver."""
+"""ROS messages of a sensor, its carrier, an inertial unit and a GNSS receiver."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -24,31 +24,31 @@ _FIELDS = [
     for name, (kind, offset, *_) in (_POINT.fields or {}).items()
 ]
 _NO_ATTITUDE, _NO_ESTIMATE = (0.0,) * 4, np.array([-1.0, *[0.0] * 8])
-"""Orientation of an inertial unit that has none, and the covariance that says so (sensor_msgs/Imu)."""
+"""Orientation of an inertial unit that reports none, and the covariance that marks it (sensor_msgs/Imu)."""
 _EXACT = np.zeros(36)
-_UNKNOWN_M2 = 1e6  # variance of the height, which an RMC sentence does not have
-_UNKNOWN_RAD2 = math.pi**2 / 3.0  # variance of a heading that may be any, as drift makes it in the end
+_UNKNOWN_M2 = 1e6  # variance of the altitude: an RMC sentence has none
+_UNKNOWN_RAD2 = math.pi**2 / 3.0  # variance of a uniformly distributed heading, the limit of drift
 
 
 class UnitMessages:
-    """Writes what the driver makes of the packets of one sensor.
+    """Writer of the messages that the ROS driver makes from the packets of one sensor.
 
-    A scan ends with the packet that passes azimuth 0, as the driver's default `cut_angle` has it, or before a jump of a clock. It
-    has the stamp of its first packet, as with the driver's setting `timestamp_first_packet`, by `clock`. What is left after the
-    last cut is no scan.
+    A scan ends with the packet that passes azimuth 0, as with the driver's default `cut_angle`, or before a jump of a
+    clock. Its stamp is the time of its first packet by `clock`, as with the driver's setting `timestamp_first_packet`.
+    Packets after the last cut are no scan.
     """
 
     def __init__(self, bag: BagFile, frame: str, clock: PacketClock) -> None:
         self._bag, self._frame, self._clock = bag, frame, clock
         self._space = f"/{frame}".removesuffix("/velodyne")
         self._last: tuple[float, int, int] | None = None
-        """Azimuth of the latest packet, and its time by the sensor's clock and by the chosen one."""
+        """Azimuth of the latest packet, and its time by the sensor's clock and by the chosen clock."""
         self._factory: int | None = None
         self._sentence = b""
         self._held: list[tuple[int, bytes, int]] = []
 
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
-        """Take a data packet, and return UTC of its first pulse; errors as of `check`."""
+        """Take a data packet, and return UTC of its first pulse; errors of `check`."""
         fields = np.frombuffer(payload, DATA_PAYLOAD)[0]
         stamps = stamp_ns, int(fields["timestamp_us"]), int(fields["return_mode"])
         azimuth_deg, (sensor_ns, t_ns) = fields["blocks"]["azimuth_cdeg"][0] / 100, self._clock.packet_ns(*stamps)
@@ -62,7 +62,7 @@ class UnitMessages:
         self._held.append((t_ns, payload, number))
         if ends:
             self._write_scan()
-        if self._last is None or not 0 < self._last[1] - sensor_ns <= JUMP_NS:  # a packet that comes late ends no scan
+        if self._last is None or not 0 < self._last[1] - sensor_ns <= JUMP_NS:  # a late packet ends no scan
             self._last = azimuth_deg, sensor_ns, t_ns
         return t_ns
 
@@ -77,7 +77,7 @@ class UnitMessages:
         return t_ns
 
     def check(self) -> U1:
-        """Return the payloads (n, 1206) of the scan so far; PacketError if one of them is not a VLP-16's."""
+        """Return the payloads (n, 1206) of the scan so far; PacketError if one of them is no VLP-16 packet."""
         payloads = np.frombuffer(b"".join(payload for _, payload, _ in self._held), np.uint8)
         payloads = payloads.reshape(len(self._held), DATA_PAYLOAD.itemsize)
         if len(payloads):
@@ -111,18 +111,18 @@ class UnitMessages:
 
 
 class TrueMessages:
-    """Writes the truth of a run; poses are x y z and quaternion x y z w.
+    """Writer of the ground truth of a run; poses are x y z and quaternion x y z w.
 
-    Frames are those of REP 105 and REP 103: what is mounted hangs on `base_link`, the body of `rig.json`, and the truth has
-    frames of its own, so that a SLAM program may publish `map` to `odom` to `base_link`.
+    Frames follow REP 105 and REP 103: mounted devices are children of `base_link`, the body of `rig.json`. The ground
+    truth has frames of its own, so that a SLAM program can publish `map` to `odom` to `base_link`.
 
     Parameters
     ----------
-    bag : to be written
+    bag : bag to write
     rig : `rig.json`, with the units that are written
-    scenario : `scenario.json`, by whose errors of inertial unit and receiver messages have their covariance
-    frames : of these units; the truth is that of the first one's carrier
-    tf : `truth` if the true pose moves `base_link` itself, to look at clouds without SLAM
+    scenario : `scenario.json`; its errors of inertial unit and receiver give the covariances
+    frames : frames of these units; the ground truth belongs to the first unit's carrier
+    tf : `truth` if the true pose moves `base_link` itself, to view clouds without SLAM
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class TrueMessages:
         self._sensor_T_base = None if body is None or np.array_equal(body, np.eye(4)) else np.linalg.inv(body)
 
     def fixed(self, t_ns: int) -> None:
-        """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; what spins has none."""
+        """Write the fixed transforms from `base_link` to sensors, inertial unit and antenna; a spinning device has none."""
         mounts = [given_mount(unit, "body_T_sensor") for unit in self._rig["units"]]
         placed = dict(zip(self._frames, mounts, strict=True))
         if mounts[0] is not None:
@@ -157,12 +157,12 @@ class TrueMessages:
             self._bag.write("/tf_static", t_ns, "tf2_msgs/msg/TFMessage", moved)
 
     def odometry(self, t_ns: int, numbers: Sequence[float]) -> None:
-        """Write the pose (7,) of the first sensor as that of its carrier: odometry and transform.
+        """Write odometry and transform of the carrier from the pose (7,) of the first sensor.
 
-        Behind the pose are velocity and angular rate (6,) in the sensor's own axes.
+        Velocity and angular rate (6,) in the sensor's own axes follow the pose.
         """
         if self._sensor_T_base is not None:
-            numbers = _moved(numbers, self._sensor_T_base)
+            numbers = _moved_to_base(numbers, self._sensor_T_base)
         topic = "/ground_truth/odom"
         placed, header = (numbers[:3], numbers[3:7]), self._bag.header(t_ns, "map", topic)
         twist = (numbers[7:10], numbers[10:]), _EXACT
@@ -171,14 +171,14 @@ class TrueMessages:
         self._bag.write("/tf", t_ns, "tf2_msgs/msg/TFMessage", [moved])
 
     def inertial(self, t_ns: int, read: Sequence[float]) -> None:
-        """Write angular rate and specific force (6,), whose white noise makes their covariance, and the attitude if it follows."""
+        """Write angular rate and specific force (6,) with the covariance of their white noise, and the attitude if it follows."""
         attitude, covariance = (read[6:], self._attitude_rad2) if len(read) > 6 else (_NO_ATTITUDE, _NO_ESTIMATE)
         what = attitude, covariance, read[:3], self._imu[0], read[3:6], self._imu[1]
         header = self._bag.header(t_ns, "imu", "/imu/data")
         self._bag.write("/imu/data", t_ns, "sensor_msgs/msg/Imu", header, *what)
 
     def fix(self, t_ns: int, said: Sequence[float]) -> None:
-        """Write latitude, longitude and validity as the receiver says; its sentences have no height."""
+        """Write latitude, longitude and validity as the receiver reports; its sentences have no altitude."""
         latitude_deg, longitude_deg, valid = said
         # Status -1 is none, service 1 is GPS, covariance 1 is approximated.
         what = (int(valid) - 1, 1), latitude_deg, longitude_deg, math.nan, self._place, 1
@@ -186,8 +186,8 @@ class TrueMessages:
         self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", header, *what)
 
 
-def _moved(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
-    """Return pose and rates (13,) of a base from those of a sensor that is fixed to it."""
+def _moved_to_base(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:
+    """Return pose and rates (13,) of a base from pose and rates of a sensor that is fixed to it."""
     from scipy.spatial.transform import Rotation
 
     turn, arm_m = Rotation.from_matrix(sensor_T_base[:3, :3]), sensor_T_base[:3, 3]

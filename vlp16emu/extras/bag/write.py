@@ -34,11 +34,11 @@ _TIME = "t_utc_s"
 _POSE = (_TIME, "x", "y", "z", "qx", "qy", "qz", "qw")
 _SAID = ("latitude_deg", "longitude_deg", "valid")
 _EVER_NS = 2**62
-_OFTEN_NS = S_NS // 10  # time whose truth is written together
+_OFTEN_NS = S_NS // 10  # span of ground truth that is written together
 _SET_RPM = 60.0  # speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50)
 
-Row = tuple[int, list[float]]  # UTC of a sample, and its numbers
-Feed = Callable[[int], None]  # writes all samples until and with an instant that are not written yet
+Row = tuple[int, list[float]]  # UTC of a sample, and its values
+Feed = Callable[[int], None]  # writes all samples up to and including an instant that are not written yet
 
 
 class Truth(NamedTuple):
@@ -46,24 +46,24 @@ class Truth(NamedTuple):
 
     rig: Mapping[str, Any]  # `rig.json`, with the units that are written
     scenario: Mapping[str, Any]  # `scenario.json`
-    feeds: Callable[[TrueMessages, int], Sequence[Feed]]  # opens the samples from the first pulse on
-    after_ns: int  # time after the last packet that is written too
+    feeds: Callable[[TrueMessages, int], Sequence[Feed]]  # returns the feeds of samples from the first pulse on
+    after_ns: int  # time after the last packet that is also written
 
 
 class BagSink(PacketSink):
-    """Writes packets of one or several sensors into a bag, as they come, and the truth of the same time.
+    """Sink that writes packets of one or several sensors, and the ground truth of the same time, into a bag.
 
-    Each unit of several has its topics and its frame under `/unit_1` and so on.
+    If there are several units, each has its topics and its frame under `/unit_1` and so on.
 
     Parameters
     ----------
     path : .mcap, .bag or a folder, as `BagFile` takes it
-    frames : of the clouds of the units
-    clock_of : gives each sensor its clock, by its number from 0 and the stamp of its first data packet
+    frames : frames of the clouds of the units
+    clock_of : returns the clock of a sensor from its number, from 0, and the stamp of its first data packet
     options : transforms
-    truth : what else is to be in the bag
+    truth : ground truth to be in the bag
 
-    Raises OutputError, MissingExtraError as `BagFile`; RunError if the disk is full: here, or later.
+    Raises OutputError, MissingExtraError like `BagFile`; RunError if the disk is full, here or later.
     """
 
     def __init__(
@@ -90,15 +90,15 @@ class BagSink(PacketSink):
             self._write_truth(self._truth.after_ns if self._truth else 0)
 
     def send(self, packet: Packet) -> None:
-        """Take one packet, which is due at the stamp of its capture, and numbered as its frame if it has a number.
+        """Write one packet with the stamp of its capture; its number, if it has one, is its frame's number.
 
-        Raises PacketError if it is not a VLP-16's.
+        Raises PacketError if it is no VLP-16 packet.
         """
         if (unit := self._units.get(packet.unit)) is None:
             clock = self._clock_of(packet.unit, packet.due_ns)
             unit = self._units[packet.unit] = UnitMessages(self.bag, self._frames[packet.unit], clock)
         self._sent[packet.kind] += 1
-        stamp_ns = packet.due_ns // US_NS * US_NS  # as captures have it
+        stamp_ns = packet.due_ns // US_NS * US_NS  # like stamps of captures
         if len(packet.payload) == DATA_BYTES:
             t_ns = unit.data(stamp_ns, packet.payload, packet.number or self._sent.total())
             if self._feeds is None and self._truth is not None:
@@ -120,7 +120,7 @@ class BagSink(PacketSink):
 
     @property
     def result(self) -> PcapResult:
-        """Contents of the closed bag; sha256 of several files in the order of their names."""
+        """Return the contents of the closed bag; sha256 of several files in the order of their names."""
         path = self.bag.path
         files = sorted(path.iterdir()) if path.is_dir() else [path]
 
@@ -137,7 +137,7 @@ class BagSink(PacketSink):
 
 @contextmanager
 def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | None = None) -> Iterator[list[BagSink]]:
-    """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile` and `written_beside`."""
+    """Open a bag for the packets and the ground truth of a run, with poses at `rate_hz`; errors of `BagFile` and `written_beside`."""
     options, scenario, units = options or BagOptions(), engine.scenario, engine.parts.units
     rig, tree = rig_of(scenario, engine.parts), scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     frames = _frames(len(units))
@@ -155,7 +155,7 @@ def bag_of_run(path: Path, engine: Engine, rate_hz: int, options: BagOptions | N
 
 
 def _frames(units: int) -> list[str]:
-    """Return the frames of the clouds of so many sensors; topics are under the same names."""
+    """Return the frames of the clouds of `units` sensors; their topics have the same prefixes."""
     return ["velodyne"] if units == 1 else [f"unit_{number}/velodyne" for number in range(1, units + 1)]
 
 
@@ -202,21 +202,21 @@ def write_bag(
     options: BagOptions | None = None,
     stop: Event | None = None,
 ) -> dict[str, Any]:
-    """Write the bag of a capture, and return what is in it; memory does not grow with its length.
+    """Write the bag of a capture, and return its contents; memory does not grow with its length.
 
     Parameters
     ----------
     capture : file with VLP-16 packets, also of a real sensor
     out : .mcap, .bag or a folder, as `BagFile` takes it
     truth : folder with the truth of the run: true odometry, transforms, inertial unit and receiver
-    unit : the one sensor of several to write, as `chosen_unit` takes it; without it all of them
-    clock : of all stamps, as `unit_clocks` takes it
-    options : transforms, and a configuration beside the bag, which without truth has the capture's speed alone
+    unit : the sensor to write, as `chosen_unit` takes it; by default all sensors
+    clock : clock of all stamps, as `unit_clocks` takes it
+    options : transforms, and a configuration beside the bag, which without ground truth has only the capture's speed
     stop : ends the bag between two packets; it is valid
 
-    Raises CaptureError, PacketError if the capture is none, is damaged, or has stamps that no bag can hold;
-    InputError if the truth cannot be read or is not of as many units, or there is no such unit or clock;
-    OutputError, MissingExtraError, RunError as `BagFile` and `written_beside`.
+    Raises CaptureError, PacketError if the file is no capture, is damaged, or has stamps out of the range of bags;
+    InputError if the ground truth cannot be read or has another number of units, or there is no such unit or clock;
+    OutputError, MissingExtraError, RunError like `BagFile` and `written_beside`.
     """
     options, stop = options or BagOptions(), stop or Event()
     spare([capture], out)
@@ -231,7 +231,7 @@ def write_bag(
     def rig() -> Rig:
         if true:
             return Rig.of(true.rig, true.scenario, frames[0])
-        with CaptureReader(capture, units[0]) as reader:  # the speed of its first packets
+        with CaptureReader(capture, units[0]) as reader:  # rotor speed of its first packets
             next(reader.points(), None)
             return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frames[0])
 
@@ -253,17 +253,17 @@ def write_bag(
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
     return {
         "file": str(out),
-        "messages": dict(sorted(sink.bag.counts.items())),  # of each topic
+        "messages": dict(sorted(sink.bag.counts.items())),  # by topic
         "duration_s": (last_ns - first_ns) / S_NS,
         "clocks": tuple(one.clock for one in clocks),  # of each unit, in the order of their topics
         "host_ahead_s": tuple((one.host_ahead_ns or 0) / S_NS for one in made),
-        "repeats": datagrams.repeated,  # packets left out as they came before
+        "repeats": datagrams.repeated,  # packets left out as repeated
         "interrupted": stop.is_set(),
     }
 
 
 def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
-    """Refuse a capture whose first packets are before 1970 or after what bags can hold."""
+    """Refuse a capture whose first packets are before 1970 or after the range of bags."""
     for of in clocks:
         if not 0 <= of.first_ns <= LATEST_NS:
             found = f"a first packet at {of.first_ns / S_NS:.3f} s since 1970 by the {of.clock}'s clock"
@@ -271,7 +271,7 @@ def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
 
 
 def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
-    """Return the truth in a folder of some of so many units in the capture."""
+    """Return the ground truth of a folder for the units `taken`; the capture has `units` units."""
     rig, scenario = (read_json(folder / name, _EXPECTED) for name in ("rig.json", "scenario.json"))
     if len(rig["units"]) != units:
         raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", f"{units}, as in the capture")
@@ -292,7 +292,7 @@ def _truth_of(folder: Path, taken: Sequence[int], units: int) -> Truth:
 
 
 def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Feed:
-    """Return a function that takes rows in order until and with an instant."""
+    """Return a function that passes rows in order, up to and including an instant, to `take`."""
     waiting = next(rows, None)
 
     def up_to(t_ns: int) -> None:
@@ -305,7 +305,7 @@ def _feed(rows: Iterator[Row], take: Callable[..., None]) -> Feed:
 
 
 def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
-    """Yield poses from an instant on, and velocity and angular rate until the next one; the last one keeps those before."""
+    """Yield poses from an instant on, with velocity and angular rate up to the next pose; the last pose repeats the rates before it."""
     from scipy.spatial.transform import Rotation
 
     before: Row | None = None
@@ -330,7 +330,7 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
 
 
 def _table(path: Path, columns: Sequence[str], names: Sequence[str] = (), *, time: str = _TIME) -> Iterator[Row]:
-    """Yield the numbers of columns, and the time, of a CSV; or of a TUM file, which has no names of its own."""
+    """Yield the time and the numbers of some columns of a CSV, or of a TUM file, which has no header."""
     with readable(path, _EXPECTED, InputError, most_bytes=_EVER_NS), path.open() as lines:
         reader = csv.DictReader(lines, names or None, delimiter=" " if names else ",")
         if missing := {time, *columns} - set(reader.fieldnames or ()):

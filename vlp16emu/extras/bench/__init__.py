@@ -1,1 +1,1 @@
-"""What is wired to the sensor, set on it or done to it, and its web interface."""
+"""Test bench around the sensor: wiring, settings, events and the web interface."""

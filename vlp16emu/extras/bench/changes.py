@@ -1,4 +1,4 @@
-"""What is set on a sensor, and what happens to it, over time: from events to rotor, clock, optics, GPS input and what is sent."""
+"""Effects of events on a sensor over time: rotor, clock, optics, GPS input and sent packets."""
 
 import math
 from bisect import bisect_right
@@ -26,7 +26,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 @dataclass(frozen=True, slots=True)
 class Wobbling:
-    """A sine on top of the speed, for a time."""
+    """A sinusoidal change of the rotor speed, for a time."""
 
     from_ns: int  # since the start
     lasts_ns: int
@@ -34,13 +34,13 @@ class Wobbling:
     period_s: float
 
     def ahead_deg(self, elapsed_ns: I8) -> F8:
-        """Return the angles (n,) by which the rotor is ahead of an even turn."""
+        """Return the angles (n,) by which the rotor is ahead of a constant rotation."""
         since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
         per_s = 2.0 * math.pi / self.period_s
         return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
 
     def rpm_at(self, elapsed_ns: int) -> float:
-        """Return the speed that the wobble adds at a time since the start, in rpm."""
+        """Return the speed that the wobble adds, in rpm."""
         since_ns = elapsed_ns - self.from_ns
         if not 0 <= since_ns < self.lasts_ns:
             return 0.0
@@ -51,11 +51,11 @@ class Wobbling:
 class DisturbedOptics:
     """Dead lasers and dirty sectors of the window, over time."""
 
-    events: Sequence[Event]  # of the effect `optics`
+    events: Sequence[Event]  # events with the effect `optics`
     start_ns: int  # UTC of the first pulse
 
     def dimmed(self, firings: Firings, hits: Hits) -> Hits:
-        """Take from the light of each pulse what a dirty window keeps, twice: it goes as the cosine of incidence does."""
+        """Attenuate the light of each pulse by a dirty window, twice, through the cosine of incidence."""
         passes = np.ones(firings.t_ns.shape, np.float32)
         for event in self.events:
             if event.kind == "dirty_window":
@@ -66,7 +66,7 @@ class DisturbedOptics:
         return replace(hits, cos_incidence=hits.cos_incidence * np.repeat(passes, hits.count.reshape(-1)))
 
     def received(self, returns: Returns) -> Returns:
-        """Take away the returns of dead lasers."""
+        """Remove the returns of dead lasers."""
         for event in self.events:
             if event.kind == "dead_laser":
                 lost = self._during(event, returns.firings)[:, event.laser]
@@ -75,49 +75,48 @@ class DisturbedOptics:
         return returns
 
     def _during(self, event: Event, firings: Firings) -> NDArray[np.bool_]:
-        """(k, L) pulses that are fired while an event lasts."""
         since_ns = firings.t_ns - self.start_ns
         return np.asarray((since_ns >= event.begin_ns) & (since_ns < event.end_ns))
 
 
 _STALE_NS = 5 * S_NS
-"""After so long without a sentence the sensor is as one that never had any (assumption: the window of the pulse)."""
-_PRINTABLE = (0x30, 0x5B)  # what a garbled character becomes: digits, capitals, and what is between them in ASCII
+"""Time without a sentence after which the sensor behaves as if it never had one (assumption: the window of the pulse)."""
+_PRINTABLE = (0x30, 0x5B)  # range of a garbled character: digits, capitals, and the characters between them in ASCII
 
 _Spans = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
 class DisturbedGps(GpsInput):
-    """A receiver whose pulses and sentences events disturb, on a sensor that may lose its power.
+    """A receiver whose pulses and sentences are disturbed by events, on a sensor that may lose its power.
 
-    A sentence is known by its second and by when it should come: `sentence_delay_ns` later.
+    A sentence is identified by its second and is due `sentence_delay_ns` later.
     """
 
-    pps_window_ns: int  # for so long the pulse must be steady
-    requires_valid: bool  # whether sentences of status V do not set the clock
-    events: tuple[Event, ...]  # of the effects `gps` and `power`
-    start_ns: int  # UTC of the first pulse of a laser, from which events count
+    pps_window_ns: int  # time for which the pulse must be steady
+    requires_valid: bool  # True if sentences of status V do not set the clock
+    events: tuple[Event, ...]  # events with the effects `gps` and `power`
+    start_ns: int  # UTC of the first laser pulse, from which events count
 
     @classmethod
     def of(cls, gps: Gps, events: Iterable[Event], start_ns: int) -> "DisturbedGps":
-        """Return the input of a sensor to which `events` happen."""
+        """Return the input of a sensor with `events`."""
         spans_ns = seconds_to_ns(gps.sentence_delay_s), seconds_to_ns(gps.pps_window_s)
         own = tuple(event for event in events if event.effect in ("gps", "power"))
         return cls(gps.connected, *spans_ns, gps.requires_valid, own, start_ns)
 
     def spans_ns(self, state: PpsState) -> _Spans:
-        """Spans of UTC in which the pulse is in a state, in order."""
-        turns_ns = [-FOREVER_NS, *sorted(set(self._turns_ns())), FOREVER_NS]
-        return _merged(span for span in pairwise(turns_ns) if self.pps_at(span[0]) is state)
+        """Return the spans of UTC in which the pulse is in a state, in order."""
+        turns_ns = [-FOREVER_NS, *sorted(set(self._edges_ns())), FOREVER_NS]
+        return _union(span for span in pairwise(turns_ns) if self.pps_at(span[0]) is state)
 
     def pps_at(self, t_ns: int) -> PpsState:
-        """State of the pulse as the sensor reports it at an instant.
+        """Return the state of the pulse as the sensor reports it at an instant.
 
-        Locked are pulses that were steady for the window, with sentences that name the second before them; a sentence
-        that is garbled, or names another second, is an error (63-9243 Rev D, section 9.3.3 and appendix G; when a
-        state ends is an assumption: that of a pulse with the edge that is missed, that of a sentence with the next one,
-        or when none came for 5 s).
+        Pulses are locked if they were steady for the window and their sentences name the second before them; a sentence
+        that is garbled, or names another second, is an error (63-9243 Rev D, section 9.3.3 and appendix G; the end of a
+        state is an assumption: a state from pulses ends at the first missing edge, a state from a sentence at the next
+        sentence, or after 5 s without one).
         """
         edge_ns = t_ns // S_NS * S_NS
         if not self.connected or _at(self._lost, edge_ns) or _at(self._off, t_ns):
@@ -128,9 +127,9 @@ class DisturbedGps(GpsInput):
         second_ns = self.second_ns(t_ns)
         if second_ns is None or t_ns - self._comes_ns(second_ns) >= _STALE_NS:
             return PpsState.SYNCHRONIZING
-        if self._of("wrong_sentence", second_ns) or self._comes_ns(second_ns) >= second_ns + S_NS:
+        if self._events_of("wrong_sentence", second_ns) or self._comes_ns(second_ns) >= second_ns + S_NS:
             return PpsState.ERROR
-        if self.requires_valid and self._of("void_sentence", second_ns):
+        if self.requires_valid and self._events_of("void_sentence", second_ns):
             return PpsState.SYNCHRONIZING
         return PpsState.LOCKED
 
@@ -139,8 +138,8 @@ class DisturbedGps(GpsInput):
         if not self.connected:
             return None
         second_ns = (t_ns - self.sentence_delay_ns) // S_NS * S_NS
-        while (missing := self._of("missing_sentence", second_ns)) or self._comes_ns(second_ns) > t_ns:
-            # The sentence before it, or before all that are missing.
+        while (missing := self._events_of("missing_sentence", second_ns)) or self._comes_ns(second_ns) > t_ns:
+            # The last sentence before the missing ones.
             first_ns = min((self._span_ns(event)[0] for event in missing), default=second_ns + self.sentence_delay_ns)
             second_ns = (first_ns - 1 - self.sentence_delay_ns) // S_NS * S_NS
         if (off := _before(self._off, t_ns)) and self._comes_ns(second_ns) < off[1]:
@@ -148,43 +147,43 @@ class DisturbedGps(GpsInput):
         return second_ns
 
     def sentence(self, fix: GnssFix, seed: int) -> bytes:
-        """Sentence of a fix as it reaches the sensor; parameters as of `GpsInput`."""
-        text = bytearray(rmc(replace(fix, valid=False) if self._of("void_sentence", fix.t_ns) else fix))
-        for event in self._of("wrong_sentence", fix.t_ns):
+        """Return the sentence of a fix as the sensor receives it; parameters as in `GpsInput`."""
+        text = bytearray(rmc(replace(fix, valid=False) if self._events_of("void_sentence", fix.t_ns) else fix))
+        for event in self._events_of("wrong_sentence", fix.t_ns):
             random = generator(seed, Purpose.SENTENCE, fix.t_ns // S_NS)
             body = range(len(b"$GPRMC,"), text.index(b"*"))
             for place in random.choice(body, min(event.characters, len(body)), replace=False).tolist():
                 others = [code for code in range(*_PRINTABLE) if code != text[place]]
                 text[place] = others[int(random.integers(len(others)))]
             summed = np.bitwise_xor.reduce(np.frombuffer(bytes(text[1 : text.index(b"*")]), np.uint8))
-            if b"%02X" % int(summed) == text[-4:-2]:  # several characters may cancel each other
+            if b"%02X" % int(summed) == text[-4:-2]:  # changes of several characters may cancel
                 text[-3] = ord("1") if text[-3] == ord("0") else ord("0")
         return bytes(text)
 
     @property
     def _off(self) -> _Spans:
-        return _merged(self._span_ns(event) for event in self.events if event.effect == "power")
+        return _union(self._span_ns(event) for event in self.events if event.effect == "power")
 
     @property
     def _lost(self) -> _Spans:
-        """Spans from the first pulse that is missing to the first that is there again."""
+        """Return the spans from the first missing pulse to the first pulse that is back."""
         spans = (self._span_ns(event) for event in self.events if event.kind == "pps_loss")
-        return _merged((_ceil(begin_ns), _ceil(end_ns)) for begin_ns, end_ns in spans)
+        return _union((_ceil(begin_ns), _ceil(end_ns)) for begin_ns, end_ns in spans)
 
-    def _of(self, kind: str, second_ns: int) -> list[Event]:
-        """Events of a kind that happen to the sentence of a second."""
+    def _events_of(self, kind: str, second_ns: int) -> list[Event]:
+        """Return the events of a kind that affect the sentence of a second."""
         since_ns = second_ns + self.sentence_delay_ns - self.start_ns
         return [event for event in self.events if event.kind == kind and event.begin_ns <= since_ns < event.end_ns]
 
     def _comes_ns(self, second_ns: int) -> int:
-        late_s = max((event.by_s for event in self._of("late_sentence", second_ns)), default=0.0)
+        late_s = max((event.by_s for event in self._events_of("late_sentence", second_ns)), default=0.0)
         return second_ns + self.sentence_delay_ns + seconds_to_ns(late_s)
 
     def _span_ns(self, event: Event) -> tuple[int, int]:
         return self.start_ns + event.begin_ns, min(self.start_ns + event.end_ns, FOREVER_NS)
 
-    def _turns_ns(self) -> Iterator[int]:
-        """Instants at which the state may change: pulses and sentences near the begin and the end of events."""
+    def _edges_ns(self) -> Iterator[int]:
+        """Yield the instants at which the state may change: pulses and sentences near the begin and the end of events."""
         late_ns = {0, *(seconds_to_ns(event.by_s) for event in self.events if event.kind == "late_sentence")}
         come_ns = [self.sentence_delay_ns + by_ns for by_ns in late_ns]
         after_edge_ns = [0, *come_ns, *(one_ns + _STALE_NS for one_ns in come_ns)]
@@ -203,8 +202,8 @@ def _ceil(t_ns: int) -> int:
     return -(-t_ns // S_NS) * S_NS
 
 
-def _merged(spans: Iterable[tuple[int, int]]) -> _Spans:
-    """Put spans in order, and those that overlap or touch together; empty ones fall away."""
+def _union(spans: Iterable[tuple[int, int]]) -> _Spans:
+    """Return the union of spans in order, without empty ones."""
     out = list[tuple[int, int]]()
     for begin, end in sorted(span for span in spans if span[0] < span[1]):
         if out and begin <= out[-1][1]:
@@ -224,12 +223,12 @@ def _before(spans: _Spans, t_ns: int) -> tuple[int, int] | None:
 
 
 RUN_UP_RPM_S = 300.0  # change of the rotor's speed per second (assumption: the manual has no figure)
-_PULL = 0.05  # share of the speed by which a rotor is faster or slower while it is pulled into its phase (assumption)
+_PULL = 0.05  # relative change of the speed while the rotor is pulled into its phase (assumption)
 _GRID = 24  # firing sequences: settings take effect between packets, in every return mode
 
 
 def with_events(unit: Unit, scenario: Scenario) -> Unit:
-    """Return a unit to which the events of a scenario happen."""
+    """Return a unit with the events of a scenario applied."""
     events = [event for event in scenario.events if event.unit == unit.number + 1]
     if not events:
         return unit
@@ -254,14 +253,14 @@ def with_events(unit: Unit, scenario: Scenario) -> Unit:
 
 
 def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, start_ns: int) -> tuple[ClockSpan, ...]:
-    """Find how the clock runs: locked to GPS if it can be, otherwise free from its last reading, or from power-up.
+    """Return the spans of the clock: locked to GPS if possible, otherwise free-running from its last reading, or from power-up.
 
-    Pulses without sentences pull the part below a second to their edge (63-9243 Rev D, appendix G).
+    Pulses without sentences pull the fraction of a second to their edge (63-9243 Rev D, appendix G).
 
     Parameters
     ----------
     gps : the receiver's pulse and sentences
-    start_ns : UTC of the first pulse of a laser
+    start_ns : UTC of the first laser pulse
     """
     power_up_ns, own_ppm = start_ns - seconds_to_ns(section.powered_for_s or 0.0), section.clock_error_ppm or 0.0
     ppm = own_ppm
@@ -288,10 +287,10 @@ def clock_spans(section: Lidar, events: Sequence[Event], gps: DisturbedGps, star
 
 
 def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...]:
-    """Find how the rotor turns: held at its speed, run up and down to another, and pulled into phase."""
+    """Return the motion of the rotor: constant speed, changes to another speed, and pulls into phase."""
     done, power_up, runs = list(unit.head.rotor.spins), InForce.of(unit.section), True
     wanted = power_up
-    for t_ns, event in _in_order(events):
+    for t_ns, event in _rotor_settings(events):
         before = wanted.rpm, wanted.phase_lock_deg, runs
         is_on = event.kind == "power_cycle"
         if is_on:
@@ -301,22 +300,22 @@ def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...
         else:
             wanted = wanted.after(event)
         if is_on or (wanted.rpm, wanted.phase_lock_deg, runs) != before:
-            while len(done) > 1 and done[-1].from_ns > t_ns:  # what it was doing, it does no more
+            while len(done) > 1 and done[-1].from_ns > t_ns:  # drop phases of the motion that have not begun
                 done.pop()
             angle_deg = _phase_deg(wanted, start_ns + t_ns)
             on = Spin(t_ns, done[0].angle_deg if angle_deg is None else angle_deg, float(wanted.rpm))
-            done += [on] if is_on else _led(done[-1], t_ns, wanted, start_ns, runs=runs)
+            done += [on] if is_on else _steered(done[-1], t_ns, wanted, start_ns, runs=runs)
     return tuple(done)
 
 
 def _phase_deg(wanted: InForce, utc_ns: int) -> float | None:
-    """Return the angle of a rotor that is in phase; None if it runs on."""
+    """Return the angle of a rotor that is in phase; None without phase lock."""
     phase_deg = wanted.phase_lock_deg
     return None if phase_deg == "off" else in_phase_deg(phase_deg, wanted.rpm, utc_ns)
 
 
-def _in_order(events: Sequence[Event]) -> list[tuple[int, Event]]:
-    """Instants since the first pulse at which the rotor is set, and by what."""
+def _rotor_settings(events: Sequence[Event]) -> list[tuple[int, Event]]:
+    """Return the instants since the first pulse at which the rotor is set, with their events."""
     begins, ends = ("setting", "motor_stop"), ("motor_stop", "power_cycle")
     instants = [
         (t_ns, event)
@@ -327,8 +326,8 @@ def _in_order(events: Sequence[Event]) -> list[tuple[int, Event]]:
     return sorted(instants, key=itemgetter(0))
 
 
-def _led(spin: Spin, t_ns: int, wanted: InForce, start_ns: int, *, runs: bool) -> Iterator[Spin]:
-    """Lead the rotor from what it does to what is wanted, from an instant on."""
+def _steered(spin: Spin, t_ns: int, wanted: InForce, start_ns: int, *, runs: bool) -> Iterator[Spin]:
+    """Yield the motion of the rotor from its present state to the wanted one, from an instant on."""
     rpm, target = spin.rpm_at(t_ns), float(wanted.rpm if runs else 0)
     angle_deg = _angle_deg(spin, t_ns)
     if rpm != target:
@@ -351,7 +350,7 @@ def _angle_deg(spin: Spin, t_ns: int) -> float:
 
 
 def spans_of(sensor: Lidar, events: Sequence[Event]) -> tuple[Stretch, ...]:
-    """Cut a run where return mode, field of view or laser change; without spans in which nothing is sent.
+    """Cut a run at changes of return mode, field of view or laser; spans without packets are left out.
 
     A change takes effect with the next packet of single return, and begins a packet.
     """
@@ -364,7 +363,7 @@ def spans_of(sensor: Lidar, events: Sequence[Event]) -> tuple[Stretch, ...]:
             changes += [(off, replace(sent, laser=False)), (on, sent)]
         elif event.kind == "setting":
             sent = sent.after(event)
-            # One that is set while the sensor starts takes effect when it sends.
+            # A setting during the start of the sensor takes effect when it sends.
             changes.append((max(_sequence(event.begin_ns), changes[-1][0]), sent))
     spans = list[Stretch]()
     stops = [first for first, _ in changes[1:]] + [None]

@@ -1,4 +1,4 @@
-"""The web interfaces of a run's sensors: what is set there becomes an event of the scene, a moment from now, and the stream follows."""
+"""Control of a running stream: settings from the web interfaces become events of the scene a moment later, and the stream follows."""
 
 import math
 import threading
@@ -31,20 +31,21 @@ from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _LEAD_NS = 150_000_000
-"""Least time from a setting to the first packet that follows it: by then the engine has made that packet anew."""
+"""Least time from a setting to the first packet with it: by then the engine has computed that packet again."""
 _MOST_LEAD_NS = 1_000_000_000
-_MERGED_S = 5.0  # for so long at most what is set waits until the packets of the settings before are made ahead again
+_MERGED_S = 5.0  # greatest time that a setting waits until the packets of earlier settings are computed ahead
 _CALM_S, _PROMPT = 2.0, 2
-"""Changes, without so long a calm between them, that have packets made anew; later ones begin where the packets that are made end."""
+"""Number of changes, without a pause of this length between them, for which packets are computed again; later changes
+take effect after the packets that are already computed."""
 _APART_S, _APART = 1.0, 20.0
-"""Least time from such a later change to the next, at least so many times what making it took: each makes the next one dearer."""
+"""Least time between such later changes, and the least ratio to the time that a change took: each makes the next one slower."""
 _POLL_S, _WARM_S = 0.01, 0.01
-_STEP_S = 0.001  # times of events are rounded up to that
+_STEP_S = 0.001  # times of events are rounded up to this
 
 
 @contextmanager
 def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: Http) -> Iterator[None]:
-    """Serve the web interface of each sensor; errors as of `WebServer` and `Device`."""
+    """Serve the web interface of each sensor; errors of `WebServer` and `Device`."""
     control = Control(feed, sink, under_way, http.saved)
     with ExitStack() as stack:
         host, first = http.address
@@ -61,22 +62,22 @@ def web_interfaces(feed: PacketFeed, sink: UdpSink, under_way: UnderWay, http: H
 def _settings_of(unit: Unit, host: str) -> DeviceSettings:
     sensor = require_packets(unit.section)
     places = {key: getattr(sensor, key) for key in ("data_port", "position_port", "address")}
-    return _showing(DeviceSettings(host=host, **places), InForce.of(sensor))
+    return _with_in_force(DeviceSettings(host=host, **places), InForce.of(sensor))
 
 
 class Control:
-    """Makes a stream follow settings that come from other threads, and reports the state of its sensors.
+    """Control of a stream by settings from other threads, with reports of the state of its sensors.
 
-    What is set after a calm has packets made anew from a moment ahead; so does what is set next, once those are made. In a
-    flood whatever is set within a second is one change, and takes effect where the packets that are made already end: so no
-    client, however busy, keeps the engine from its work.
+    After a pause, a setting makes the engine compute packets again from a moment ahead; so does the next setting, when
+    these packets are ready. In a flood, all settings of a second are one change, which takes effect after the packets
+    that are already computed. So no client can block the engine.
 
     Parameters
     ----------
-    feed : makes the packets
-    sink : sends them
-    under_way : the stream, which is about to send its first packet
-    saved : file that keeps the saved settings of the first sensor; others have its name with their number
+    feed : source of the packets
+    sink : sender of the packets
+    under_way : the stream before its first packet
+    saved : file of the first sensor's saved settings; other sensors use its name with their number
     """
 
     def __init__(self, feed: PacketFeed, sink: UdpSink, under_way: UnderWay, saved: Path | None) -> None:
@@ -86,13 +87,13 @@ class Control:
         self._to_come = sorted(self._events, key=lambda event: event.at_s)
         """Events of the scene that the web interface does not show yet."""
         self._set, self._wanted = list[Event](), list[Event]()
-        """Settings of the web interface, and other events, that the next change brings; `at_s` counts from that change."""
-        self._at_ns = 0  # UTC, ns, from which on packets follow the latest change
+        """Settings of the web interface, and other events, of the next change; `at_s` counts from that change."""
+        self._at_ns = 0  # UTC, ns, of the first packet with the latest change
         self._lock, self._asked, self._over = threading.Lock(), threading.Event(), threading.Event()
         self._taking_up = threading.Lock()
         self._lead_ns, self._ahead_ns, self._calm_s, self._prompt = _LEAD_NS, 0, 0.0, _PROMPT
         self.devices = [self._device(unit, saved) for unit in feed.engine.parts.units]
-        """What the web interface of each sensor shows and sets."""
+        """State of the web interface of each sensor."""
 
     def _device(self, unit: Unit, saved: Path | None) -> Device:
         sensor, n = require_packets(unit.section), unit.number
@@ -107,11 +108,11 @@ class Control:
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Make the stream follow what is set; saved settings hold from the first packets on."""
+        """Make the stream follow settings; saved settings hold from the first packet on."""
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
             self._follow(number, self._factory[number], device.settings)
-        if self._take_up() is None:  # what changes need is loaded, so that the first one is followed as soon as others
+        if self._apply_pending() is None:  # loads the modules, so that the first change is as quick as others
             engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
             if not self._scenario.motion.takes_poses:
                 deque(engine.packets(0.0, _WARM_S), 0)
@@ -125,9 +126,9 @@ class Control:
             thread.join()
 
     def happen(self, kind: str, unit: int = 1, **keys: object) -> int:
-        """Let an event happen to a unit, from 1, a moment from now, and return its UTC in ns; from any thread.
+        """Add an event of a unit, from 1, a moment from now, and return its UTC in ns; from any thread.
 
-        Raises InputError if it is no event, or cannot happen in this scene.
+        Raises InputError if there is no such event, or this scene cannot have it.
         """
         table: dict[str, Any] = {"kind": kind, "at_s": 0.0, "unit": unit, **keys}
         scene = {key: getattr(self._scenario, key) for key in ("sensor", "rig", "gps")}
@@ -140,20 +141,20 @@ class Control:
             raise InputError(f"event {kind}", f"found unit {unit} of {self._scenario.title}", str(error)) from None
         with self._lock:
             self._wanted += wanted
-        self._take_up()
+        self._apply_pending()
         return self._at_ns
 
     def due_in_ns(self, at_ns: int) -> int:
-        """Time until a packet due at a UTC leaves, in ns of the scene; negative if that is past."""
+        """Return the time until a packet due at a UTC leaves, in ns of the scene; negative if it has left."""
         return at_ns - self._under_way.due_in_ns(0)
 
     def fault(self, unit: int) -> int | None:
-        """Return the status of all answers of a unit now, 0 for no answer at all; None if nothing is wrong."""
+        """Return the HTTP status of all answers of a unit now, 0 for no answer; None without a fault."""
         since_ns, own = self._since_ns(), (one for one in self._events if (one.effect, one.unit) == ("web", unit + 1))
         return next((error.status or 0 for error in own if error.begin_ns <= since_ns < error.end_ns), None)
 
     def status(self, unit: int) -> DeviceStatus:
-        """Report the state of a unit."""
+        """Return the state of a unit."""
         self._adopt()
         of, since_ns = self._feed.engine.parts.units[unit], self._since_ns()
         now_ns = self._scenario.start_ns + since_ns
@@ -162,11 +163,11 @@ class Control:
         settings, rpm = self.devices[unit].settings, of.head.rotor.rpm_at(since_ns)
         second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
         payload = self._sink.latest_position[unit]
-        sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # none is cut by an event
+        sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # an event may truncate a packet
         return DeviceStatus(
             t_ns=now_ns,
             pps=sent.pps if sent else PpsState.ABSENT,
-            position=_place(sent.sentence) if sent else "",
+            position=_position_text(sent.sentence) if sent else "",
             motor_rpm=rpm,
             motor_on=rpm > 0,
             phase_locked=settings.phase_lock_on and self._scenario.gps.connected,
@@ -180,24 +181,24 @@ class Control:
         return self._feed.engine.scenario
 
     def _since_ns(self, ahead_ns: int = 0) -> int:
-        """Time since the first pulse at which the packet is due that leaves now, or later."""
+        """Return the due time since the first pulse of the packet that leaves now, or `ahead_ns` later."""
         return self._under_way.due_in_ns(ahead_ns) - self._scenario.start_ns
 
     def _changed(self, unit: int, old: DeviceSettings, new: DeviceSettings, *, restarts: bool) -> None:
-        """Set a unit anew, with the next change of the stream.
+        """Apply new settings of a unit with the next change of the stream.
 
-        Raises OutputError if the new receiver is out of reach, or another machine, though the stream began on this one.
+        Raises OutputError if the new receiver is out of reach, or no longer on this machine on which the stream began.
         """
         with self._lock:
             self._redirect(unit, old, new)
-            if restarts:  # what was set before is lost
+            if restarts:  # earlier settings are lost
                 others = [one for one in self._set if one.unit != unit + 1]
                 self._set = [*others, event("power_cycle", 0.0, unit + 1)]
             self._follow(unit, self._factory[unit] if restarts else old, new)
         self._asked.set()
 
     def _follow(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
-        """Let the next change bring what is set anew: one event, after a restart that comes with it."""
+        """Add the new settings to the next change as one event, after a restart if there is one."""
         before, after = asdict(_in_force(old)), asdict(_in_force(new))
         if not self._scenario.gps.connected:
             del after["phase_lock_deg"]
@@ -209,21 +210,21 @@ class Control:
             self._set.append(event("setting", own[-1].off_s if own else 0.0, unit + 1, **keys))
 
     def _adopt(self) -> None:
-        """Show what events of the scene have set by now."""
+        """Update the web interface with the settings of past events."""
         since_s, due = self._since_ns() / S_NS, list[Event]()
         with self._lock:
             while self._to_come and self._to_come[0].at_s <= since_s:
                 due.append(self._to_come.pop(0))
-        for one in due:  # without the lock: a device that is being set waits for it
+        for one in due:  # without the lock, which a device that is being set may wait for
             self.devices[one.unit - 1].adopt(partial(self._after, one))
 
     def _after(self, one: Event, settings: DeviceSettings) -> DeviceSettings:
         if one.effect == "power":
             return self._factory[one.unit - 1]
-        return _showing(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
+        return _with_in_force(settings, _in_force(settings).after(one)) if one.effect == "settings" else settings
 
     def _redirect(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
-        """Send to the receiver that is set; to another machine only where the run was begun to send to one."""
+        """Send to the new receiver; to another machine only if the run began with another machine."""
         where = [(each.host, each.data_port, each.position_port) for each in (old, new)]
         if where[0] == where[1]:
             return
@@ -236,19 +237,19 @@ class Control:
         while self._asked.wait() and not self._over.is_set():
             self._asked.clear()
             begin_s = time.monotonic()
-            if (from_ns := self._take_up()) is not None:
+            if (from_ns := self._apply_pending()) is not None:
                 next_s = begin_s + max(_APART_S, _APART * (time.monotonic() - begin_s))
-                self._settle(from_ns)
+                self._wait_until_ahead(from_ns)
                 self._over.wait(0.0 if self._prompt else max(next_s - time.monotonic(), 0.0))
 
-    def _take_up(self) -> int | None:
-        """Have packets made anew from a moment from now on, if anything has been set; returns its UTC."""
+    def _apply_pending(self) -> int | None:
+        """Compute packets again from a moment ahead, if there are new settings, and return its UTC."""
         with self._taking_up:
             until_ns = self._under_way.made_until_ns
             self._prompt = _PROMPT if time.monotonic() >= self._calm_s else self._prompt
             self._ahead_ns = max(self._ahead_ns, until_ns - self._under_way.due_in_ns(0))
             from_ns = self._since_ns(self._lead_ns)
-            if not self._prompt and until_ns < FOREVER_NS:  # some packets are still to be made
+            if not self._prompt and until_ns < FOREVER_NS:  # some packets are not yet computed
                 from_ns = max(from_ns, until_ns - self._scenario.start_ns)
             at_s = round(math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S, 3)
             with self._lock:
@@ -267,14 +268,14 @@ class Control:
             self._under_way.redo(due_ns, lambda from_ns: self._feed.begin_again(from_ns, engine))
             return due_ns
 
-    def _settle(self, from_ns: int) -> None:
-        """Wait until packets of a change are made ahead; if that took longer than they lead, the next ones lead by more."""
+    def _wait_until_ahead(self, from_ns: int) -> None:
+        """Wait until packets of a change are computed ahead; if that took longer than their lead, the next lead is longer."""
         begin_s, has_begun = time.monotonic(), False
         while (took_s := time.monotonic() - begin_s) < _MERGED_S and not self._over.wait(_POLL_S):
             until_ns = self._under_way.made_until_ns
             if not has_begun and until_ns > from_ns:
                 has_begun, self._lead_ns = True, min(max(_LEAD_NS, round(2 * took_s * S_NS)), _MOST_LEAD_NS)
-            # A live run is never far ahead.
+            # A live run is never computed far ahead.
             if has_begun and until_ns >= self._under_way.due_in_ns(min(self._lead_ns, self._ahead_ns // 2)):
                 return
 
@@ -284,17 +285,17 @@ def _in_force(settings: DeviceSettings) -> InForce:
     return InForce(settings.rpm, str(settings.return_mode), settings.laser_on, settings.fov_deg, phase)
 
 
-def _showing(settings: DeviceSettings, new: InForce) -> DeviceSettings:
-    """Return the settings with those in force; a phase that is off keeps its number."""
+def _with_in_force(settings: DeviceSettings, new: InForce) -> DeviceSettings:
+    """Return the settings, updated with the settings in force; a phase that is off keeps its angle."""
     phase = new.phase_lock_deg
     cdeg = settings.phase_lock_cdeg if phase == "off" else round(100 * phase) % 36_000
     own: dict[str, Any] = {"rpm": new.rpm, "return_mode": ReturnMode(new.return_mode), "fov_deg": new.fov_deg}
     return replace(settings, laser_on=new.laser, phase_lock_on=phase != "off", phase_lock_cdeg=cdeg, **own)
 
 
-def _place(sentence: bytes) -> str:
-    """Write where the receiver is, as the sensor does: `49 00.00N 200 .00W`."""
-    import pynmea2  # here, since a sensor without a receiver does without it
+def _position_text(sentence: bytes) -> str:
+    """Return the position of the receiver in the format of the sensor: `49 00.00N 200 .00W`."""
+    import pynmea2  # here: a sensor without a receiver does not need it
 
     try:
         fix = pynmea2.parse(sentence.decode("ascii"), check=True)

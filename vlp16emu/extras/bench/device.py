@@ -1,7 +1,7 @@
-"""The sensor as its web interface sees it: settings, status, and the documents and forms for them (63-9243 Rev D, 10.2).
+"""The state behind the web interface: settings, status, and their documents and forms (63-9243 Rev D, 10.2).
 
-A real unit answers some bad requests with 200 and ignores them. Here every value that the sensor does not take, and every
-unknown key, is ignored with the whole request, and the answer says why.
+A real unit answers some bad requests with 200 and ignores them. Here a request with an invalid value or an unknown key
+is ignored as a whole, and the answer gives the reason.
 """
 
 import json
@@ -27,7 +27,7 @@ from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS
 
 _ALL_ONES = 0xFFFF_FFFF
-_MOST_BYTES = 10_000  # of saved settings, which are some 400
+_MOST_BYTES = 10_000  # limit of saved settings, which have some 400 bytes
 
 
 def _address(expected: str, is_good: Callable[[IPv4Address], bool]) -> AfterValidator:
@@ -54,17 +54,17 @@ _WholeDegree = Annotated[int, Field(ge=0, le=359)]
 
 @checked_dataclass(frozen=True, slots=True, config=ConfigDict(strict=True, extra="forbid"))
 class DeviceSettings:
-    """Settings of the web interface, with the defaults of the factory (63-9243 Rev D, section 10.2).
+    """Settings of the web interface, with the factory's defaults (63-9243 Rev D, section 10.2).
 
-    Raises pydantic.ValidationError if a value is none that the sensor takes; also from `dataclasses.replace`.
+    Raises pydantic.ValidationError if the sensor does not accept a value; also from `dataclasses.replace`.
     """
 
     rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
-    """Speed of the rotor; others upset speed control and phase lock (section 8.3)."""
+    """Speed of the rotor; other speeds disturb speed control and phase lock (section 8.3)."""
     return_mode: ReturnMode = ReturnMode.STRONGEST  # echoes that are sent
-    laser_on: bool = True  # false: no data packets; position packets go on
+    laser_on: bool = True  # False: no data packets, only position packets
     fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)  # first and last azimuth that is sent; (0, 359) is all around
-    phase_lock_on: bool = False  # whether the rotor follows the pulse of the GPS receiver
+    phase_lock_on: bool = False  # True if the rotor follows the pulse of the GPS receiver
     phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0  # rotor angle at each pulse, in 0.01 degree
     host: Annotated[str, _Receiver] = "255.255.255.255"  # IPv4 address that packets are sent to
     data_port: Port = 2368  # destination port of data packets
@@ -72,7 +72,7 @@ class DeviceSettings:
     address: Address = "192.168.1.201"  # IPv4 address of the sensor
     mask: Annotated[str, _Mask] = "255.255.255.0"  # of its network
     gateway: Annotated[str, _Gateway] = "192.168.1.1"  # of its network
-    dhcp: bool = False  # whether it asks a server for them
+    dhcp: bool = False  # True if a server gives the addresses
 
 
 _SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
@@ -92,7 +92,7 @@ class DeviceStatus:
 
     t_ns: int  # UTC of the emulated instant
     pps: PpsState
-    position: str  # as the sensor writes it, such as `49 00.00N 200 .00W`; empty without a fix
+    position: str  # in the sensor's format, such as `49 00.00N 200 .00W`; empty without a fix
     motor_rpm: float
     motor_on: bool
     phase_locked: bool
@@ -102,19 +102,19 @@ class DeviceStatus:
 
 
 class Device:
-    """The settings of one sensor, for all threads that read and change them.
+    """The settings of one sensor, safe to read and change from several threads.
 
-    Raises InputError if the file is none that has been saved.
+    Raises InputError if the file has no saved settings.
 
     Parameters
     ----------
-    factory : what is set where nothing has been saved
-    status : gives the sensor as it is now; called from the thread of the web server, and must not wait
-    is_up : returns whether the sensor answers, as it does not while it starts
-    changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` where the sensor starts
-        again; must not wait; if it raises, nothing changes
-    info : serial number and the like
-    saved : file that saved settings are kept in from run to run; None to keep them for this run
+    factory : settings if none have been saved
+    status : returns the present state of the sensor; called from the thread of the web server, and must not wait
+    is_up : returns True if the sensor answers, which it does not while it starts
+    changed : called at each change as `changed(before, after, restarts=False)`, with `restarts` if the sensor starts
+    again; must not wait; if it raises, nothing changes
+    info : constants of the unit
+    saved : file that keeps saved settings from run to run; None to keep them for this run only
     """
 
     def __init__(
@@ -130,11 +130,11 @@ class Device:
         self.status, self.is_up, self.info = status, is_up, info
         self._changed, self._file, self._lock = changed, saved, Lock()
         self.power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
-        """Settings after the next power-up: those that were saved last, otherwise those of the factory."""
+        """Settings after the next power-up: the last saved ones, otherwise the factory's."""
         self.settings = self.power_up
 
     def change(self, update: Callable[[DeviceSettings], DeviceSettings], *, restarts: bool = False) -> None:
-        """Replace the settings by `update(settings)`; errors as of `changed`."""
+        """Replace the settings by `update(settings)`; errors of `changed`."""
         with self._lock:
             before = self.settings
             self.settings = after = update(before)
@@ -147,16 +147,16 @@ class Device:
                 raise
 
     def adopt(self, update: Callable[[DeviceSettings], DeviceSettings]) -> None:
-        """Replace the settings as the sensor has already been set by another way, such as an event of the scene."""
+        """Replace the settings after the sensor has been set in another way, such as an event of the scene."""
         with self._lock:
             self.settings = update(self.settings)
 
     def restart(self) -> None:
-        """Start again from the settings after power-up; those that are not saved are lost."""
+        """Start again with the settings after power-up; unsaved settings are lost."""
         self.change(lambda _: self.power_up, restarts=True)
 
     def save(self) -> None:
-        """Keep what is set for the next power-up; `OutputError` or `RunError` if the file cannot be written."""
+        """Save the settings for the next power-up; `OutputError` or `RunError` if the file cannot be written."""
         with self._lock:
             if self._file is not None:
                 with OutputFile(self._file) as output, output.writing() as file:
@@ -165,12 +165,11 @@ class Device:
 
 
 def explained(error: ValidationError) -> tuple[str, str, str]:
-    """Field of the settings, what was found and what was expected."""
+    """Return the field of the settings, the value found and the expectation."""
     return explain(error, _SETTINGS.json_schema())
 
 
 def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
-    """Read settings that were saved; keys that are left out are the factory's."""
     expected = "settings that a sensor has saved"
     with readable(path, expected, InputError, most_bytes=_MOST_BYTES):
         text = path.read_text(encoding="utf-8")
@@ -187,9 +186,9 @@ def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
 
 
 _COUNTS_PER_V = 4096 / 5
-_AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1  # of the surroundings, and of the boards in the end
-_WARM_UP_S = 150.0  # in which a board comes nearer to its last temperature by a factor of e
-_SWAY_C = 0.2  # by which a temperature goes up and down
+_AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1  # of the surroundings, and final values of the boards
+_WARM_UP_S = 150.0  # time constant of the boards' warm-up
+_SWAY_C = 0.2  # amplitude of temperature changes
 _REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
 """Current of the electronics, of the lasers and of the motor: together 0.48 A at 600 rpm."""
 
@@ -199,13 +198,13 @@ _RAILS = {
     | {"pwr_v_in": (11.964 / 11, 23)},
     "top": {"hv": (5 - 181 / 101, 29), "ad_temp": (0.735, 31), "pwr_5v": (5.073 / 2, 37), "pwr_2_5v": (2.499, 41)}
     | {"pwr_3_3v": (3.280, 43), "pwr_5v_raw": (5.347 / 2, 47), "pwr_vccint": (1.1914, 59)},
-}  # volts at the converters of both boards, and the period of their small movement in seconds
+}  # volts at the converters of both boards, and the period of their small variation in seconds
 
 
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
-    """Make `diag.json`: counts of the converters, which follow the state.
+    """Return `diag.json`: counts of the converters, which follow the state.
 
-    Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values are those of healthy units; how they move is an
+    Formulas: 63-9243 Rev D, sections 10.2.3.2 and 10.2.3.3. The values belong to healthy units; their variation is an
     assumption.
     """
 
@@ -221,19 +220,19 @@ def diagnostics(status: DeviceStatus) -> dict[str, object]:
     boards["bot"] |= {"i_out": counts(2.5 + current_a / 10, 7), "pwr_1_25v": 0}
     for board, last_c, period_s in (("bot", _BOTTOM_C, 61), ("top", _TOP_C, 53)):
         board_c = last_c - (last_c - _AMBIENT_C) * missing + _SWAY_C * sine(period_s)
-        # A reading of V is T = -1481.96 + sqrt(2.1962e6 + (1.8639 - V) / 3.88e-6).
+        # A voltage V means T = -1481.96 + sqrt(2.1962e6 + (1.8639 - V) / 3.88e-6).
         volts = 1.8639 - 3.88e-6 * ((board_c + 1481.96) ** 2 - 2.1962e6)
         boards[board]["lm20_temp"] = round(volts * _COUNTS_PER_V)
     return {"volt_temp": boards, "vhv": 412, "adc_nf": 14, "ixe": 1}
 
 
 _MODELS = {SensorModel.VLP_16: "VLP-16", SensorModel.PUCK_LITE: "Puck LITE", SensorModel.PUCK_HI_RES: "Puck Hi-Res"}
-"""The first is on record; the others are named as their data sheets do (assumption)."""
+"""The first name is documented; the others follow the data sheets (assumption)."""
 _FIRMWARE = Path(__file__).with_name("firmware.json")
-"""Images 3.0.41.1, and 1.9.3.0 to fall back on, and their states: invented, and of one piece."""
+"""Firmware images 3.0.41.1 and the fallback 1.9.3.0, and their states: invented, but consistent."""
 _PARTS = {
     f"/cgi/{name}.json": part for name, part in (("settings", "config"), ("diag",) * 2, ("status",) * 2, ("info",) * 2)
-}  # what is read alone, and its name in the snapshot of all
+}  # documents that are read alone, and their names in the snapshot
 _MOST_KEYS = 16
 
 
@@ -265,14 +264,12 @@ def _switch(on: bool) -> str:
 
 
 class _Key(NamedTuple):
-    """A setting of the web interface."""
-
-    form: str  # last part of the path that it is sent to, and the table that shows it; empty for the outermost
+    form: str  # last part of its form's path, and its table in the document; empty for the outermost
     name: str
-    field: str  # of `DeviceSettings`
+    field: str  # field of `DeviceSettings`
     read: Callable[[str], object] = _whole
     shown: Callable[[Any], object] = str
-    end: int | None = None  # which end of the field of view it is
+    end: int | None = None  # index of the end of the field of view
 
 
 _KEYS = (
@@ -296,11 +293,11 @@ _ACTIONS: Mapping[str, tuple[bytes, Callable[[Device], None]]] = {
     "/cgi/save": (b"submit", Device.save),
     "/cgi/reset": (b"reset_system", Device.restart),
 }
-PATHS = frozenset((*_FORMS, *_ACTIONS))  # paths that take forms
+PATHS = frozenset((*_FORMS, *_ACTIONS))  # paths that accept forms
 
 
 def document(path: str, device: Device) -> object | None:
-    """Return the document of a path, as it is now; None if there is none."""
+    """Return the present document of a path; None if there is none."""
     if path not in (*_PARTS, "/cgi/snapshot.hdl"):
         return None
     status, info = device.status(), device.info
@@ -321,9 +318,9 @@ def document(path: str, device: Device) -> object | None:
 
 
 def submit(path: str, body: bytes, device: Device) -> None:
-    """Do what a form of one of `PATHS` asks for, or nothing of it.
+    """Apply a form of one of `PATHS`, as a whole or not at all.
 
-    Raises `FormError` if it has a key or a value that the sensor does not take; others as of `Device`.
+    Raises `FormError` if it has a key or a value that the sensor does not accept; other errors as in `Device`.
     """
     if path in _ACTIONS:
         word, act = _ACTIONS[path]
@@ -363,7 +360,7 @@ def _quoted(body: bytes) -> str:
 
 
 def _settings(settings: DeviceSettings) -> dict[str, Any]:
-    """Write what is set, with the types that units send: numbers of ports and of the phase are texts."""
+    """Return the settings with the types of real units: ports and the phase are strings."""
     tree = dict[str, Any]()
     for key in _KEYS:
         value = getattr(settings, key.field)

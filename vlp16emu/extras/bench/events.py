@@ -1,4 +1,4 @@
-"""The tables `[[events]]` of a scene: what is set on a sensor while it runs, and what goes wrong."""
+"""The tables `[[events]]` of a scene: settings of a sensor during a run, and faults."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -12,19 +12,19 @@ from vlp16emu.settings import Fraction, NonNegative, Positive, Section, toml
 from vlp16emu.units import seconds_to_ns
 
 FOREVER_NS = 2**62  # end of an event that lasts until the run ends
-ALL_AROUND = 0, 359  # field of view that leaves nothing out
+ALL_AROUND = 0, 359  # field of view of a whole revolution
 _MOST = 10_000
 
 
 class Event(Section):
-    """Something that happens to a sensor at a time; the keys beside these are those of its row in `KINDS`."""
+    """An event of a sensor at a time; the row of its kind in `KINDS` names the other keys."""
 
     kind: str
-    """What happens."""
+    """Kind of the event."""
     at_s: NonNegative
-    """When it begins, since the first pulse."""
+    """Begin, since the first pulse."""
     unit: Annotated[int, Field(ge=1)] = 1
-    """Sensor of the rig that it happens to, from 1."""
+    """Number of the sensor in the rig, from 1."""
 
     if TYPE_CHECKING:
 
@@ -42,13 +42,13 @@ class Event(Section):
 
     @property
     def end_ns(self) -> int:
-        """End, since the first pulse; `begin_ns` of what takes no time."""
+        """End, since the first pulse; `begin_ns` for an event without duration."""
         lasts_s = getattr(self, "off_s", getattr(self, "duration_s", 0.0))
         return FOREVER_NS if lasts_s is None else seconds_to_ns(self.at_s + lasts_s)
 
     @property
     def is_random(self) -> bool:
-        """True if it happens to each packet with a probability below one."""
+        """True if it affects each packet with a probability below one."""
         return bool(getattr(self, "share", 1.0) < 1.0)
 
     @model_validator(mode="after")
@@ -89,49 +89,49 @@ def _from(kind: type, **bounds: Any) -> Any:
 _Degree: Any = _from(int, ge=0, le=359)
 _Sector: Any = Annotated[tuple[_Degree, _Degree], Field(strict=False)]
 _LAW = "False: no data packets; position packets go on (63-9243 Rev D, section 10.1.2)."
-_PHASE = "Rotor angle at each UTC second, which the rotor is turned to; `off` lets it run on."
-_COUNT = "Number of packets of a kind, one after the other, that it may hit, in place of `duration_s`."
+_PHASE = "Rotor angle at each UTC second; `off` ends the phase lock."
+_COUNT = "Number of consecutive packets of a kind that it may affect, instead of `duration_s`."
 KEYS: dict[str, tuple[Any, Any, str]] = {
-    "duration_s": (Positive | None, None, "How long it lasts; until the end of the run where it is left out."),
-    "rpm": (_from(int, ge=300, le=1200, multiple_of=60) | None, None, "Rotor speed, which takes its time to change."),
+    "duration_s": (Positive | None, None, "Duration; until the end of the run if not given."),
+    "rpm": (_from(int, ge=300, le=1200, multiple_of=60) | None, None, "Rotor speed, which changes gradually."),
     "return_mode": (Literal["strongest", "last", "dual"] | None, None, "Echoes that are sent."),
     "laser": (bool | None, None, _LAW),
     "fov_deg": (_Sector | None, None, "First and last azimuth that is sent, whole degrees; (0, 359) is all around."),
     "phase_lock_deg": (_from(float, ge=0, lt=360) | Literal["off"] | None, None, _PHASE),
-    "amplitude_rpm": (_from(float, gt=0, le=100), 6.0, "Greatest difference from the speed that is set."),
+    "amplitude_rpm": (_from(float, gt=0, le=100), 6.0, "Greatest difference from the set speed."),
     "period_s": (_from(float, ge=0.05, le=1000), 1.0, "Time from one greatest speed to the next."),
-    "off_s": (_from(float, gt=0, le=3600), 5.0, "How long nothing is sent: power off, and start of the sensor."),
-    "dead_laser.laser": (_from(int, ge=0, le=15), ..., "Its number in order of firing, from 0."),
-    "sector_deg": (_Sector, ..., "Azimuths from which and to which it is dirty, clockwise."),
-    "transmission": (Fraction, 0.3, "Share of the light that passes, on each of its two ways."),
-    "offset_us": (_from(float, ge=-1e9, le=1e9), 0.0, "By which the clock is fast from then on."),
-    "drift_ppm": (_from(float, ge=-1000, le=1000), 0.0, "By which it runs fast from then on."),
+    "off_s": (_from(float, gt=0, le=3600), 5.0, "Time without packets: power off, and start of the sensor."),
+    "dead_laser.laser": (_from(int, ge=0, le=15), ..., "Number of the laser in order of firing, from 0."),
+    "sector_deg": (_Sector, ..., "First and last azimuth of the dirt, clockwise."),
+    "transmission": (Fraction, 0.3, "Share of the light that passes, in each direction."),
+    "offset_us": (_from(float, ge=-1e9, le=1e9), 0.0, "Offset of the clock from then on, positive if fast."),
+    "drift_ppm": (_from(float, ge=-1000, le=1000), 0.0, "Rate error of the clock from then on, positive if fast."),
     "characters": (_from(int, ge=1, le=60), 1, "Number of characters that are replaced."),
     "late_sentence.by_s": (_from(float, gt=0, le=60), 0.5, "Delay, beside `gps.sentence_delay_s`."),
-    "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it hits."),
+    "packets": (Literal["data", "position", "both"], "data", "Kinds of packets that it affects."),
     "count": (_from(int, ge=1) | None, None, _COUNT),
-    "share": (_from(float, gt=0, le=1), 1.0, "Probability with which it hits each of them."),
-    "after_s": (_from(float, ge=0, le=10), 0.0, "From the first one to the second."),
-    "by": (_from(int, ge=1, le=100), 1, "Number of packets of its kind behind which one arrives."),
-    "by_s": (_from(float, gt=0, le=10), 0.05, "How late they are."),
-    "up_to_s": (_from(float, gt=0, le=10), 0.02, "How late they are at most; all delays up to it are equally likely."),
+    "share": (_from(float, gt=0, le=1), 1.0, "Probability for each packet."),
+    "after_s": (_from(float, ge=0, le=10), 0.0, "Time from the first copy to the second."),
+    "by": (_from(int, ge=1, le=100), 1, "Number of packets of its kind that overtake a packet."),
+    "by_s": (_from(float, gt=0, le=10), 0.05, "Delay of the packets."),
+    "up_to_s": (_from(float, gt=0, le=10), 0.02, "Greatest delay; delays are uniformly distributed up to it."),
     "bits": (_from(int, ge=1, le=4096), 8, "Number of bits that are flipped in a packet."),
-    "to_bytes": (_from(int, ge=0, le=1205), 600, "Bytes of the payload that are left."),
-    "status": (_from(int, ge=400, le=599) | None, None, "Status of the answers; no answer where it is left out."),
+    "to_bytes": (_from(int, ge=0, le=1205), 600, "Remaining bytes of the payload."),
+    "status": (_from(int, ge=400, le=599) | None, None, "HTTP status of the answers; no answer if not given."),
 }  # type, default and meaning of each key; `...` for one that is required, and `KIND.KEY` where two kinds differ
 
 
 class Kind(NamedTuple):
     """A row of `KINDS`."""
 
-    effect: Literal["settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"]  # what it changes
-    keys: str  # names of `KEYS`, beside those of `Event`
+    effect: Literal["settings", "rotor", "power", "clock", "optics", "gps", "packets", "web"]  # effect on the sensor
+    keys: str  # names of `KEYS`, in addition to the keys of `Event`
     selects: str
     meaning: str
 
 
 _TABLE = toml(files(__package__).joinpath("events.toml").read_text(encoding="utf-8"))
-KINDS = {name: Kind(**row) for name, row in _TABLE.items()}  # what can happen, by the word that selects it
+KINDS = {name: Kind(**row) for name, row in _TABLE.items()}  # kinds of events by name
 
 
 @cache
@@ -144,15 +144,15 @@ def tables() -> TypeAdapter[list[Event]]:
             of, default, meaning = KEYS.get(f"{name}.{key}") or KEYS[key]
             keys[key] = of, Field(default, description=meaning)
         classes.append(create_model(name, __base__=Event, __doc__=kind.meaning, **keys))
-    one: Any = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # as many as the table has
+    one: Any = Annotated[Union[tuple(classes)], Field(discriminator="kind")]  # noqa: UP007  # one class per row of the table
     some: Any = Annotated[list[one], Field(max_length=_MOST)]
     return TypeAdapter(some)
 
 
 def checked(given: object, scene: dict[str, Any]) -> list[Event]:
-    """Check the events of a scene, which is the tables `sensor`, `rig` and `gps` as far as they are sound.
+    """Return the checked events of a scene; `scene` has the valid ones of the tables `sensor`, `rig` and `gps`.
 
-    Raises ValueError if one is no event (then a `pydantic.ValidationError`), or cannot happen in this scene.
+    Raises ValueError if one is no event (then a `pydantic.ValidationError`), or the scene cannot have it.
     """
     events = tables().validate_python(given)
     sensor, rig, gps = (scene.get(key) for key in ("sensor", "rig", "gps"))

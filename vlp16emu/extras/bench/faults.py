@@ -1,7 +1,7 @@
-"""What goes wrong with packets between the sensor and its receiver: a change of what is sent, and when.
+"""Faults of packets between the sensor and its receiver: changes of their bytes and times.
 
-A fault is a function of the packet alone: of its unit, its kind and its number, which counts from the run's first pulse.
-So a part of a run is the same as cut out of the whole, and threads change nothing.
+A fault is a function of the packet alone: its unit, its kind and its number, which counts from the run's first pulse.
+So a part of a run equals the same part of the whole run, and threads change nothing.
 """
 
 from collections import Counter
@@ -21,18 +21,18 @@ from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, seconds_to_ns
 
 _ORDER = ("jitter", "reorder", "delay", "freeze", "drop", "corrupt", "truncate", "duplicate")
-"""Which of several faults of a packet comes first."""
+"""Order of several faults of a packet."""
 _LATE_KEYS = {"delay": "by_s", "jitter": "up_to_s", "duplicate": "after_s"}  # key of the longest delay of a fault
 _LONGEST_NS = 20 * MS_NS
-"""No more than this lies between packets that follow each other at their rate: 18.6 ms of position packets (63-9243 Rev D,
-section 8.2.2). Where nothing follows, because nothing is sent, a packet is not overtaken."""
+"""Greatest time between consecutive packets at their rate: 18.6 ms for position packets (63-9243 Rev D, section 8.2.2).
+If no packet follows within it, a packet is not overtaken."""
 
 Streams = Callable[[int, int], Iterator[Packet]]
 """Packets of all units due in a span since the first pulse, in order of sending."""
 
 
 def kinds_of(event: Event) -> tuple[PacketKind, ...]:
-    """Return the kinds of packets that an event of packets hits."""
+    """Return the kinds of packets that an event affects."""
     both = PacketKind.DATA, PacketKind.POSITION
     return both if event.packets == "both" else (PacketKind(event.packets),)
 
@@ -42,13 +42,13 @@ class PacketFault:
     """An event of packets of one unit."""
 
     event: Event
-    number: int  # its place among the events of the run, from 0
+    number: int  # index among the events of the run, from 0
     unit: Unit
     start_ns: int  # UTC of the first pulse, from which position packets count
-    counted: Mapping[PacketKind, range]  # numbers of the packets that it may hit, where they are counted
+    counted: Mapping[PacketKind, range]  # numbers of the packets that it may affect, for events with `count`
 
     def hits(self, packet: Packet, number: int) -> bool:
-        """Return whether it hits a packet with a number among those of its unit and kind, by what that was before all faults."""
+        """Return True if it affects a packet, given before all faults, with its number in its unit and kind."""
         event, since_ns = self.event, packet.due_ns - self.start_ns
         if packet.kind not in kinds_of(event):
             return False
@@ -59,14 +59,14 @@ class PacketFault:
 
     @property
     def longest_ns(self) -> int:
-        """Longest delay that it gives a packet."""
+        """Greatest delay that it gives a packet."""
         if self.event.kind == "reorder":
             return int(self.event.by) * _LONGEST_NS + 1
         key = _LATE_KEYS.get(self.event.kind)
         return seconds_to_ns(getattr(self.event, key)) if key else 0
 
     def change(self, packet: Packet, number: int) -> tuple[Packet, ...]:
-        """Return what becomes of a packet that it hits, but for what depends on the packets before it."""
+        """Return the packets that replace an affected packet, without effects that depend on earlier packets."""
         event, due_ns, payload = self.event, packet.due_ns, packet.payload
         match event.kind:
             case "drop":
@@ -88,7 +88,7 @@ class PacketFault:
         return int(self._random(Purpose.PACKET_JITTER, packet, number) * self.longest_ns)
 
     def _overtaken_ns(self, packet: Packet, by: int) -> int:
-        """Time until just after the packet leaves that is `by` packets of its kind behind one."""
+        """Return the time until just after the departure of the packet that is `by` packets of its kind later."""
         if packet.kind is PacketKind.POSITION:
             rate = require_packets(self.unit.section).position_rate
             due_ns = position_due_ns(rate, self.unit.seed, self.unit.positions_from_ns, packet.number, by + 1)
@@ -97,7 +97,7 @@ class PacketFault:
         return by * min(packet.due_ns - packet.fired_ns, _LONGEST_NS) + 1
 
     def _flipped(self, packet: Packet, number: int, bits: int) -> bytes:
-        """Flip different bits of the payload; none of one that was not cast."""
+        """Return the payload with `bits` different bits flipped; an empty payload stays empty."""
         payload = bytearray(packet.payload)
         random = generator(self.unit.seed, Purpose.BIT_FLIP, number, self._lane(packet))
         count = min(bits, 8 * len(payload))
@@ -114,16 +114,16 @@ class PacketFault:
 
 @dataclass
 class Wire:
-    """Passes packets on, to which faults happen; once."""
+    """Wire that applies faults to a stream of packets, once."""
 
-    faults: list[PacketFault]  # of all units, in `_ORDER`
+    faults: list[PacketFault]  # faults of all units, in `_ORDER`
     numbers: Counter[int]  # number of the next data packet of each unit
-    frozen: dict[tuple[int, PacketKind], Packet]  # packets that sensors hang at, by fault and kind
+    frozen: dict[tuple[int, PacketKind], Packet]  # packets that hanging sensors repeat, by fault and kind
     left_ns: Counter[tuple[int, PacketKind]] = field(default_factory=Counter)
-    """When the last packet left, by jitter and kind."""
+    """Departure of the last packet, by jitter and kind."""
 
     def passed(self, packets: Iterable[Packet]) -> Iterator[Packet]:
-        """Yield what arrives, in order of sending."""
+        """Yield the arriving packets, in order of sending."""
         waiting, serials = list[tuple[int, int, Packet]](), count()
         for packet in packets:
             for sent in self._after_faults(packet):
@@ -143,10 +143,10 @@ class Wire:
                 continue
             key = fault.number, packet.kind
             hit = fault.hits(packet, number)
-            # The first of `_ORDER`: of one packet.
+            # Jitter is the first kind of `_ORDER`, so `out` has one packet.
             if fault.event.kind == "jitter" and packet.kind in kinds_of(fault.event):
                 due_ns = out[0].due_ns + (fault.jitter_ns(out[0], number) if hit else 0)
-                self.left_ns[key] = max(due_ns, self.left_ns[key])  # it stays behind the one before it
+                self.left_ns[key] = max(due_ns, self.left_ns[key])  # it does not overtake the packet before
                 out = [replace(out[0], due_ns=self.left_ns[key])]
             elif hit and fault.event.kind == "freeze":
                 first = self.frozen.setdefault(key, packet)
@@ -172,14 +172,14 @@ def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
 
 
 def earliest_ns(faults: Sequence[PacketFault], start_ns: int) -> int:
-    """Find the time since the first pulse from which on packets may be so late that they arrive at `start_ns`, or later."""
+    """Return the time since the first pulse of the earliest packet that may arrive at `start_ns` or later."""
     return max(start_ns - sum(fault.longest_ns for fault in faults if fault.event.begin_ns < start_ns), 0)
 
 
 def arriving(
     scenario: Scenario, units: Sequence[Unit], streams: Streams, start_ns: int, stop_ns: int
 ) -> Iterator[Packet]:
-    """Return the packets that arrive in a span since the first pulse; those that leave in it if nothing happens to them."""
+    """Return the packets that arrive in a span since the first pulse; without faults, the packets that leave in it."""
     faults = faults_of(scenario, units)
     if not faults:
         return streams(start_ns, stop_ns)

@@ -1,4 +1,4 @@
-"""A real GPS receiver on a serial port: its pulses and sentences set the clock and the state of packets."""
+"""A real GPS receiver on a serial port, whose pulses and sentences set the clock and the state in packets."""
 
 import re
 import threading
@@ -19,33 +19,33 @@ from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS, seconds_to_ns
 
 _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
-_LONGEST = 256  # bytes without an end of line, after which they are no sentence: twice what a position packet holds
+_LONGEST = 256  # bytes without an end of line that are no sentence: twice the space of a position packet
 _STEADY_NS = 5 * MS_NS
-"""By which pulses may miss their second and still be steady: what a program that looks at a line every millisecond, beside others,
-makes of a pulse that is exact to a microsecond (assumption)."""
-_LOST_NS = S_NS + S_NS // 2  # after so long without a pulse there is none
-_STALE_NS = 5 * S_NS  # after so long without a good sentence the clock is no longer set by it (assumption)
+"""Error of a steady pulse against its second: a program that polls a line every millisecond, beside other programs,
+gives it to a pulse that is exact to a microsecond (assumption)."""
+_LOST_NS = S_NS + S_NS // 2  # time without a pulse after which pulses count as lost
+_STALE_NS = 5 * S_NS  # time without a good sentence after which sentences no longer set the clock (assumption)
 _SHARE = 8
-"""A pulse moves the clock by this part of the time that it is off, so that the stamps do not show how late a line was looked at."""
+"""A pulse corrects this fraction of the clock's error, so that stamps do not show the jitter of polling."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """Input of a receiver so far."""
+    """Input from a receiver so far."""
 
     pulses: int = 0
-    sentences: int = 0  # good ones
-    refused: int = 0  # RMC sentences that were garbled; others are not looked at
+    sentences: int = 0  # valid sentences
+    refused: int = 0  # garbled RMC sentences; other sentences are ignored
 
 
 class GpsLine:
-    """The sensor's end of the line; instants are those of one clock of the host, in ns. Threads may share it.
+    """The sensor's end of the line; instants are readings of one clock of the host, in ns. Thread-safe.
 
     Parameters
     ----------
-    gps : of the scene: how long pulses must be steady, and whether only sentences of status A set the clock
-    power_up_ns : when the sensor's own clock was at zero
-    is_pulsed : false if no pulse comes by a line: then a second begins `gps.sentence_delay_s` before its sentence
+    gps : table of the scene: time for which pulses must be steady, and if only sentences of status A set the clock
+    power_up_ns : instant at which the sensor's own clock was zero
+    is_pulsed : False without a line for pulses: then a second begins `gps.sentence_delay_s` before its sentence
     """
 
     def __init__(self, gps: Gps, power_up_ns: int, *, is_pulsed: bool) -> None:
@@ -63,14 +63,14 @@ class GpsLine:
     def pulse(self, t_ns: int) -> None:
         """Take the rising edge of a pulse.
 
-        It pulls the fraction of a second to the edge: at once at first, in small parts once pulses are steady.
+        It sets the fraction of a second to the edge: at once at first, in small steps when pulses are steady.
         """
         with self._lock:
             self.heard = replace(self.heard, pulses=self.heard.pulses + 1)
             since_ns = _LOST_NS + 1 if self._edge_ns is None else t_ns - self._edge_ns
             off_ns = (t_ns - self._zero_ns + S_NS // 2) % S_NS - S_NS // 2
             is_first = since_ns > _LOST_NS
-            self._is_bad = not is_first and abs(since_ns - S_NS) > _STEADY_NS  # no second apart
+            self._is_bad = not is_first and abs(since_ns - S_NS) > _STEADY_NS  # not a second apart
             if is_first or self._is_bad:
                 self._steady_since_ns = t_ns
             self._zero_ns += off_ns if is_first or self._is_bad else off_ns // _SHARE
@@ -82,11 +82,11 @@ class GpsLine:
             self._buffer += data
             while found := _LINE.match(self._buffer):
                 self._buffer = self._buffer[found.end() :]
-                self._take(found[0].strip(), t_ns)
+                self._take_line(found[0].strip(), t_ns)
             self._buffer = b"" if len(self._buffer) > _LONGEST else self._buffer
 
     def state_at(self, t_ns: int) -> PpsState:
-        """State of the pulse, as position packets report it (63-9243 Rev D, section 9.3.3)."""
+        """Return the state of the pulse in position packets (63-9243 Rev D, section 9.3.3)."""
         with self._lock:
             if self._edge_ns is None or t_ns - self._edge_ns > _LOST_NS:
                 return PpsState.ABSENT
@@ -98,11 +98,11 @@ class GpsLine:
             return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
 
     def clock_ns(self, t_ns: int) -> int:
-        """Read the sensor's clock, in ns past its hour."""
+        """Return the sensor's clock, in ns past its hour."""
         with self._lock:
             return (t_ns - self._zero_ns) % HOUR_NS
 
-    def _take(self, line: bytes, t_ns: int) -> None:
+    def _take_line(self, line: bytes, t_ns: int) -> None:
         """Take a line: an RMC sentence names the second of the edge before it."""
         if not line.startswith(b"$GPRMC,"):
             return
@@ -119,14 +119,14 @@ class GpsLine:
         if named_ns is not None and (valid or not self._gps.requires_valid):
             self._set_ns = t_ns
             if self._edge_ns is not None and t_ns - self._edge_ns < _LOST_NS:
-                # Whole seconds alone: the fraction is that of the pulse.
+                # Only whole seconds: the pulse gives the fraction.
                 shown_ns = (self._edge_ns - self._zero_ns + S_NS // 2) // S_NS * S_NS
                 self._zero_ns -= (named_ns - shown_ns) % HOUR_NS
 
 
 _BAUD = 9600  # 63-9243 Rev D, section 7.4
-_LOOK_S = 0.001  # from one look at the line to the next
-_AWAY_S = 0.1  # from one look for a device that has vanished to the next; `SerialPort` tries once a second
+_POLL_S = 0.001  # period of polling of the line
+_AWAY_S = 0.1  # period of polling for a vanished device; `SerialPort` tries once a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,17 +136,17 @@ class GpsInResult:
     port: str
     heard: Heard
     state: PpsState  # at the end
-    away: tuple[Away, ...]  # times at which the device was not there
+    away: tuple[Away, ...]  # times without the device
 
 
 class GpsReader:
-    """Listens to a receiver in a thread of its own; a context manager.
+    """Reader of a receiver in a thread of its own; a context manager.
 
     Parameters
     ----------
-    gps_in : where it is
-    gps : of the scene: the window of the pulse, which sentences set the clock, and when they come
-    powered_for_s : time since power-up, from which the clock counts before it is set
+    gps_in : port and line of the receiver
+    gps : table of the scene: window of the pulse, sentences that set the clock, and their delay
+    powered_for_s : time since power-up, the reading of the clock before it is set
 
     Raises OutputError if the port cannot be opened, or has no such line.
     """
@@ -171,7 +171,7 @@ class GpsReader:
         self._thread.join()
 
     def sink(self, way: PacketSink) -> PacketSink:
-        """Return a sink that stamps packets by the clock of the receiver."""
+        """Return a sink that stamps packets with the clock that the receiver sets."""
         return GpsInSink(way, self.line)
 
     @property
@@ -183,7 +183,7 @@ class GpsReader:
     def _run(self) -> None:
         was_high = True
         while not self._over.is_set():
-            if (found := self._port.use(self._look)) is None:
+            if (found := self._port.use(self._poll)) is None:
                 self._over.wait(_AWAY_S)
                 continue
             data, high, at_ns = found
@@ -192,12 +192,12 @@ class GpsReader:
             was_high = high
             if data:
                 self.line.receive(data, at_ns)
-            if data or self._pulse:  # characters that come one by one are taken together, whatever sends them
-                self._over.wait(_LOOK_S)
+            if data or self._pulse:  # collect single characters
+                self._over.wait(_POLL_S)
         self._port.close()
 
-    def _look(self, port: Any) -> tuple[bytes, bool, int]:
-        """Read what is there, or wait for a character where no line is to be looked at; and the line, and when it was."""
+    def _poll(self, port: Any) -> tuple[bytes, bool, int]:
+        """Return the bytes that are there, the state of the line, and the instant; without a line, wait for a character."""
         if self._pulse:
             high, at_ns = bool(getattr(port, self._pulse)), time.monotonic_ns()
             return (port.read(port.in_waiting) if port.in_waiting else b""), high, at_ns
@@ -206,10 +206,10 @@ class GpsReader:
 
 
 class GpsInSink(PacketSink):
-    """Passes packets on with the stamps, state and sentence that the sensor would have with that receiver on its line.
+    """Sink that gives packets the stamps, state and sentence of a sensor with this receiver on its line.
 
-    Instants of packets are as far apart as they are due, however late each is sent: stamps show no jitter of the host. Only where
-    the stream is late by more than the tolerance they are counted from then on, by `clock_ns`, the clock of the line's instants.
+    Instants of packets follow their due times, even if they are sent late: stamps show no jitter of the host. Only if
+    the stream is late by more than the tolerance, instants are counted again from `clock_ns`, the clock of the line.
     """
 
     def __init__(self, sink: PacketSink, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
@@ -217,7 +217,7 @@ class GpsInSink(PacketSink):
         self._ahead_ns: int | None = None
 
     def send(self, packet: Packet) -> None:
-        """Send one packet; errors as of the sink."""
+        """Send one packet; errors of the sink."""
         if packet.kind not in (PacketKind.DATA, PacketKind.POSITION):
             self._sink.send(packet)
             return

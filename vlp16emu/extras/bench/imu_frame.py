@@ -1,10 +1,10 @@
-"""The frame in which a sample of the inertial unit leaves, the same by UDP and on a serial line.
+"""The frame of a sample of the inertial unit, the same by UDP and on a serial line.
 
 >>> IMU_FRAME.itemsize, IMU_FRAME.isalignedstruct
 (72, True)
 
-Ours, as no sensor of Velodyne's has one; `protocol/imu_frame.toml` is its table. Every field lies at a multiple of its size,
-so that it is a plain struct in C, and numbers are those of the truth to the last bit.
+The format is our own, because no sensor of Velodyne has one; `protocol/imu_frame.toml` describes it. The offset of each
+field is a multiple of its size, so it is a plain struct in C, and numbers equal the ground truth to the last bit.
 """
 
 import zlib
@@ -19,7 +19,7 @@ IMU_FRAME = np.dtype(
     [
         ("magic", "S3"),
         ("version", "u1"),
-        ("checksum", "<u4"),  # CRC-32 of all bytes behind it, as in zlib and Ethernet
+        ("checksum", "<u4"),  # CRC-32 of all bytes after it, as in zlib and Ethernet
         ("sequence", "<u8"),  # number of the sample since the start of the scene
         ("t_ns", "<i8"),
         ("angular_rate_rad_s", "<f8", 3),
@@ -32,7 +32,7 @@ _CHECKED = 8  # offset of the bytes that the checksum covers
 
 
 def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[bytes]:
-    """Write n samples in a row, a frame each.
+    """Return the frames of n consecutive samples.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[byt
 def decode_imu(frame: bytes) -> np.void:
     """Read a frame: an `IMU_FRAME`.
 
-    Raises PacketError if length, magic or version is another, or the checksum is wrong.
+    Raises PacketError if length, magic, version or checksum is wrong.
     """
     if len(frame) != IMU_FRAME.itemsize:
         raise PacketError("IMU frame", f"found {len(frame)} bytes", f"{IMU_FRAME.itemsize}")

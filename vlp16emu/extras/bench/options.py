@@ -1,4 +1,4 @@
-"""Options of what stands beside a stream: web interfaces, poses that come in, serial lines. Of no library, as help is quick."""
+"""Options of a stream's web interfaces, pose input and serial lines. They need no library, as help must be quick."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from vlp16emu.run.options import LAST_PORT, Option, Options, StreamOptions
 
 
 def host_and_port(text: str, option: str, expected: str, scheme: str = "") -> tuple[str, int]:
-    """Read HOST:PORT behind a scheme, IPv6 addresses in brackets; the host may be empty if there is no scheme.
+    """Return host and port of HOST:PORT after a scheme, IPv6 addresses in brackets; without a scheme the host may be empty.
 
-    Raises InputError, in the name of `option`, if it is none.
+    Raises InputError with `option` in front if it is malformed.
     """
     host, _, port = text.removeprefix(scheme).rpartition(":")
     is_place = text.startswith(scheme) and (host or not scheme)
@@ -28,7 +28,7 @@ class Http(Options):
     at: Annotated[
         str,
         Option(
-            "Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
+            "Serve the sensor's web interface, which the stream follows; for a rig on this port and the next ones. "
             "PORT alone is on 127.0.0.1.",
             "HOST:PORT",
             "--http",
@@ -36,19 +36,19 @@ class Http(Options):
     ]
     saved: Annotated[
         Path | None,
-        Option("Keep the settings that are saved in the web interface, from run to run.", "FILE", "--http-settings"),
-    ] = None  # file of the first sensor; those of others have its name with their number
+        Option("File that keeps the settings saved in the web interface from run to run.", "FILE", "--http-settings"),
+    ] = None  # file of the first sensor; files of other sensors have its name with their number
     serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
-    """Called with the address and port of each, before the first packet leaves."""
-    controlled: Callable[[Any], None] = lambda _: None  # called before that with the `Control` that sets the sensors
+    """Called with address and port of each interface, before the first packet leaves."""
+    controlled: Callable[[Any], None] = lambda _: None  # called before `serving`, with the `Control` of the sensors
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self.address  # refused before a world is grown
+        _ = self.address  # raises an error before a world is grown
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host, and port of the first sensor; 0 for free ports. InputError if it is none."""
+        """Host, and port of the first sensor; 0 for free ports. InputError if it is malformed."""
         host, port = host_and_port(self.at, "--http", "HOST:PORT, such as 127.0.0.1:8080")
         return host or "127.0.0.1", port
 
@@ -60,18 +60,20 @@ class PosesIn(Options):
     where: Annotated[
         str | None,
         Option(
-            'Where poses come in, of a scene with motion.kind = "live"; the stream waits for the first one.',
+            'Address for live poses, for a scene with motion.kind = "live"; the stream waits for the first one.',
             "udp://HOST:PORT",
             "--pose-in",
         ),
-    ] = None  # none if `Emulator.put_pose` alone brings them
+    ] = None  # None if only `Emulator.put_pose` gives poses
     flown: Annotated[
         Path | None,
         Option(
-            "Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.", "FILE.csv", "--flown"
+            "Write the flight of such a scene, to repeat the run with --set motion.flown=FILE.csv.",
+            "FILE.csv",
+            "--flown",
         ),
     ] = None
-    news: Callable[[str], None] = lambda _: None  # called with a line when poses are waited for, lost, or back
+    news: Callable[[str], None] = lambda _: None  # called with a line when the stream waits for poses or loses them
 
 
 @dataclass(frozen=True)
@@ -86,13 +88,13 @@ class Outlets(Options):
             "PORT",
         ),
     ] = None
-    gps_pps: Annotated[
-        str, Option("Line of that port that carries the receiver's pulse.", words=("dtr", "rts", "off"))
-    ] = "dtr"  # a null-modem cable leads DTR to DCD, where programs look for it
+    gps_pps: Annotated[str, Option("Line of that port for the receiver's pulse.", words=("dtr", "rts", "off"))] = (
+        "dtr"  # a null-modem cable connects DTR to DCD, where programs expect the pulse
+    )
     imu_out: Annotated[
         str | None,
         Option(
-            "Send the samples of the inertial unit ([imu]) too, each at its time; on a serial port with 921600 8N1.",
+            "Also send the samples of the inertial unit ([imu]), each at its time; on a serial port with 921600 8N1.",
             "udp://HOST:PORT|serial:PORT",
         ),
     ] = None
@@ -114,7 +116,7 @@ class GpsIn(Options):
     pulse: Annotated[
         str,
         Option(
-            "Line of that port that carries the pulse; sentence if none is wired.",
+            "Line of that port for the pulse; sentence if none is wired.",
             name="--gps-in-pulse",
             words=("sentence", "cd", "cts", "dsr", "ri"),
         ),
@@ -123,9 +125,9 @@ class GpsIn(Options):
 
 @dataclass(frozen=True)
 class BenchOptions(StreamOptions):
-    """Options of a stream, with what stands beside it."""
+    """Options of a stream and of its additional inputs and outputs."""
 
-    http: Http | None = None  # none for no web interfaces
+    http: Http | None = None  # None for no web interfaces
     poses: PosesIn | None = None  # the stream of a live scene begins with the first pose, and drops late packets
     outlets: Outlets | None = None
     gps_in: GpsIn | None = None  # sets the clock of the sensors instead of the receiver of the scene

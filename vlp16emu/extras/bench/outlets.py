@@ -1,4 +1,4 @@
-"""What leaves beside the packets of the sensors: sentences and pulses of a receiver, inertial samples; serial ports."""
+"""Outputs beside the packets of the sensors: sentences and pulses of a receiver, inertial samples; serial ports."""
 
 import errno
 import heapq
@@ -30,16 +30,16 @@ from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
-PULSE_NS = 100 * MS_NS  # length of a pulse: the sensor wants 20 to 200 ms (User's Manual of the HDL-32E)
+PULSE_NS = 100 * MS_NS  # length of a pulse: the sensor needs 20 to 200 ms (User's Manual of the HDL-32E)
 PULSE_HIGH, PULSE_LOW = b"\1", b"\0"
 _READS_PER_S = 50
-"""How often samples are read: those of 20 ms together, and none of a time long to come, in which live poses are unknown."""
+"""Span of samples that are read together: not longer, because live poses are unknown far ahead."""
 
-_Beat = tuple[int, Packet | Callable[[], Packet]]  # when a packet is due, and the packet or what makes it
+_Beat = tuple[int, Packet | Callable[[], Packet]]  # due time of a packet, and the packet or a function that returns it
 
 
 class Beside:
-    """Packets of kinds NMEA, PPS and IMU, made in the order of a run and not before their time.
+    """Packets of the kinds NMEA, PPS and IMU, computed in the order of a run and not before their time.
 
     Raises `ScenarioError` if the scene has no such device.
     """
@@ -55,7 +55,7 @@ class Beside:
         self._rate_hz = scenario.imu.rate_hz if scenario.imu else 0
 
     def among(self, packets: Iterator[Packet], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-        """Merge the packets of a span since the first pulse with what is due beside them; of those due at once, packets are first."""
+        """Merge the packets of a span since the first pulse with the additional ones; at equal due times `packets` come first."""
         if not self._kinds:
             return packets
         made = {PacketKind.NMEA: self._sentences, PacketKind.PPS: self._pulses, PacketKind.IMU: self._samples}
@@ -65,11 +65,11 @@ class Beside:
         return (what if isinstance(what, Packet) else what() for _, what in beats)
 
     def count(self, start_ns: int, stop_ns: int) -> dict[PacketKind, int]:
-        """Count what is due in a span since the first pulse, by kind."""
+        """Return the number of additional packets in a span since the first pulse, by kind."""
         return {kind: len(self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds}
 
     def _numbers(self, kind: PacketKind, start_ns: int, stop_ns: int) -> range:
-        """Numbers of what is due in a span: UTC seconds, ends of pulses counted from 1970 as two a second, or samples."""
+        """Return the numbers of packets in a span: UTC seconds, edges of pulses since 1970 (two a second), or samples."""
         if kind is PacketKind.IMU:
             return range(*(-(-since_ns * self._rate_hz // S_NS) for since_ns in (start_ns, stop_ns)))
         span_ns = [self._start_ns + since_ns for since_ns in (start_ns, stop_ns)]
@@ -81,7 +81,7 @@ class Beside:
         def sentence(second_ns: int) -> Packet:
             return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
 
-        for second in seconds:  # each as long after its second as the sensor gets it
+        for second in seconds:  # with the same delay after its second as on the sensor's line
             yield second * S_NS + self._delay_ns, partial(sentence, second * S_NS)
 
     def _pulses(self, numbers: range) -> Iterator[_Beat]:
@@ -95,7 +95,7 @@ class Beside:
         assert isinstance(imu, ImuSampler)
 
         def sample(number: int) -> Packet:
-            """Read those of 20 ms at once."""
+            """Return a sample; samples of 20 ms are read together."""
             if number not in ready:
                 ready.clear()
                 count = min(max(self._rate_hz // _READS_PER_S, 1), numbers.stop - number)
@@ -113,36 +113,36 @@ class Beside:
 
 T = TypeVar("T")
 
-_RETRY_S = 1.0  # how often a device that is away is looked for
+_RETRY_S = 1.0  # period of attempts to open a device that has vanished
 _PATIENCE_S = 0.25
-"""How long a message may wait for the line, and for how long one is written at most: a quarter of a receiver's second."""
-_WAITING = 4096  # messages that wait at most: more than an inertial unit takes in that time
-_LINELESS = ("socket://",)  # ports that take the setting of a line without an error, and have none
+"""Greatest time that a message waits for the line, and that writing takes: a quarter of a receiver's second."""
+_WAITING = 4096  # greatest number of waiting messages: more than samples of an inertial unit in that time
+_LINELESS = ("socket://",)  # ports that accept the setting of a line without an error, but have no line
 
 
 @dataclass(frozen=True, slots=True)
 class Away:
-    """One time that a device was not there."""
+    """A time without the device."""
 
     at_s: float  # time since the port was opened
-    away_s: float  # until it was there again, or the stream ended
+    away_s: float  # until the device was back, or the stream ended
 
 
 @dataclass(frozen=True, slots=True)
 class OutletResult:
-    """Messages that left by an outlet."""
+    """Messages sent by an outlet."""
 
     to: str
     messages: int  # sentences, or samples
     bytes: int
-    dropped: int  # messages that were too late: the device was away, or took no more
+    dropped: int  # messages that were too late: the device was away or busy
     away: tuple[Away, ...] = ()
     line: str | None = None  # line of the pulses, rts or dtr
     pulses: int | None = None  # pulses on that line; None if the port has no such line
 
 
 def has_line(act: Callable[[], object]) -> bool:
-    """Return whether a port has the line that `act` sets or reads; a pseudo-terminal has none."""
+    """Return True if a port has the line that `act` sets or reads; a pseudo-terminal has none."""
     try:
         act()
     except OSError as error:
@@ -153,18 +153,18 @@ def has_line(act: Callable[[], object]) -> bool:
 
 
 class SerialPort:
-    """A port at 8N1 without flow control that is opened again, once a second, when its device has vanished.
+    """A port at 8N1 without flow control that is opened again, once a second, after its device has vanished.
 
-    Of one thread. Reading and writing is done by `use`.
+    For one thread. `use` reads and writes.
 
     Parameters
     ----------
-    name : of a device, or a URL of pyserial: socket://HOST:PORT, rfc2217://HOST:PORT, loop://
+    name : name of a device, or a URL of pyserial: socket://HOST:PORT, rfc2217://HOST:PORT, loop://
     baud : bits per second
     where : option or key that names the port
     line : rts or dtr, low from the start; None leaves both as they are
 
-    Raises OutputError where it cannot be opened at first.
+    Raises OutputError if it cannot be opened at first.
     """
 
     def __init__(self, name: str, baud: int, where: str, line: str | None = None) -> None:
@@ -174,7 +174,7 @@ class SerialPort:
         self._error, self._slow = (serial.SerialException, OSError, termios.error), serial.SerialTimeoutException
         self._away_since_s: float | None = None
         self._opened_s = self._tried_s = time.monotonic()
-        self.away: tuple[Away, ...] = ()  # times at which the device was not there, that of now left out
+        self.away: tuple[Away, ...] = ()  # past times without the device
         try:
             self._port: Any = self._open()
         except self._error as error:
@@ -188,7 +188,7 @@ class SerialPort:
         self.has_line = is_there and has_line(lambda: setattr(self._port, str(line), False))
 
     def use(self, act: Callable[[Any], T]) -> T | None:
-        """Let `act` read or write: the port is pyserial's. None where the device is away, or takes no more."""
+        """Call `act` with the port of pyserial, to read or write. None if the device is away or busy."""
         if self._away_since_s is not None and not self._is_back():
             return None
         try:
@@ -233,7 +233,7 @@ class SerialPort:
 
 
 class SerialSink(PacketSink):
-    """Writes packets to a serial port, and pulses to its line, in a thread that owns it: a port never holds up others."""
+    """Sink that writes packets to a serial port, and pulses to its line, in a thread of its own: a port never delays others."""
 
     def __init__(self, port: SerialPort) -> None:
         self._port = port
@@ -245,10 +245,10 @@ class SerialSink(PacketSink):
     def __exit__(self, *_: object) -> None:
         with suppress(queue.Full):
             self._waiting.put_nowait(None)
-        self._thread.join(2 * _PATIENCE_S)  # a daemon: one that hangs in a driver is left behind
+        self._thread.join(2 * _PATIENCE_S)  # a daemon: a thread that hangs in a driver is abandoned
 
     def send(self, packet: Packet) -> None:
-        """Let one packet leave as soon as the line is free; returns at once."""
+        """Queue one packet for the line; returns at once."""
         try:
             self._waiting.put_nowait((time.monotonic(), packet))
         except queue.Full:
@@ -273,7 +273,7 @@ class SerialSink(PacketSink):
 
     def _write(self, payload: bytes) -> bool:
         def put(port: Any) -> int | None:
-            """Wait for room first: pyserial would ask for it again and again, and take a core for that."""
+            """Wait for room first: pyserial would poll for it and use a whole core."""
             with suppress(UnsupportedOperation):  # a port without descriptor, such as loop://
                 if not select.select([], [port.fileno()], [], _PATIENCE_S)[1]:
                     return None
@@ -294,14 +294,14 @@ class SerialSink(PacketSink):
             self._pulses += bool(self._port.use(act)) and high
 
 
-_GPS_BAUD = 9600  # what the sensor takes (63-9243 Rev D, section 7.4)
+_GPS_BAUD = 9600  # rate of the sensor's input (63-9243 Rev D, section 7.4)
 _BAUD = 921_600
 _BITS = 10  # of a byte on the line: start, eight, stop
 _WHERE = "--imu-out"
 
 
 class Ways(PacketSink):
-    """The ways that sentences, pulses and inertial samples take beside the packets of the sensors; a sink of all of them."""
+    """Sinks of sentences, pulses and inertial samples beside the packets of the sensors, as one sink."""
 
     def __init__(self, asked: Outlets) -> None:
         self._asked, self._ways = asked, dict[PacketKind, SerialSink | ImuUdpSink]()
@@ -318,11 +318,11 @@ class Ways(PacketSink):
         return (*(gps if self._asked.gps_out else ()), *((PacketKind.IMU,) if self._asked.imu_out else ()))
 
     def look_ahead(self, imu: Imu | None) -> int:
-        """Packets that a stream computes further ahead, because of samples between those of the sensors."""
+        """Return the number of packets that a stream computes further ahead, because of samples between sensor packets."""
         return 2 * imu.rate_hz if self._asked.imu_out and imu else 0
 
     def open(self, sensors: PacketSink, imu: Imu | None) -> Self:
-        """Open what there is beside `sensors`, the sink of data and position packets; errors as of `Emulator.stream`."""
+        """Open the outlets beside `sensors`, the sink of data and position packets; errors as in `Emulator.stream`."""
         self._sensors = sensors
         if self._asked.gps_out:
             line = None if self._asked.gps_pps == "off" else self._asked.gps_pps
@@ -333,11 +333,11 @@ class Ways(PacketSink):
         return self
 
     def send(self, packet: Packet) -> None:
-        """Send one packet by the way of its kind; errors are the sink's."""
+        """Send one packet with the sink of its kind; errors of that sink."""
         self._ways.get(packet.kind, self._sensors).send(packet)
 
     def results(self, skipped: Counter[PacketKind]) -> tuple[OutletResult | None, OutletResult | None]:
-        """Return what left of the receiver and of the inertial unit, if it does, with what the stream skipped among the dropped."""
+        """Return the results of receiver and inertial unit, None for an unused one; packets that the stream skipped count as dropped."""
 
         def result(kind: PacketKind) -> OutletResult | None:
             sent = self._ways[kind].result if kind in self._ways else None
@@ -347,7 +347,7 @@ class Ways(PacketSink):
 
 
 def _imu_way(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
-    """Open the way that samples go; InputError if it is none, OutputError if a serial line is too slow for the rate."""
+    """Open the sink of samples; InputError if `to` names none, OutputError if a serial line is too slow for the rate."""
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
         if rate_hz > most_hz:
@@ -358,7 +358,7 @@ def _imu_way(to: str, rate_hz: int) -> "SerialSink | ImuUdpSink":
 
 
 class ImuUdpSink(PacketSink):
-    """Sends samples by UDP, one to a datagram: together they would be late by the time between them."""
+    """Sink that sends samples by UDP, one per datagram: in groups they would be late."""
 
     def __init__(self, host: str, port: int) -> None:
         self._to = (resolve(host), port)
@@ -369,7 +369,7 @@ class ImuUdpSink(PacketSink):
         self._socket.close()
 
     def send(self, packet: Packet) -> None:
-        """Send one sample; `RunError` if the system cannot send any more."""
+        """Send one sample; `RunError` if the system cannot send it."""
         try:
             self._bytes += self._socket.sendto(packet.payload, self._to)
         except OSError as error:

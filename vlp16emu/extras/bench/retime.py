@@ -1,4 +1,4 @@
-"""Packets of another time: stamps and sentences moved by whole seconds, so that everything between two seconds stays as it is."""
+"""Packets moved in time: stamps and sentences change by whole seconds, so fractions of a second stay."""
 
 import re
 import struct
@@ -43,12 +43,12 @@ _SENTENCE = slice(_offset(layout.POSITION_PAYLOAD, "sentence"), _offset(layout.P
 
 
 def has_stamp(packet: Packet) -> bool:
-    """Return whether a packet is long enough to hold its time stamp; one that is cut may not be."""
+    """Return True if a packet is long enough to have its time stamp; a truncated packet may not be."""
     return packet.kind in _STAMP_AT and len(packet.payload) >= _STAMP_AT[packet.kind] + _STAMP.size
 
 
 def stamp_ns(packet: Packet) -> int:
-    """Time stamp of a data or position packet, ns past the hour of the sensor's clock; of other packets ns past the hour of UTC."""
+    """Return the time stamp of a data or position packet, ns past the hour of the sensor's clock; for other packets ns past the hour of UTC."""
     if packet.kind not in _STAMP_AT:
         return packet.due_ns % HOUR_NS
     (stamp_us,) = _STAMP.unpack_from(packet.payload, _STAMP_AT[packet.kind])
@@ -56,7 +56,7 @@ def stamp_ns(packet: Packet) -> int:
 
 
 def age_ns(packet: Packet) -> int:
-    """Time from the stamp of a packet to its sending: of a data packet how long it takes to fill."""
+    """Return the time from the stamp of a packet to its sending: for a data packet the time to fill it."""
     if packet.kind is not PacketKind.DATA:
         return STAMP_LEAD_NS if packet.kind is PacketKind.POSITION else 0
     is_dual = packet.payload[_MODE_AT:].startswith(_DUAL)
@@ -64,13 +64,13 @@ def age_ns(packet: Packet) -> int:
 
 
 def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
-    """Move the stamp of a packet, and the time and date of its sentence, where it has them.
+    """Return a packet with its stamp, and the time and date of its sentence if it has them, moved.
 
     Parameters
     ----------
     by_s : whole seconds, of either sign
-    now_ns : UTC at which the packet is sent, where the date of the sentence may be another one than that of the
-        capture: then the sentence is moved by whole hours too, to that hour
+    now_ns : UTC at which the packet is sent, if the date of the sentence may differ from the date of the capture: then
+    the sentence is also moved by whole hours, to the hour of `now_ns`
     """
     payload = bytearray(packet.payload)
     if packet.kind is PacketKind.NMEA:
@@ -86,12 +86,12 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
 
 
 def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> Packet:
-    """Give a packet what another clock shows, and a position packet the state and sentence of another receiver too.
+    """Return a packet with the stamp of another clock; a position packet also gets the state and sentence of another receiver.
 
     Parameters
     ----------
-    clock_ns : at the instant of the packet's stamp, ns past the hour
-    sentence : with CR LF; its first 128 bytes are taken, empty for none
+    clock_ns : clock at the instant of the packet's stamp, ns past the hour
+    sentence : sentence with CR LF, cut to its first 128 bytes; empty for none
     """
     if not has_stamp(packet):
         return packet
@@ -105,7 +105,7 @@ def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> 
 
 
 def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
-    """Move a sentence in its field; what is no RMC sentence with time and date stays."""
+    """Return the field of a sentence with the sentence moved; other bytes than an RMC sentence with time and date stay."""
     found = _RMC.match(field)
     if found is None:
         return field
@@ -122,26 +122,26 @@ def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
 
 
 class NowSink(PacketSink):
-    """Passes packets on, moved by a whole number of seconds into the present of the system's clock.
+    """Sink that moves packets by a whole number of seconds to the present of the system's clock.
 
-    Because seconds stay whole, the pulses of the receiver, its sentences and the stamps stay as far apart as they were. For that
-    the stream begins at the instant that has the first packet's fraction of a second: it waits for less than one.
+    Because the number is whole, the intervals between pulses of the receiver, sentences and stamps do not change. The
+    stream begins at the instant with the first packet's fraction of a second, so it waits for less than a second.
 
     Parameters
     ----------
-    sink : where they go
-    clock_ns : UTC
+    sink : sink of the moved packets
+    clock_ns : clock of the system, UTC
     """
 
     def __init__(self, sink: PacketSink, *, clock_ns: Callable[[], int] = time.time_ns) -> None:
         self._sink, self._clock_ns = sink, clock_ns
         self._ahead_ns = 0
         self.moved_s = 0
-        """Whole seconds from the time of the packets to the present; known when the first one leaves, as `began_ns`."""
-        self.began_ns = 0  # UTC at which that is by the sensor's clock
+        """Whole seconds from the time of the packets to the present; set when the first packet leaves, like `began_ns`."""
+        self.began_ns = 0  # UTC of the first packet by the sensor's clock
 
     def begin(self, first: Packet, stop: Event) -> int:
-        """Wait for the instant at which the first packet leaves, or until the stream is to stop.
+        """Wait for the instant at which the first packet leaves, or for `stop`.
 
         Returns
         -------
@@ -154,15 +154,15 @@ class NowSink(PacketSink):
         return self._clock_ns() - at_ns
 
     def join(self, first: Packet, left_ns: int) -> None:
-        """Begin where a clock runs already, by which the first packet leaves in some time, or left some time ago."""
+        """Begin with a clock that already runs; `left_ns` is the time since the first packet left, negative before."""
         sent_ns, due_ns = self._sent_ns(first), self._clock_ns() + left_ns
         self._start(first, sent_ns, sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS)
 
     def _sent_ns(self, first: Packet) -> int:
-        """Return the UTC at which a packet leaves by its own stamp, or is due without one."""
+        """Return the UTC at which a packet leaves by its own stamp, or its due time if it has none."""
         if not has_stamp(first):
             return first.due_ns
-        moved(first, 0, first.due_ns)  # Python loads what parses dates in the first one's time, 3 ms
+        moved(first, 0, first.due_ns)  # the first call loads Python's parser of dates, 3 ms
         made_ns = stamp_ns(first)
         hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
         return hour_ns + made_ns + age_ns(first)
@@ -171,5 +171,5 @@ class NowSink(PacketSink):
         self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
 
     def send(self, packet: Packet) -> None:
-        """Send one packet; errors are the sink's."""
+        """Send one packet; errors of the sink."""
         self._sink.send(moved(packet, self.moved_s, packet.due_ns + self._ahead_ns))

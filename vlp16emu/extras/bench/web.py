@@ -1,7 +1,7 @@
-"""The web interface of the sensor, on a thread of its own.
+"""The web interface of the sensor, in a thread of its own.
 
-Its readers include clients made by hand that know one way of writing `Content-Length`, take no chunks, and may look at no
-more than the first segment: so each answer has that header, in this spelling, and leaves in one piece.
+Some hand-written clients accept only one spelling of `Content-Length`, no chunks, and perhaps only the first segment.
+So each answer has that header, in this spelling, and leaves in one piece.
 """
 
 import asyncio
@@ -21,10 +21,10 @@ from urllib.parse import urlsplit
 from vlp16emu.errors import OutputError, Vlp16emuError
 from vlp16emu.extras.bench.device import PATHS, Device, FormError, document, submit
 
-MOST_CONNECTIONS = 32  # at a time; further ones are closed
+MOST_CONNECTIONS = 32  # at a time; more connections are closed
 MOST_BODY_BYTES = 4096
 MOST_HEADER_BYTES = 8192
-LONGEST_S = 5.0  # time for a request and its answer, the wait for it included
+LONGEST_S = 5.0  # greatest time for a request and its answer, waiting included
 
 _TOKEN = rb"[!#-'*+.0-9A-Z^-z|~-]+"
 _HEAD = re.compile(rb"(%b) ([!-~]+) HTTP/1\.([01])\r?\n((?:%b:[^\x00\r\n]*\r?\n)*)\r?\n" % (_TOKEN, _TOKEN))
@@ -43,8 +43,8 @@ class _Request:
     method: str
     path: str  # without the query
     headers: dict[str, str]  # by names in lower case
-    body: bytes  # with one byte more than `MOST_BODY_BYTES` if it is too long
-    is_last: bool  # whether the connection ends with its answer
+    body: bytes  # `MOST_BODY_BYTES` + 1 bytes if it is too long
+    is_last: bool  # True if the connection ends with its answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +52,10 @@ class _Answer:
     status: int
     body: bytes = b""
     kind: str = _JSON
-    header: tuple[str, str] = ("Cache-Control", "no-store")  # beside type and length
+    header: tuple[str, str] = ("Cache-Control", "no-store")  # in addition to type and length
 
     def packed(self, *, bare: bool = False, is_last: bool) -> bytes:
-        """Write it in one piece, to a HEAD request bare of its body."""
+        """Return the answer in one piece; `bare` leaves out the body, for a HEAD request."""
         lines = (
             f"HTTP/1.1 {self.status} {responses.get(self.status, '')}",
             f"Content-Type: {self.kind}",
@@ -67,20 +67,20 @@ class _Answer:
 
 
 class _BadRequestError(Exception):
-    """A request that is malformed or too long: the status that says so, and why."""
+    """A request that is malformed or too long: status and reason."""
 
 
 class WebServer:
-    """The web interface of one sensor; a context manager, within which it answers.
+    """The web interface of one sensor; a context manager, inside which it answers.
 
     Parameters
     ----------
-    device : what is asked and set
-    host, port : where it listens; port 0 for a free one
-    fault : returns what is wrong with it now: the status of all answers, 0 for no answer at all, None for nothing; called
-        from its thread, and must not wait
+    device : settings and status of the sensor
+    host, port : address to listen on; port 0 for a free one
+    fault : returns the present fault: HTTP status of all answers, 0 for no answer, None for no fault; called from the
+    server's thread, and must not wait
 
-    Raises OutputError if it cannot listen there.
+    Raises OutputError if it cannot listen on this address.
     """
 
     def __init__(self, device: Device, host: str, port: int, *, fault: Callable[[], int | None] = lambda: None) -> None:
@@ -119,7 +119,7 @@ class WebServer:
 
     async def _run(self) -> None:
         self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
-        self._loop.set_exception_handler(lambda *_: None)  # a line that breaks is no news for standard error
+        self._loop.set_exception_handler(lambda *_: None)  # a broken connection is no message for standard error
         server = await asyncio.start_server(self._connected, sock=self._socket, limit=MOST_HEADER_BYTES)
         self._began.set()
         await self._over.wait()
@@ -129,7 +129,7 @@ class WebServer:
         await asyncio.gather(*filter(None, self._lines.values()), return_exceptions=True)
 
     async def _connected(self, reader: StreamReader, line: StreamWriter) -> None:
-        """Answer request after request of one connection, each in its time; connections over the bound are closed."""
+        """Answer the requests of one connection in order, each within its time limit; connections above the bound are closed."""
         if len(self._lines) >= MOST_CONNECTIONS:
             line.transport.abort()
             return
@@ -139,17 +139,17 @@ class WebServer:
                 async with asyncio.timeout(LONGEST_S):
                     if not await self._answers(reader, line):
                         break
-                await asyncio.sleep(0)  # others come to their turn, however many requests wait on this line
+                await asyncio.sleep(0)  # other connections get their turn, even if many requests wait here
             line.close()
         except BaseException as error:
             line.transport.abort()
-            if not isinstance(error, OSError):  # the client has gone, or takes too long
+            if not isinstance(error, OSError):  # the client is gone or too slow
                 raise
         finally:
             del self._lines[line]
 
     async def _answers(self, reader: StreamReader, line: StreamWriter) -> bool:
-        """Answer a request; returns whether another one may follow."""
+        """Answer a request; return True if another one may follow."""
         try:
             request = await _request(reader)
         except _BadRequestError as error:
@@ -170,7 +170,7 @@ class WebServer:
 
 
 async def _listen_out(reader: StreamReader, line: StreamWriter) -> bool:
-    """Let an answer arrive: what is left unread of the request would reset the connection before."""
+    """Read the rest of the request: unread bytes would reset the connection before the answer arrives."""
     line.write_eof()
     while await reader.read(MOST_HEADER_BYTES):
         pass
@@ -202,17 +202,17 @@ def _answer(request: _Request, server: WebServer) -> _Answer:
 
 
 def _is_foreign(request: _Request, *, is_private: bool) -> bool:
-    """Return whether a browser sends it for a page that is not the sensor's own.
+    """Return True if a browser sends a request for a page that is not the sensor's own.
 
-    Pages of other sites may send forms anywhere, and a name of theirs may lead to this machine: so the origin of a
-    form must be the host that is asked, and on an interface that is for this machine alone a host has no name.
+    Pages of other sites can send forms to any host, and their names may resolve to this machine. So the origin of a
+    form must be the requested host, and on an interface of this machine alone the host must be an address.
     """
     host, origin = request.headers.get("host"), request.headers.get("origin")
     if request.method == "POST" and origin not in (None, f"http://{host}"):
         return True
     if not is_private or host is None:
         return False
-    try:  # an address, or the name that is this machine's everywhere
+    try:  # an address, or localhost
         name = urlsplit(f"//{host}").hostname or ""
         ip_address("127.0.0.1" if name == "localhost" else name)
     except ValueError:
@@ -221,7 +221,7 @@ def _is_foreign(request: _Request, *, is_private: bool) -> bool:
 
 
 async def _request(line: StreamReader) -> _Request | None:
-    """Read a request, and its body as far as it may be long; None if there is no further one."""
+    """Read a request, and its body up to the limit of length; None if there is no other request."""
     head = await line.read(1)
     if not head:
         return None
@@ -249,7 +249,7 @@ async def _request(line: StreamReader) -> _Request | None:
 
 
 async def _line(line: StreamReader) -> bytes:
-    """Read a line, or more bytes than a head may have."""
+    """Return a line, or more bytes than the limit of a head."""
     try:
         return await line.readline()
     except ValueError:  # the limit of the reader
@@ -257,7 +257,7 @@ async def _line(line: StreamReader) -> bytes:
 
 
 async def _body(line: StreamReader, headers: dict[str, str]) -> bytes:
-    """Read a body, of one that is too long a byte more than there may be."""
+    """Return a body; for one that is too long, one byte more than the limit."""
     coding, length = headers.get("transfer-encoding"), headers.get("content-length", "0")
     if coding is None:
         if not re.fullmatch(r"[0-9]{1,20}", length, re.ASCII):

@@ -1,1 +1,1 @@
-"""Captures of other programs: pcapng, archives, link types beside Ethernet, tags, tunnels and fragments."""
+"""Captures of other programs: pcapng, archives, link types other than Ethernet, tags, tunnels and fragments."""

@@ -1,7 +1,7 @@
 """Frames of pcapng, and of archives with pcap or pcapng in them.
 
-The records are walked here, as dpkt's readers turn stamps into floats, drop the length on the wire and the link types of
-pcapng, and do not report when the last packet is cut.
+This module parses the records itself, because dpkt's readers convert stamps to floats, drop the length on the wire and
+the link types of pcapng, and do not report a truncated last packet.
 """
 
 import bz2
@@ -20,13 +20,13 @@ from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
 _SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6
-"""Block types of pcapng, as all below from IETF draft-ietf-opsawg-pcapng."""
+"""Block types of pcapng. Source of all pcapng numbers: IETF draft-ietf-opsawg-pcapng."""
 _BYTE_ORDER = 0x1A2B3C4D
 _OPTION_RESOLUTION, _OPTION_OFFSET = 9, 14
 _LONGEST_BLOCK_BYTES = 16 << 20  # a longer block means damage (MAX_BLOCK_SIZE of Wireshark)
 _ARCHIVES: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\0": lzma.open}
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_TAR_AT = 257  # of the magic number of POSIX tar (IEEE 1003.1, ustar)
+_TAR_AT = 257  # offset of the magic number of POSIX tar (IEEE 1003.1, ustar)
 _OTHERS = {b"PK\x03\x04": ("zip", "unzip -p"), b"\x04\x22\x4d\x18": ("lz4", "lz4 -dc")}
 
 Frames = Iterator[Frame | None]  # frames of a file; the last is None if the file ends in the middle of a record
@@ -35,13 +35,12 @@ Frames = Iterator[Frame | None]  # frames of a file; the last is None if the fil
 def frames(path: Path, file: Any) -> Frames:
     """Yield the frames of a file that is no plain pcap.
 
-    Raises CaptureError if it is neither pcapng nor an archive that can be unpacked with a capture in it, or a
-    record is damaged.
+    Raises CaptureError if it is neither pcapng nor a readable archive with a capture in it, or a record is damaged.
     """
     head = b""
     try:
         unpacked = _unpacked(path, file)
-        with suppress(EOFError):  # of an archive that is cut in its first bytes
+        with suppress(EOFError):  # from an archive that is truncated in its first bytes
             head = unpacked.peek(_TAR_AT + 5)
         if head[_TAR_AT : _TAR_AT + 5] == b"ustar":
             raise CaptureError(str(path), "a tar archive", f"{EXPECTED}: `tar xOf {path.name} > some.pcap`")
@@ -58,7 +57,7 @@ def frames(path: Path, file: Any) -> Frames:
 
 
 def _unpacked(path: Path, file: Any) -> Any:
-    """Return the stream of an archive, or the file itself if it is none."""
+    """Return the stream of an archive, or the file itself if it is no archive."""
     head: bytes = file.peek(6)
     if head.startswith(_ZSTD):
         try:
@@ -81,7 +80,7 @@ class _Interface(NamedTuple):
 
 
 def _pcapng(path: Path, file: Any) -> Frames:
-    """Yield the frames of pcapng, from behind the type of its first block."""
+    """Yield the frames of pcapng; the file is read from after the type of its first block."""
     order, kind, interfaces, blocks = "<", _SECTION, list[_Interface](), 0
     while True:
         blocks += 1
@@ -114,7 +113,7 @@ def _pcapng(path: Path, file: Any) -> Frames:
             if head:
                 yield None
             return
-        kind = int.from_bytes(head, "little" if order == "<" else "big")  # a section's reads the same either way
+        kind = int.from_bytes(head, "little" if order == "<" else "big")  # the type of a section is a palindrome
 
 
 def _interface(body: bytes, order: str) -> _Interface:

@@ -1,4 +1,4 @@
-"""UDP datagrams in frames of any link type that carries IP, behind tags, labels and tunnels."""
+"""UDP datagrams in frames of any link type that carries IP, also behind tags, labels and tunnels."""
 
 import struct
 from collections import Counter
@@ -12,16 +12,16 @@ _BODY_AT = {_ETHERNET: 14, 113: 16, 276: 20, 104: 4, 138: 18}
 _BARE_IP_AT = {101: 0, 12: 0, 14: 0, 228: 0, 229: 0, 0: 4, 108: 4, 109: 12}
 """Offset of the IP header by link type: raw IP, BSD loopback, OpenBSD's encapsulation."""
 _PPP_AT = {9: 0, 50: 0, 166: 1, 204: 1, 51: 6}
-"""Offset of PPP by link type: serial, with a byte of direction, behind PPPoE."""
+"""Offset of PPP by link type: serial, with a direction byte, PPPoE."""
 _WIFI, _NFLOG, _NFLOG_PAYLOAD = 105, 239, 9
 _WRAPPED = {127: ("<H", 2, None), 163: (">I", 4, None), 192: ("<H", 2, 4), 149: ("<I", 0, 8), 258: ("<I", 0, 8)}
-"""Link types with a header of their own in front: format and offset of its length, and offset of the link type behind it, IEEE 802.11
-where there is none. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
+"""Link types with a header of their own in front: format and offset of its length, and offset of the inner link type,
+which is IEEE 802.11 if there is no such field. Radiotap, AVS, PPI, and PKTAP of macOS under both of its numbers."""
 _LINK_TYPES = frozenset({*_ETHERTYPE_AT, *_BARE_IP_AT, *_PPP_AT, *_WRAPPED, _WIFI, _NFLOG})
 
 _IPV4, _IPV6, _TAGS = 0x0800, 0x86DD, (0x8100, 0x88A8, 0x9100)
 _MPLS, _PPPOE, _BRIDGED, _LLC = (0x8847, 0x8848), 0x8864, 0x6558, (0x0001, 0x0004)
-"""EtherTypes of IEEE 802 and RFC 3032, 2516, 1701; the last are those of SLL for 802.3 and 802.2."""
+"""EtherTypes of IEEE 802 and RFC 3032, 2516, 1701; the last ones mark 802.3 and 802.2 in SLL."""
 _SMALLEST_ETHERTYPE = 0x0600
 _PPP_IP = (0x0021, 0x0057)
 _UDP, _IP_IN_IP, _IP6_IN_IP, _GRE = 17, 4, 41, 47
@@ -30,7 +30,7 @@ _FRAGMENT6, _AUTHENTICATION, _EXTENSIONS6 = 44, 51, (0, 43, 60, 51, 44)
 _VXLAN, _GENEVE = (4789).to_bytes(2), (6081).to_bytes(2)  # UDP ports of RFC 7348 and RFC 8926
 _ERSPAN, _ERSPAN_3 = 0x88BE, 0x22EB  # EtherTypes of mirrored traffic in GRE (draft-foschiano-erspan)
 _MOST_LAYERS = 8
-_INCOMPLETE = 64  # datagrams whose fragments are waited for at a time
+_INCOMPLETE = 64  # greatest number of incomplete datagrams kept
 _NO_FRAGMENTS = "datagrams whose other IP fragments are missing (capture with `udp or ip[6:2] & 0x1fff != 0`)"
 
 
@@ -38,8 +38,8 @@ class Ip(NamedTuple):
     """An IP packet in a frame."""
 
     at: int  # offset of its header in the frame
-    body: int  # offset of its content, behind header and extensions
-    end: int  # offset of its end by its own length; what is behind is padding
+    body: int  # offset of its content, after header and extensions
+    end: int  # offset of its end by its own length; padding follows
     protocol: int
     fragment: int  # offset in the datagram, bytes
     more: bool  # more fragments follow
@@ -47,7 +47,7 @@ class Ip(NamedTuple):
 
 
 class Unwrapper:
-    """Finds UDP in the frames of one capture, and puts IP fragments together (RFC 791, section 3.2)."""
+    """Finder of UDP in the frames of one capture, which joins IP fragments (RFC 791, section 3.2)."""
 
     def __init__(self) -> None:
         self._held = dict[bytes, dict[int, tuple[bytes, Ip]]]()
@@ -59,7 +59,7 @@ class Unwrapper:
         return self._unread + Counter({_NO_FRAGMENTS: self._dropped + len(self._held)})
 
     def udp_in(self, link_type: int, frame: bytes) -> tuple[bytes, int, int] | None:
-        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers; None if none is complete with it."""
+        """Return a frame with a whole datagram, and the offsets of its IP and UDP headers; None if `frame` completes no datagram."""
         if link_type not in _LINK_TYPES:
             self._unread[f"frames of link type {link_type}, which is not read"] += 1
             return None
@@ -71,7 +71,7 @@ class Unwrapper:
         return frame, ip.at, ip.body
 
     def _joined(self, frame: bytes, ip: Ip) -> tuple[bytes, int, int] | None:
-        """Return the frame of the first fragment with the bytes of all, once the last one is there."""
+        """Return the frame of the first fragment with the bytes of all fragments, when the last one has arrived."""
         held = self._held.setdefault(ip.key, {})
         held[ip.fragment] = frame, ip
         parts, at = list[bytes](), 0
@@ -92,9 +92,9 @@ class Unwrapper:
 
 
 def _ip_in(link_type: int, frame: bytes) -> Ip | None:
-    """Find the innermost IP packet; None if there is none that is whole to its body."""
+    """Find the innermost IP packet; None if there is none with complete headers."""
     begin = 0
-    if link_type in _WRAPPED:  # a header that names its length, and perhaps the link type behind it
+    if link_type in _WRAPPED:  # a header with its own length, and perhaps an inner link type
         form, length_at, kind_at = _WRAPPED[link_type]
         try:
             (begin,) = struct.unpack_from(form, frame, length_at)
@@ -104,15 +104,15 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
     if link_type in _ETHERTYPE_AT:
         kind_at, body = begin + _ETHERTYPE_AT[link_type], begin + _BODY_AT[link_type]
         kind = int.from_bytes(frame[kind_at : kind_at + 2])
-        at: int | None = body if kind == _IPV4 else _behind(frame, kind, body)
+        at: int | None = body if kind == _IPV4 else _ip_after(frame, kind, body)
     elif link_type in _BARE_IP_AT:
         at = begin + _BARE_IP_AT[link_type]
     elif link_type in _PPP_AT:
         at = _behind_ppp(frame, begin + _PPP_AT[link_type])
     elif link_type == _WIFI:
-        at = _behind_wifi(frame, begin)
+        at = _ip_in_wifi(frame, begin)
     elif link_type == _NFLOG:
-        at = _behind_nflog(frame)
+        at = _ip_in_nflog(frame)
     else:
         return None
     ip = None
@@ -120,24 +120,24 @@ def _ip_in(link_type: int, frame: bytes) -> Ip | None:
         found = None if at is None else _ip_at(frame, at)
         if found is None:
             return ip
-        ip, at = found, _inside(frame, found)
+        ip, at = found, _ip_in_tunnel(frame, found)
         if at is None:
             return ip
     return ip
 
 
-def _behind_wifi(frame: bytes, at: int) -> int | None:
-    """Find the IP header in a frame of IEEE 802.11 that is data, and not encrypted."""
+def _ip_in_wifi(frame: bytes, at: int) -> int | None:
+    """Find the IP header in a data frame of IEEE 802.11 that is not encrypted."""
     kind, flags = frame[at : at + 1], frame[at + 1 : at + 2]
     if not flags or kind[0] & 0x4C != 0x08 or flags[0] & 0x40:
         return None
     quality = bool(kind[0] & 0x80)
     at += 24 + 6 * (flags[0] & 3 == 3) + 2 * quality + 4 * (quality and flags[0] >> 7)
-    return _behind(frame, 0, at)
+    return _ip_after(frame, 0, at)
 
 
-def _behind_nflog(frame: bytes) -> int | None:
-    """Find the packet among the fields of the netfilter log of Linux."""
+def _ip_in_nflog(frame: bytes) -> int | None:
+    """Find the packet in the fields of the netfilter log of Linux."""
     at = 4
     while at + 4 <= len(frame):
         length, kind = struct.unpack_from("<2H", frame, at)
@@ -147,8 +147,8 @@ def _behind_nflog(frame: bytes) -> int | None:
     return None
 
 
-def _behind(frame: bytes, kind: int, at: int) -> int | None:
-    """Find the IP header behind an EtherType whose content begins at `at`."""
+def _ip_after(frame: bytes, kind: int, at: int) -> int | None:
+    """Find the IP header after an EtherType whose content begins at `at`."""
     for _ in range(_MOST_LAYERS):
         if kind in (_IPV4, _IPV6):
             return at
@@ -173,7 +173,7 @@ def _behind_ppp(frame: bytes, at: int) -> int | None:
     if frame[at : at + 2] == b"\xff\x03":
         at += 2
     if frame[at : at + 2] in (b"\x0f\x00", b"\x8f\x00"):  # Cisco HDLC instead
-        return _behind(frame, int.from_bytes(frame[at + 2 : at + 4]), at + 4)
+        return _ip_after(frame, int.from_bytes(frame[at + 2 : at + 4]), at + 4)
     short = frame[at : at + 1] in (b"\x21", b"\x57")  # RFC 1661, section 6.5: the protocol in one byte
     kind = int.from_bytes(frame[at : at + 2 - short])
     return at + 2 - short if kind in _PPP_IP else None
@@ -184,7 +184,7 @@ def _ip_at(frame: bytes, at: int) -> Ip | None:
     if version == 4 and len(frame) >= at + 20:  # RFC 791
         body, words = at + 4 * (frame[at] & 0x0F), int.from_bytes(frame[at + 6 : at + 8])
         end = at + int.from_bytes(frame[at + 2 : at + 4])
-        end = end if end > at else len(frame)  # 0 where the network card cuts the datagram up
+        end = end if end > at else len(frame)  # 0 if the network card segments the datagram
         if body < at + 20:
             return None
         protocol, fragment = frame[at + 9], (words & 0x1FFF) * 8
@@ -207,8 +207,7 @@ def _ip6_at(frame: bytes, at: int) -> Ip | None:
     return Ip(at, body, end, protocol, fragment, more, key)
 
 
-def _inside(frame: bytes, ip: Ip) -> int | None:
-    """Find the IP header of a packet in a tunnel."""
+def _ip_in_tunnel(frame: bytes, ip: Ip) -> int | None:
     at = ip.body
     if ip.fragment or ip.more:
         return None
@@ -221,10 +220,10 @@ def _inside(frame: bytes, ip: Ip) -> int | None:
             at, kind = at + 8 * bool(flags & 0x10), _BRIDGED  # type I has neither a number nor a header
         elif kind == _ERSPAN_3:
             at, kind = at + 12 + 8 * (at + 12 <= len(frame) and frame[at + 11] & 1), _BRIDGED
-        return _behind(frame, kind, at)
+        return _ip_after(frame, kind, at)
     port = frame[at + 2 : at + 4] if ip.protocol == _UDP else b""
     if port == _VXLAN:
-        return _behind(frame, _BRIDGED, at + 16)
+        return _ip_after(frame, _BRIDGED, at + 16)
     if port == _GENEVE and at + 16 <= len(frame):
-        return _behind(frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F))
+        return _ip_after(frame, int.from_bytes(frame[at + 10 : at + 12]), at + 16 + 4 * (frame[at + 8] & 0x3F))
     return None

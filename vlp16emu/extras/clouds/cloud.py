@@ -1,4 +1,4 @@
-"""Point clouds as files in the format that the suffix names, block by block; what columns and labels mean."""
+"""Point clouds as files in the format that the suffix names, written block by block; meaning of columns and labels."""
 
 import shutil
 import tempfile
@@ -32,11 +32,11 @@ def _table(name: str) -> Mapping[str, Any]:
 
 
 class LabelScheme:
-    """Numbers of classes by semantic class and plant part, from a table of labels.toml."""
+    """Class codes by semantic class and plant part, from a table of labels.toml."""
 
     def __init__(self, name: str, table: Mapping[str, Any]) -> None:
         self.name = name
-        self.source: str = table["source"]  # publisher of the numbers, and their meaning
+        self.source: str = table["source"]  # publisher of the codes, and their meaning
         self._codes = np.full((len(Semantic), len(PlantPart)), table["none"], np.uint8)
         for semantic in Semantic:
             for part in PlantPart:
@@ -49,7 +49,7 @@ class LabelScheme:
 
 
 def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
-    """Return a scheme by its name; InputError, in the name of `where`, if there is none."""
+    """Return a scheme by its name; InputError with `where` in front if there is none."""
     schemes = _table("labels.toml")
     if name not in schemes:
         raise InputError(where, f"found {name}", ", ".join(schemes))
@@ -57,7 +57,7 @@ def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
 
 
 class PointLabels:
-    """Labels of points by one scheme, block by block, and heights over the ground."""
+    """Labels of points in one scheme, block by block, and heights above the ground."""
 
     def __init__(self, scheme: LabelScheme, height_m: HeightField) -> None:
         self._scheme, self._height_m = scheme, height_m
@@ -68,12 +68,12 @@ class PointLabels:
         x_m, y_m, z_m = np.ascontiguousarray(points["world_m"].T)
         return {
             "label": self._scheme.codes(points["semantic"], points["part"]),
-            "tree_id": self._dense(points["instance"], points["semantic"]),
+            "tree_id": self._tree_numbers(points["instance"], points["semantic"]),
             "height_m": (z_m - self._height_m(x_m, y_m)).astype(np.float32),
         }
 
-    def _dense(self, instance: U4, semantic: U1) -> U4:
-        """Numbers (n,) of the trees, 1, 2, 3 ... in the order in which they are met; 0 of what is no tree."""
+    def _tree_numbers(self, instance: U4, semantic: U1) -> U4:
+        """Tree numbers (n,), 1, 2, 3 ... in order of first appearance; 0 for points that are on no tree."""
         is_tree = semantic == Semantic.TREE
         met, first, back = np.unique(instance[is_tree], return_index=True, return_inverse=True)
         for i in np.argsort(first).tolist():
@@ -88,14 +88,14 @@ Block = Mapping[str, NDArray[Any]]  # arrays of one length by the names of their
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One array of the points, and how each format shows it: a row of `columns.toml`."""
+    """One array of the points, and its form in each format: a row of `columns.toml`."""
 
     name: str  # in .npz
     dtype: str
-    csv: Sequence[str]  # headers, one for each number that a point has in this column
-    decimals: int = 0  # behind the point in .csv. Whole numbers with decimals count units of the last one
-    ply: Sequence[str] = ()  # names of properties, as many; empty for a column that only .npz and .csv have
-    ply_dtype: str = ""  # type of the properties, if it is not the array's
+    csv: Sequence[str]  # headers, one for each number of a point in this column
+    decimals: int = 0  # decimals in .csv. Integers with decimals are in units of the last decimal
+    ply: Sequence[str] = ()  # names of properties, as many as headers; empty for a column of .npz and .csv only
+    ply_dtype: str = ""  # type of the properties, if it differs from the array's
 
     @property
     def kind(self) -> str:
@@ -103,7 +103,7 @@ class Column:
         return self.ply_dtype or self.dtype
 
     def properties(self, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Arrays (n,) of the properties by name for the array of this column, fixed-point numbers as fractions."""
+        """Return the properties of the array of this column, arrays (n,) by name, fixed-point numbers as fractions."""
         if self.decimals and values.dtype.kind == "i":
             values = values / 10**self.decimals
         return dict(zip(self.ply, values.reshape(len(values), len(self.ply)).T, strict=True))
@@ -117,7 +117,7 @@ class CloudAbout:
     start_utc: datetime | None = None  # date of the file
     origin: tuple[float, float, float] | None = None
     """Latitude and longitude in degrees and height in metres (WGS 84) of (0, 0, 0), for points in a world."""
-    unit: int = 1  # which sensor of a rig, from 1
+    unit: int = 1  # number of the sensor in a rig, from 1
 
 
 RETURN_NAMES = ("strongest", "last", "second_strongest")  # meaning of the numbers in the column `return_number`
@@ -129,27 +129,27 @@ _AXES = {
 
 
 def time_comment(clock: str) -> str:
-    """Return the line that says what `time` is, by which clock."""
+    """Return the comment line that defines `time` and names its clock."""
     return f"time: UTC, seconds since 1970-01-01 without leap seconds, by the {clock} clock"
 
 
 def capture_comments(frame: PointFrame, clock: str) -> tuple[str, ...]:
-    """Return what the columns of a capture's points mean, for formats that have a place for it."""
+    """Return comment lines that define the columns of a capture's points."""
     return f"x, y, z in the sensor, in metres: {_AXES[frame]}", time_comment(clock)
 
 
 _ROWS = {name: tuple(Column(*row) for row in rows) for name, rows in _table("columns.toml").items()}
 CAPTURE_COLUMNS, SCENE_COLUMNS = _ROWS["capture"], _ROWS["scene"]
 TRUTH_COLUMNS, LABEL_COLUMNS = _ROWS["truth"], _ROWS["labels"]
-"""Optional columns of points of a scene, and of a capture with truth: the surface behind each, and labels by a scheme."""
+"""Optional columns of points of a scene, and of a capture with ground truth: the surface of each point, and labels in a scheme."""
 DESKEWED_COLUMNS = (
     *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
     *_ROWS["placed"],
-)  # columns of points of a capture that a trajectory places in the world
+)  # columns of a capture's points that a trajectory transforms to the world
 
 
 def scene_comments() -> tuple[str, ...]:
-    """Return what the columns mean, for formats that have a place for it."""
+    """Return comment lines that define the columns of a scene's points."""
     return (
         "x, y, z in the world: local east, north, up in metres",
         f"sensor_x, sensor_y, sensor_z at the pulse's instant: {_AXES[PointFrame.SENSOR]}",
@@ -166,20 +166,20 @@ def _codes(labels: type[IntEnum]) -> str:
 
 
 class PointWriter(ABC):
-    """Takes points block by block."""
+    """Writer of points, block by block."""
 
-    points = 0  # so far
+    points = 0  # points so far
 
     @abstractmethod
     def write(self, block: Block) -> None:
         """Add points."""
 
     def finish(self) -> None:  # noqa: B027  # most formats are complete without it
-        """Write what needs the number of points."""
+        """Write the fields that need the number of points."""
 
 
 class CsvFile(PointWriter):
-    """One line per point; the header names the units."""
+    """CSV with one line per point; the header names the units."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack) -> None:
         self._file, self._columns = file, columns
@@ -194,7 +194,7 @@ class CsvFile(PointWriter):
                 if array.dtype.kind == "f":
                     formats.append(f"%.{column.decimals}f")
                     fields.append((np.rint(array.astype(np.float64) * unit) / unit + 0.0).tolist())  # no -0.0
-                elif column.decimals:  # a float64 does not hold the ns of UTC
+                elif column.decimals:  # float64 cannot represent UTC in ns
                     formats.append(f"%s%d.%0{column.decimals}d")
                     whole, rest = np.divmod(np.abs(array), unit)
                     fields += [np.where(array < 0, "-", "").tolist(), whole.tolist(), rest.tolist()]
@@ -214,7 +214,7 @@ class PlyFile(PointWriter):
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
         self._file, self._comments = file, about.comments
-        # Coordinates first, as some readers take for granted.
+        # Coordinates first, as some readers expect.
         self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
         self._vertex = np.dtype([(name, self._kind(column)) for column in self._columns for name in column.ply])
         file.write(self._header())
@@ -229,7 +229,7 @@ class PlyFile(PointWriter):
         self.points += len(vertices)
 
     def finish(self) -> None:
-        """Go back and write how many points there are."""
+        """Write the number of points into the header."""
         self._file.seek(0)
         self._file.write(self._header())
 
@@ -250,7 +250,7 @@ class PlyFile(PointWriter):
 
 
 class PcdFile(PlyFile):
-    """Binary PCD 0.7, which differs from PLY in its header alone; coordinates are float32, which PCL's types have.
+    """Binary PCD 0.7, which differs from PLY only in its header; coordinates are float32 as in PCL's types.
 
     Source: pointclouds.org, The PCD (Point Cloud Data) file format.
     """
@@ -281,7 +281,7 @@ class PcdFile(PlyFile):
 class NpzFile(PointWriter):
     """Numpy arrays by the names of the columns.
 
-    The format wants all of one array before the next, so each waits on the disk, beside the file to come.
+    The format stores one array after the other, so each array waits in a temporary file beside the output.
     """
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack) -> None:
@@ -289,7 +289,7 @@ class NpzFile(PointWriter):
         self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
-        """Put the arrays aside, each behind what came before."""
+        """Append each array to its temporary file."""
         for column, waiting in zip(self._columns, self._waiting, strict=True):
             waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
         self.points += len(block[self._columns[0].name])
@@ -310,11 +310,11 @@ class NpzFile(PointWriter):
 def point_file(
     path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str, inputs: Iterable[Path] = ()
 ) -> Iterator[PointWriter]:
-    """Open a file for points in the format that its suffix names; error lines call it `where`; `inputs` are not replaced.
+    """Open a file for points in the format of its suffix; error messages call it `where`; `inputs` are not replaced.
 
-    Where the points end with an error, the file holds those that were written before it; where there are none, or
-    the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
-    its library is not there, OutputError and RunError as of `OutputFile`.
+    If an error ends the points, the file has the points before it. If there are no points, or the file itself cannot be
+    written, there is no file. InputError if the suffix names no format, MissingExtraError if its library is not
+    installed, OutputError and RunError like `OutputFile`.
     """
     if not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(DOORS["clouds"]))

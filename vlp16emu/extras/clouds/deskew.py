@@ -1,4 +1,4 @@
-"""A capture put into the world by a trajectory, each point with the pose of its own pulse."""
+"""Deskewed points of a capture: a trajectory transforms each point to the world with the pose at its own pulse."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -23,9 +23,9 @@ from vlp16emu.scenario import load
 from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS, US_NS, seconds_to_ns
 
-_PACKETS = 100  # placed at once: 38 400 points, some 20 MB
+_PACKETS = 100  # transformed together: 38 400 points, some 20 MB
 _TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
-"""Columns that packets have as they are."""
+"""Columns that are copied from packets unchanged."""
 
 
 class Trajectory:
@@ -55,7 +55,7 @@ class Trajectory:
         return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
 
     def has(self, t_ns: I8) -> NDArray[np.bool_]:
-        """Return which instants (n,) lie between the first and the last pose, within the whole microseconds of stamps."""
+        """Return a mask (n,) of instants between the first and the last pose, to the whole microsecond of stamps."""
         at_ns = t_ns + self._offset_ns
         return np.asarray((at_ns >= self._first_ns - US_NS) & (at_ns <= self._last_ns + US_NS))
 
@@ -72,7 +72,7 @@ class CaptureTruth:
     ----------
     folder : written by `record --truth --truth-returns`; InputError if it has no returns
     unit : number of the sensor in the run, from 1
-    scheme : names further labels; needs the scene of the run
+    scheme : scheme of additional labels; needs the scene of the run
     """
 
     def __init__(self, folder: Path, unit: int, scheme: cloud.LabelScheme | None) -> None:
@@ -84,13 +84,13 @@ class CaptureTruth:
 
     @property
     def columns(self) -> tuple[cloud.Column, ...]:
-        """Columns of the points beside `cloud.DESKEWED_COLUMNS`."""
+        """Return the columns of the points beyond `cloud.DESKEWED_COLUMNS`."""
         known = {column.name for column in cloud.DESKEWED_COLUMNS} | {"reflectance"}
         wanted = cloud.TRUTH_COLUMNS + cloud.LABEL_COLUMNS * (self._labels is not None)
         return tuple(column for column in wanted if column.name not in known)
 
     def of(self, chunk: PacketChunk, packets: slice, points: I8) -> dict[str, NDArray[Any]]:
-        """Return labels and true values (n,) of points in a slice of the chunk's packets; heights are those of the true places."""
+        """Return labels and true values (n,) of points in a slice of the chunk's packets; heights belong to the true positions."""
         stamps_us = chunk.fields["timestamp_us"][packets]
         packet = chunk.points.packet[points] - packets.start
         rows = self._rows.rows(stamps_us, packet, chunk.points.slot[points])
@@ -103,16 +103,16 @@ class CaptureTruth:
 def write_deskewed(
     capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event, clock: str | None = None
 ) -> dict[str, Any]:
-    """Write the points of a capture, in the world and in the sensor's frame, to a file as of `point_file`; return what is in it.
+    """Write the points of a capture, in the world and in the sensor's frame, to a file of `point_file`; return its contents.
 
     Parameters
     ----------
-    truth : labels points with what they lie on
+    truth : labels each point with its surface
     stop : ends the file between two parts of the capture
-    clock : of the pulses, as `vlp16emu.packets.unit_clocks`
+    clock : clock of the pulses, as for `vlp16emu.packets.unit_clocks`
 
-    Raises InputError, TrajectoryError if the truth is of another run, or no pulse has a pose; CaptureError, PacketError
-    if the capture cannot be read, or is damaged; the file holds the points before.
+    Raises InputError, TrajectoryError if the ground truth belongs to another run, or no pulse has a pose; CaptureError,
+    PacketError if the capture cannot be read, or is damaged; the file has the points before.
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     stamped = packet_clock(capture, known, clock, where="--clock")
@@ -146,11 +146,11 @@ def write_deskewed(
         "capture": str(capture),
         "trajectory": str(way.path),
         "points": points,
-        "without_pose": without_pose,  # points left out, as the trajectory has no pose at their pulses
+        "without_pose": without_pose,  # points left out because the trajectory has no pose at their pulses
         "truth": truth is not None,
         "simulated_s": last_ns / S_NS,  # from the first pulse of the capture to the last
         "clock": stamped.clock,
-        "host_ahead_s": (stamped.host_ahead_ns or 0) / S_NS,  # capture stamps less the sensor's clock at first
+        "host_ahead_s": (stamped.host_ahead_ns or 0) / S_NS,  # capture stamp minus sensor's clock at the first packet
         "bytes": path.stat().st_size,
         "interrupted": stop.is_set(),
     }
@@ -159,7 +159,7 @@ def write_deskewed(
 def _blocks(
     chunk: PacketChunk, way: Trajectory, truth: CaptureTruth | None, start_ns: int
 ) -> Iterator[tuple[dict[str, NDArray[Any]], int]]:
-    """Yield the placed points of some data packets at a time, each echo once, and how many have no pose."""
+    """Yield the transformed points of some data packets at a time, each echo once, and the number without a pose."""
     chunk_t_ns = chunk.t_ns
     points, once = chunk.points, ~twins(chunk.points)
     cuts = np.searchsorted(points.packet, np.arange(0, len(chunk.fields) + _PACKETS, _PACKETS)).tolist()
@@ -184,7 +184,7 @@ def _blocks(
 
 
 def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float] | None, str | None]:
-    """Find a unit's trajectory, the world's origin, and the unit's address and port where there are several."""
+    """Return a unit's trajectory, the world's origin, and the unit's address and port if there are several."""
     rig = folder / "rig.json"
     expected = "a folder that `record --truth` has written, or a TUM file"
     tree = read_json(rig, expected)

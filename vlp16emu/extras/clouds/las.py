@@ -1,7 +1,7 @@
 """Points in LAS 1.4, and compressed as LAZ.
 
-Fields as the LAS specification 1.4 - R15 (ASPRS, 2019) has them, point format 6; what it has no field for is in extra
-dimensions by the names of .ply.
+Fields follow the LAS specification 1.4 - R15 (ASPRS, 2019), point format 6; columns without a field are extra
+dimensions with the names of .ply.
 """
 
 import math
@@ -20,11 +20,11 @@ from vlp16emu.types import F8, I8, U1
 from vlp16emu.units import S_NS
 
 _SCALE_M = 1e-4
-"""A tenth of what the other formats round to; with 32 bits that reaches 214 km to either side of the offset."""
-_OFFSET_M = 100_000.0  # offsets are multiples of it: 0 wherever a world has its origin near
+"""A tenth of the rounding of other formats; with 32 bits the range is 214 km to either side of the offset."""
+_OFFSET_M = 100_000.0  # offsets are multiples of it: 0 if the world's origin is near
 _INTENSITY = 256  # 65 536 over the 256 steps of the reflectivity (LAS 1.4 - R15, section 2.6, intensity)
 _FIELDS = frozenset({*"xyz", "time", "intensity", "return_number", "is_last", "label"})
-"""Properties that fields of the format hold."""
+"""Properties that have a field in the format."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 _EQUATOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # ellipsoid of WGS 84
 
@@ -37,18 +37,18 @@ _GPS_EPOCH_NS = _ns(1980, 1, 6)
 _LEAPS_NS = np.array(
     [_ns(year, 7, 1) for year in (1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)]
     + [_ns(year, 1, 1) for year in (1988, 1990, 1991, 1996, 1999, 2006, 2009, 2017)]
-)  # instants after the leap seconds since GPS time began (IERS Bulletin C; none is announced after that of 2016-12-31)
+)  # instants after the leap seconds since GPS time began (IERS Bulletin C; 2016-12-31 is the last one announced)
 _LEAPS_NS.sort()
 _ADJUSTMENT_S = 1_000_000_000  # LAS specification 1.4 - R15, section 2.4, global encoding bit 0
 
 
 class LasFile(PointWriter):
-    """Takes points block by block; MissingExtraError where laspy, or for LAZ lazrs, is not installed.
+    """Writer of LAS; MissingExtraError if laspy, or lazrs for LAZ, is not installed.
 
     GPS time is adjusted standard GPS time. The return number counts the echoes of a pulse from the
     nearest. The classification is the column `label`, or without it the class of the scheme `asprs`. User data is the
-    column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: the head of a spinning
-    sensor is one, and has no angle about a line of flight.
+    column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: a spinning
+    sensor has one head, and no angle about a line of flight.
     """
 
     compressed: ClassVar[bool] = False
@@ -74,7 +74,7 @@ class LasFile(PointWriter):
         }
 
     def write(self, block: Block) -> None:
-        """Append points; the first one decides the offset."""
+        """Append points; the first one determines the offset."""
         values = {name: array for one in self._columns for name, array in one.properties(block[one.name]).items()}
         n = len(values["x"])
         if not n:
@@ -110,18 +110,18 @@ class LasFile(PointWriter):
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Report a full disk as such: lazrs has an error of its own for it, without the cause."""
+        """Report a full disk with its cause, which the error of lazrs lacks."""
         try:
             yield
         except self._failures as error:
-            self._file.flush()  # what could not be written cannot be flushed either
+            self._file.flush()  # bytes that could not be written fail here too
             raise OSError(str(error)) from error
 
     def _begin(self, offset_m: F8) -> None:
         laspy = self._laspy
         header = laspy.LasHeader(version="1.4", point_format=6)
         header.scales, header.offsets = np.full(3, _SCALE_M), offset_m
-        header.creation_date = (self._about.start_utc or _NO_DATE).date()  # not today, on which no byte may depend
+        header.creation_date = (self._about.start_utc or _NO_DATE).date()  # not today: bytes must not depend on it
         header.system_identifier, header.generating_software = "vlp16emu", f"vlp16emu {version('vlp16emu')}"
         header.global_encoding.wkt = True
         header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
@@ -129,7 +129,7 @@ class LasFile(PointWriter):
             [laspy.ExtraBytesParams(name, np.dtype(kind), text[:31]) for name, (kind, text) in self._extra.items()]
         )
         for extra in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
-            extra.options = 0  # laspy 2.7 takes bounds from the first point of each block: they are not stated
+            extra.options = 0  # laspy 2.7 takes bounds from the first point of each block: none are written
         if self._about.origin is not None:
             header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(local_wkt(*self._about.origin)))
         self._writer = laspy.LasWriter(
@@ -148,7 +148,7 @@ class LazFile(LasFile):
 
 
 def echoes_of(block: Block) -> tuple[U1, U1]:
-    """Return the number (n,) of each echo in its pulse, the nearest being 1, and how many (n,) the pulse has.
+    """Return the number (n,) of each echo in its pulse, with 1 for the nearest, and the count (n,) of echoes in the pulse.
 
     The block has `t_ns`, `laser` and `distance_m`; the echoes of a pulse follow one another.
     """
@@ -163,11 +163,11 @@ def echoes_of(block: Block) -> tuple[U1, U1]:
 
 
 def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str:
-    """Coordinate system of the world: east and north on a transverse Mercator of its own about the origin, and up.
+    """Return the coordinate system of the world as WKT: transverse Mercator about the origin, and height.
 
-    A plane through the origin has no well-known text that other programs read. This projection differs from it by less than
-    1 mm at 1 km: its scale is that of the origin's height, as surveyors set it for plots. Heights are over the
-    origin, without the 78 mm by which the earth curves away at 1 km.
+    No well-known text that other programs read describes a plane through the origin. This projection differs from the
+    plane by less than 1 mm at 1 km: its scale fits the origin's height, as surveyors choose it for plots. Heights are
+    above the origin, without the 78 mm of the earth's curvature at 1 km.
     """
     squared = _FLATTENING * (2 - _FLATTENING)
     bulge = 1 - squared * math.sin(math.radians(latitude_deg)) ** 2
@@ -180,6 +180,6 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
 def adjusted_gps_s(t_ns: I8) -> F8:
     """Convert UTC instants (n,), ns since 1970 without leap seconds, to adjusted standard GPS time (n,) in s."""
     leaps = np.searchsorted(_LEAPS_NS, t_ns, side="right")
-    # Whole seconds apart, as float64 keeps 60 ns of the sum and no more.
+    # Whole seconds are added separately, as float64 resolves only 60 ns of the sum.
     whole, rest = np.divmod(t_ns - _GPS_EPOCH_NS, S_NS)
     return np.asarray((whole + leaps - _ADJUSTMENT_S) + rest / S_NS)

@@ -1,4 +1,4 @@
-"""Returns as points with all that is known of them, straight from the engine and not through packets."""
+"""Returns as points with all their ground truth, directly from the engine, not through packets."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -25,12 +25,12 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """Contents of a file of points, and the time it took."""
+    """Contents of a file of points, and its run time."""
 
     file: str
     scene: str  # name, path or title
     seed: int
-    unit: int  # which sensor of a rig, from 1
+    unit: int  # number of the sensor in a rig, from 1
     sensor: str  # model
     beams: int
     elevation_deg: tuple[float, float]  # elevation of the lowest and the highest beam
@@ -43,7 +43,7 @@ class PointCloud:
     simulated_s: float
     wall_s: float
     real_time_factor: float  # simulated seconds per second
-    interrupted: bool  # ended by its stop event
+    interrupted: bool  # True if the stop event ended it
 
 
 def write_points(
@@ -64,8 +64,8 @@ def write_points(
     options : fields of `PointOptions`
 
     Raises InputError if there is no such unit or scheme, or the suffix names no format; MissingExtraError if the
-    library for a format is not there; OutputError if file or folder cannot be written, or are an input of the scene;
-    TrajectoryError if the walk ends before the span does; RunError if the disk is full; the file is not complete.
+    library for a format is not installed; OutputError if file or folder cannot be written, or are an input of the
+    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then incomplete.
     """
     path, began_s, asked = Path(path), time.perf_counter(), PointOptions(**options)
     number, scenario, stop = emulator.number(asked.unit), emulator.scenario, stop or Event()
@@ -123,7 +123,7 @@ def _about(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) ->
 def _blocks(
     engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool, labels: cloud.LabelScheme | None
 ) -> Iterator[tuple[cloud.Block, int]]:
-    """Points of each block of a span, and the time in ns since the first pulse until which they reach."""
+    """Yield the points of each block of a span, and their end time in ns since the first pulse."""
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
     scenario = engine.scenario

@@ -34,12 +34,12 @@ _LABELS = ("semantic", "part", "instance", "species")
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """The n points of m azimuth readings, in order of time."""
+    """n points of m azimuth readings, in order of time."""
 
     t_ns: I8  # (m,) UTC of the first pulse after each reading
-    azimuth_deg: F8  # (m,) readings
+    azimuth_deg: F8  # (m,) azimuth readings
     reading: I8  # (n,) index of each point's reading, ascending
-    arrays: Mapping[str, NDArray[Any]]  # arrays of n points by the names that they have in a scan
+    arrays: Mapping[str, NDArray[Any]]  # arrays of n points by their names in a scan
 
     def then(self, later: "Chunk") -> "Chunk":
         """Return this chunk with a later one appended."""
@@ -51,7 +51,7 @@ class Chunk:
         )
 
     def part(self, begin: int, end: int) -> Self:
-        """Return the readings from `begin` until before `end`, with their points."""
+        """Return the readings from `begin` to before `end`, with their points."""
         first, last = np.searchsorted(self.reading, (begin, end))
         points = {name: array[first:last] for name, array in self.arrays.items()}
         readings = slice(begin, end)
@@ -59,11 +59,11 @@ class Chunk:
 
 
 def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = None) -> Iterator[Scan]:
-    """Cut points into whole revolutions; begun ones at both ends and beside a jump of the clock are left out.
+    """Cut points into whole revolutions; partial ones at both ends and at a jump of the clock are left out.
 
     Parameters
     ----------
-    chunks : in order of time, without gaps
+    chunks : chunks in order of time, without gaps
     pose_at : returns `world_T_sensor` (4, 4) at a UTC time in ns; None for a capture
     """
     held, begun = None, False
@@ -108,22 +108,21 @@ def decode(
     frame: str | PointFrame = PointFrame.SENSOR,
     clock: str | None = None,
 ) -> Iterator[Scan]:
-    """Read the scans of a capture, ours or a real sensor's, by the formulas of the sensor's manual.
+    """Read the scans of a capture, from the emulator or a real sensor, with the formulas of the sensor's manual.
 
     Parameters
     ----------
     capture : a classic pcap file with the packets of a VLP-16, Puck LITE or Puck Hi-Res
-    unit : one sensor of several: its number from 1, or `address:port` with its data port
-    frame : of `xyz_m`: "sensor" (x forward, y left, z up) or "manual" (x right, y forward, z up)
-    clock : of `t_ns`: "sensor", "gps" or "host"; by default as `unit_clocks` chooses
+    unit : sensor, if there are several: its number from 1, or `address:port` with its data port
+    frame : frame of `xyz_m`: "sensor" (x forward, y left, z up) or "manual" (x right, y forward, z up)
+    clock : clock of `t_ns`: "sensor", "gps" or "host"; by default the choice of `unit_clocks`
 
     Returns
     -------
-    iterator over the whole revolutions, which reads the file as it goes; errors come after the scans before them
+    iterator over the whole revolutions, which reads the file step by step; scans before an error come first
 
-    Raises CaptureError where the file cannot be read or is damaged, or has no data packets; PacketError where a
-    packet is not a VLP-16's; InputError if there is no such frame, clock or unit, or there are several units and none
-    is named.
+    Raises CaptureError if the file cannot be read, is damaged or has no data packets; PacketError if a packet is no
+    VLP-16 packet; InputError if there is no such frame, clock or unit, or if `unit` is missing and there are several.
     """
     if frame not in tuple(PointFrame):
         raise InputError("frame", f"found {frame}", " or ".join(PointFrame))
@@ -134,11 +133,11 @@ def decode(
 
 
 def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
-    """Sort the points of data packets by azimuth readings; labels are arrays of `Labels`, empty if there are none."""
+    """Return the points of data packets sorted by azimuth readings; labels are arrays of `Labels`, empty if there are none."""
     points, blocks = chunk.points, chunk.fields["blocks"]
     dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
     block = np.arange(BLOCKS_PER_PACKET)
-    is_reading = ~dual[:, None] | (block % 2 == 0)  # blocks 0 and 1 of dual return share theirs
+    is_reading = ~dual[:, None] | (block % 2 == 0)  # in dual return two blocks share a reading
     block_ns = np.where(dual[:, None], block // 2, block) * BLOCK_PERIOD_NS
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
     since_ns = chunk.clock_ns - chunk.packet_ns[points.packet]
@@ -155,7 +154,7 @@ def chunk_of(chunk: PacketChunk, labels: Mapping[str, NDArray[Any]]) -> Chunk:
 
 
 def twins(points: Points) -> NDArray[np.bool_]:
-    """Return a mask (n,) of records in dual return that repeat the one before, as a lone return is sent (63-9243 Rev D, section 9.3.2)."""
+    """Return a mask (n,) of records in dual return that repeat the record before, which marks a single return (63-9243 Rev D, section 9.3.2)."""
     same = points.is_last[:-1] & ~points.is_last[1:]
     same &= np.diff(points.packet) == 0
     same &= np.diff(points.time_ns) == 0
@@ -167,7 +166,7 @@ def twins(points: Points) -> NDArray[np.bool_]:
 def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool) -> Iterator[Scan]:
     """Return whole revolutions of a unit, numbered from 0, within a span; with labels if `truth`.
 
-    Raises TrajectoryError if the walk is over before the span.
+    Raises TrajectoryError if the walk ends before the span.
     """
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
@@ -177,13 +176,13 @@ def scans_of(engine: Engine, number: int, span_s: tuple[float, float], *, truth:
 
 
 def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
-    """Points of a block whose azimuth is read within a span, each echo once, the last one first."""
+    """Return the points of a block whose azimuth is read within a span, each echo once, the last echo first."""
     firings, step = returns.firings, SEQUENCES_PER_BLOCK
     reading_ns = firings.t_ns[::step, 0]
     taken = (reading_ns >= begin_ns) & (reading_ns < end_ns)
     inside = np.broadcast_to(np.repeat(taken, step)[:, None], firings.t_ns.shape)
     points, sequence = points_of(unit, returns, inside, truth=truth)
-    # Of dual return, the strongest one is the last one where both are the same.
+    # In dual return, a single echo is both strongest and last.
     distance_m, is_dual = returns.distance_m[sequence, points["laser"]], unit.section.return_mode == "dual"
     is_last = points["return_number"] == 1
     is_last |= (points["return_number"] == 0) & (distance_m[:, 0] == distance_m[:, 1]) & is_dual
@@ -204,7 +203,7 @@ def points_of(
 ) -> tuple[dict[str, NDArray[Any]], I8]:
     """Return the points of pulses (k, L) that are `inside`, and the row (n,) of the firing sequence of each."""
     firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
-    sent = _sent(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
+    sent = _reported(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
     sequence, laser, number = np.nonzero(sent)
     distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
     poses = unit.motion.poses_at(pulse_ns)
@@ -233,21 +232,21 @@ def place(
     poses: Poses,
     tangents: F8 | None = None,
 ) -> dict[str, F8]:
-    """Place returns by the manual's formulas (63-9243 Rev D, section 9.2), as a driver with perfect poses does.
+    """Compute points from returns with the manual's formulas (63-9243 Rev D, section 9.2), as a driver with perfect poses does.
 
-    What the sensor does not report is not known here either: encoder and angle errors displace the points.
+    Errors of encoder and angles displace the points, because the sensor does not report them.
     Without such errors a point in the world is the pulse's origin + distance * direction.
 
     Parameters
     ----------
-    sequence, laser : (n,) which pulses of `firings` they belong to
+    sequence, laser : (n,) indices of the pulses in `firings`
     distance_m : (n,)
-    poses : of the body at the pulses, n or one that holds for all
-    tangents : (n, 2) how far points are off their pulses, over their distance, to greater azimuths and upwards; None on them
+    poses : poses of the body at the pulses, n or one for all
+    tangents : (n, 2) offsets of points from the pulse axis over distance, to greater azimuths and upwards; None for none
 
     Returns
     -------
-    `azimuth_deg` (n,), what the encoder read for the firing sequence and what the rotor turned until the pulse, [0, 360);
+    `azimuth_deg` (n,), encoder reading of the firing sequence plus the rotor's turn until the pulse, [0, 360);
     `elevation_deg` (n,) of the beam table; `sensor_m` (n, 3) in the sensor's frame at the instant of the pulse; `world_m` (n, 3)
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
@@ -265,10 +264,10 @@ def place(
     return {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "sensor_m": sensor_m, "world_m": world_m}
 
 
-def _sent(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
-    """(k, L, 3) which returns the sensor would report: each echo once, a lone one as the strongest.
+def _reported(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
+    """Return a mask (k, L, 3) of the returns that the sensor would report: each echo once, a single one as the strongest.
 
-    The rules of dual return: 63-9243 Rev D, section 9.3.2.
+    Source of the rules of dual return: 63-9243 Rev D, section 9.3.2.
     """
     sent = distance_m > 0
     if mode is ReturnMode.DUAL:
@@ -281,10 +280,10 @@ def _sent(distance_m: F4, mode: ReturnMode) -> NDArray[np.bool_]:
 
 
 def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Look up the surface behind each point; what fog or rain throws back is of no class."""
+    """Return the labels of the surface of each point; returns from fog or rain have no class."""
     assert returns.surface is not None
     assert returns.surfaces is not None
     assert returns.range_m is not None
-    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of `NO_SURFACE`
+    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is `NO_SURFACE`
     rows = surfaces[np.minimum(returns.surface[sent], len(returns.surfaces))]
     return {name: rows[name] for name in (*_LABELS, "reflectance")} | {"range_m": returns.range_m[sent]}

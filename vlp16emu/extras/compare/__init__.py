@@ -1,4 +1,4 @@
-"""Statistics of captures that distinguish one unit from another, and the settings they imply."""
+"""Statistics of captures that distinguish one unit from another, and the settings that they imply."""
 
 from vlp16emu.extras.compare.fit import fitted
 from vlp16emu.extras.compare.sequences import Sequences, read_sequences

@@ -20,23 +20,24 @@ from vlp16emu.returns import Noise
 from vlp16emu.sensor.settings import Sensor
 
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
-_LEVEL = 80.0  # reflectivity in the middle of those whose neighbours are compared
+_LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
 _EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
-"""Step of bright codes over their scatter and the share of equal neighbours, from our own packets; its limit; where it is one, and set."""
-_ELSE_MM = 2.6  # white error that the detector and the 2 mm of a code add to that of the settings, from our own packets
+"""Step of bright codes over the product of their scatter and the share of equal neighbours, from our own packets;
+greatest step; reflectivities at which the step is 1 and at which the key gives it."""
+_ELSE_MM = 2.6  # white error from the detector and the 2 mm of a code, beside the setting; from our own packets
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
-_HALF_DEG_PER_US = 0.0018  # half of what a rotor of 600 rpm turns in a microsecond
+_HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
 _SET_RPM, _MOST_OFF_RPM = 60, 3.0
-"""Speeds that can be set are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (sibling manuals)."""
+"""Settable speeds are multiples (63-9243 Rev D, section 8.3, p. 50), held within 3 rpm (manuals of sibling models)."""
 
 
 def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
     """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
-    What a unit draws by its seed, such as the gain of each laser and the rates at which it loses records, is given by its
-    spread. Biases of the lasers are not among them: without a target at a known place nothing shows them. InputError if the
-    mean speed is off by more than a unit's may be.
+    For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost records, the
+    keys are spreads. Biases of the lasers are not included: they need a target at a known place. InputError if the
+    error of the mean speed is above the limit of a unit.
     """
     found = statistics_of(sequences)
     noise, sensor = _noise(sequences, found), _rotor(sequences, found)
@@ -55,7 +56,7 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
         out["reflectivity_noise_share"] = round(scatter / _LEVEL, 4)
-        # What is rounded to a step is equal to its neighbour by that step over its scatter.
+        # The share of equal neighbours after rounding depends on the step over the scatter.
         step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
         at_top = 1.0 + (step - 1.0) * (_TOP - _FROM) / (_LEVEL - _FROM)
         out["reflectivity_step"] = round(min(max(at_top, 0.0), _COARSEST), 2)
@@ -71,7 +72,7 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
         silent = sequences.distance_lsb == 0
         enough = silent.sum(axis=0) >= _LEAST_SILENT
-        if enough.any():  # the middle over the lasers of what no-returns carry most often; codes are cut
+        if enough.any():  # median over the lasers of the commonest no-return code; codes are clipped
             level = float(np.median(commonest(silent, sequences.reflectivity)[enough])) + 0.5
             out["no_return_level"] = round(level, 1)
     return out
@@ -80,7 +81,7 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
     turning = turning_of(sequences)
     set_rpm = min(max(_SET_RPM * round(sequences.rpm / _SET_RPM), 300), 1200)
-    # Local variance of the readings of an encoder whose rate is right, and what its error adds: from our own packets.
+    # Local variance of encoder readings without rate error, and the variance that the error adds: from our own packets.
     excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
     once, twice = turning.once_cdeg, turning.twice_cdeg
     off_rpm = (sequences.rpm - set_rpm) * 600.0 / set_rpm

@@ -15,22 +15,22 @@ from vlp16emu.types import I8, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _LEAST_PACKETS = 80  # one revolution at 600 rpm has 75
-_MOST_PACKETS = 50_000  # one minute; more would change no figure
+_MOST_PACKETS = 50_000  # one minute; more changes no figure
 _RPM = 270.0, 1320.0
-"""300 to 1200 rpm (63-9243 Rev D, section 8.3, p. 50) with a tenth of margin: other rotors stand, or run up or down."""
+"""300 to 1200 rpm (63-9243 Rev D, section 8.3, p. 50) with a tenth of margin: other rotors stand, or change speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sequences:
-    """n firing sequences of b blocks and p packets; in dual return, of the odd blocks."""
+    """n firing sequences of b blocks and p packets; in dual return, from the odd blocks."""
 
     number: I8  # (n,) from 0, in units of 55.296 us: lost packets leave gaps
     distance_lsb: I8  # (n, 16)
     reflectivity: I8  # (n, 16)
-    azimuth_cdeg: I8  # (b,) without the jump at north: it goes on rising
+    azimuth_cdeg: I8  # (b,) unwrapped, so it rises past north
     block: I8  # (b,) number of the blocks, in units of 110.592 us
     clock_ns: I8  # (p,) the sensor's clock, hours added
-    stamp_ns: I8  # (p,) of the capture
+    stamp_ns: I8  # (p,) stamps of the capture
     packet: I8  # (p,) from 0, numbered through gaps
     last: tuple[I8, I8] | None  # distances and reflectivities (n, 16) of the even blocks, in dual return
 
@@ -52,10 +52,10 @@ class Sequences:
 
 
 def read_sequences(path: Path) -> Sequences:
-    """Read a minute of a capture at most, whatever the product byte.
+    """Read at most a minute of a capture, with any product byte.
 
-    Raises CaptureError if it is no capture, holds less than a revolution or two return modes, or its rotor has no
-    speed of a VLP-16.
+    Raises CaptureError if it is no capture, has less than a revolution or two return modes, or its rotor speed is not
+    possible for a VLP-16.
     """
     with Capture(path) as capture:
         own = (one for one in capture if len(one.payload) == layout.DATA_BYTES)
@@ -79,7 +79,7 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: I8) -> Sequences:
     since_ns = np.cumsum(np.diff(clock_ns, prepend=clock_ns[:1]) % HOUR_NS)
     packet = np.rint(since_ns / (per_packet * layout.BLOCK_PERIOD_NS)).astype(np.int64)
     if (np.diff(packet) < 1).any():
-        raise CaptureError(str(path), "time stamps that stand still or fall", "those of one sensor in order")
+        raise CaptureError(str(path), "time stamps that stand still or fall", "packets of one sensor in order")
     block = (packet[:, None] * per_packet + np.arange(per_packet)).ravel()
     number = (block[:, None] * layout.SEQUENCES_PER_BLOCK + np.arange(layout.SEQUENCES_PER_BLOCK)).ravel()
     azimuth_deg = blocks["azimuth_cdeg"].ravel() / 100

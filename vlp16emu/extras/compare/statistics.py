@@ -1,6 +1,6 @@
-"""Statistics of a unit, from its packets alone; most depend little on what stood before it.
+"""Statistics of a unit, from its packets alone; most depend little on the scene around it.
 
-What pulses on smooth surfaces show is noise and beat of ranges, noise and texture of reflectivity, and the gain of the lasers.
+Pulses on smooth surfaces show noise and beat of ranges, noise and texture of reflectivity, and the gain of the lasers.
 """
 
 import math
@@ -16,19 +16,19 @@ from vlp16emu.types import F8, I8
 from vlp16emu.units import US_NS
 
 _PULSES = 15
-_SMOOTHEST_MM = 14.0  # root mean square about a cubic, from which on a surface is no smooth one
+_SMOOTHEST_MM = 14.0  # root mean square about a cubic at which a surface is no longer smooth
 _POWERS = np.vander(np.arange(_PULSES) - _PULSES // 2, 4).astype(float)
 _Q = np.eye(_PULSES) - _POWERS @ np.linalg.pinv(_POWERS)  # (15, 15) removes the cubic of least squares
 _FREE = _PULSES - 4
 _SLOTS = 5
 _MIDDLE_LEVEL = 20.0
 _LEAST, _LEAST_STRETCHES = 500, 30
-"""Pairs of neighbours or codes of a laser, and stretches, from which on a statistic is worth its name."""
+"""Least number of pairs of neighbours or codes of a laser, and of stretches, for a statistic."""
 _MOST_COUNTS = 15
 _COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
 """Codes, edges of the range classes from half a metre to 40 m, and the least number of codes in a class."""
 _SCATTERED, _NOT_CUT = 0.4, 90
-"""Scatter in counts from which on reflectivity is more than its rounding, and level up to which it is not cut at 100."""
+"""Scatter in counts above which reflectivity is more than its rounding, and level up to which it is not clipped at 100."""
 _GAIN_CODES, _SECTOR_CDEG, _LEAST_GAIN = (10, 90), 4500, 100
 _UPWARDS = np.r_[0:16:2, 1:16:2]  # lasers by elevation (63-9243 Rev D, table 9-1)
 
@@ -39,8 +39,8 @@ Statistics = dict[str, float]
 class Stretches:
     """s stretches of 15 pulses of one laser on a smooth surface."""
 
-    residual_mm: F8  # (s, 15) ranges less the cubic
-    first_slot: I8  # (s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from pulse to pulse
+    residual_mm: F8  # (s, 15) ranges minus the cubic
+    first_slot: I8  # (s,) slot of the beat, 0 to 4, of the first pulse; it falls by one from each pulse to the next
     codes: I8  # (s, 15) reflectivities
 
     @property
@@ -50,7 +50,7 @@ class Stretches:
 
     @property
     def code_residual(self) -> F8:
-        """Reflectivities (s, 15) less their cubic."""
+        """Reflectivities (s, 15) minus their cubic."""
         return np.asarray(self.codes @ _Q)
 
     @property
@@ -59,24 +59,24 @@ class Stretches:
         square, product = np.zeros((_SLOTS, _SLOTS)), np.zeros(_SLOTS)
         for first in range(_SLOTS):
             own = self.residual_mm[self.first_slot == first]
-            square += len(own) * _of_slots(first).T @ _of_slots(first)
-            product += _of_slots(first).T @ own.sum(axis=0)
+            square += len(own) * _slot_residuals(first).T @ _slot_residuals(first)
+            product += _slot_residuals(first).T @ own.sum(axis=0)
         return np.asarray(np.linalg.lstsq(square, product, rcond=1e-9)[0])
 
     @property
     def white_mm(self) -> F8:
         """Residuals (s, 15) without the beat."""
-        of_first = np.stack([_of_slots(first) @ self.beat_mm for first in range(_SLOTS)])
+        of_first = np.stack([_slot_residuals(first) @ self.beat_mm for first in range(_SLOTS)])
         return np.asarray(self.residual_mm - of_first[self.first_slot])
 
 
-def _of_slots(first: int) -> F8:
-    """Return what is left (15, 5) of a unit error of each slot when the cubic is removed."""
+def _slot_residuals(first: int) -> F8:
+    """Return the residual (15, 5) of a unit error of each slot after removal of the cubic."""
     return np.asarray(_Q @ np.eye(_SLOTS)[(first - np.arange(_PULSES)) % _SLOTS])
 
 
 def stretches_of(sequences: Sequences) -> Stretches | None:
-    """Find the stretches of a capture; None if it shows too little of smooth surfaces."""
+    """Return the stretches of a capture; None if it has too few smooth surfaces."""
     count = len(sequences.number) // _PULSES
     number, lasers = sequences.number[: count * _PULSES].reshape(count, _PULSES), sequences.distance_lsb.shape[1]
     distance, codes = (
@@ -129,10 +129,10 @@ def reflectivity_noise(stretches: Stretches) -> Statistics:
 
 
 def codes(sequences: Sequences) -> Statistics:
-    """Share of codes at the top of the diffuse scale, and how rugged the histograms of bright codes are.
+    """Return the share of codes at the top of the diffuse scale, and the ruggedness of the histograms of bright codes.
 
-    The latter are second differences over counts, of each laser at each range; ranges are taken together within 40 %, where
-    steps of codes change little.
+    Ruggedness is the second difference over counts, for each laser in each class of range. A class spans 40 % of range,
+    in which steps of codes change little.
     """
     seen, r = sequences.distance_lsb > 0, sequences.reflectivity
     far = np.searchsorted(_COMB_RANGES_LSB, sequences.distance_lsb)
@@ -149,9 +149,9 @@ def codes(sequences: Sequences) -> Statistics:
 
 
 def gains(sequences: Sequences) -> Statistics:
-    """Spread of the gain over lasers: each laser against those above and below it, where the surface is the same.
+    """Return the spread of the gain over lasers: each laser against its neighbours above and below on the same surface.
 
-    What lasers show in both halves of the alternate sectors of 45 deg counts, and not what stands there.
+    Only gains that both halves of the alternate sectors of 45 deg show count, so the scene does not.
     """
     d, r = sequences.distance_lsb[:, _UPWARDS], sequences.reflectivity[:, _UPWARDS]
     mid, low, high = d[:, 1:-1], *_GAIN_CODES
@@ -177,19 +177,19 @@ def gains(sequences: Sequences) -> Statistics:
     return {"reflectivity.gain_spread": math.sqrt(max(common, 0.0) / 1.5)}
 
 
-_LEAST_EDGES, _LEAST_PACKETS = 15, 250  # records at edges and packets, from which on a statistic is worth its name
+_LEAST_EDGES, _LEAST_PACKETS = 15, 250  # least number of records at edges and of packets for a statistic
 _FLAT_LSB, _EQUAL_LSB, _STEPS_LSB = 20, 15, (150, 700)
-"""Most change of range on either side of a record, and across it, to be of one surface; least steps that are near and far."""
+"""Greatest change of range beside a record, and across it, on one surface; least near and far steps."""
 _CODE_STEP = 20
-_RAISED = 1.5  # code of a no-return over the commonest of its laser, from which on it is raised
+_RAISED = 1.5  # code of a no-return over the commonest of its laser at which it is raised
 _DARK, _BRIGHT = (0, 5), (40, 100)  # codes of returns beside which raised no-returns are counted
 _TICK_US, _PHASES = 1.2, 48
-"""Period of the clock at whose ticks the encoder is read, on four units; phases that are tried."""
+"""Period of the clock at whose ticks the encoder is read, measured on four units; phases that are tried."""
 _LEAST_STEP_CDEG, _AT_RPM = 38, (590.0, 610.0)  # least step between two blocks on real units at 600 rpm
 
 
 def statistics_of(sequences: Sequences) -> Statistics:
-    """Find all statistics that a capture has, by name; what it has too little of is left out."""
+    """Return all statistics of a capture by name; statistics with too few data are left out."""
     stretches = stretches_of(sequences)
     every = {} if stretches is None else range_noise(stretches) | reflectivity_noise(stretches)
     for of in (codes, gains, lost_records, no_returns, dual_returns, rotation, _residues, _clocks):
@@ -198,9 +198,9 @@ def statistics_of(sequences: Sequences) -> Statistics:
 
 
 def lost_records(sequences: Sequences) -> Statistics:
-    """Share of records without a return between two pairs of returns of one laser, by what changes across it.
+    """Return the share of records without a return between two pairs of returns of one laser, by the change across them.
 
-    Two equal ranges; steps of 0.3 to 1.4 m, and of more; 20 codes of reflectivity and more on one surface.
+    Changes: none of range; steps of 0.3 to 1.4 m, and larger; 20 codes of reflectivity and more on one surface.
     """
     d, r = sequences.distance_lsb, sequences.reflectivity
     before, a, middle, c, after = (d[i : len(d) - 4 + i] for i in range(5))
@@ -219,7 +219,7 @@ def lost_records(sequences: Sequences) -> Statistics:
 
 
 def no_returns(sequences: Sequences) -> Statistics:
-    """Codes of records without a return: what they carry, and where they are raised above that of their laser."""
+    """Return statistics of the codes of records without a return: their levels, and shares raised above their laser's level."""
     silent, r = sequences.distance_lsb == 0, sequences.reflectivity
     both = silent[1:] & silent[:-1]
     if both.sum() < _LEAST:
@@ -229,17 +229,17 @@ def no_returns(sequences: Sequences) -> Statistics:
         "no_return.equal": (r[1:] == r[:-1])[both].mean(),
         "no_return.mean": r[silent].mean(),
     }
-    return out | _raised(silent, r)
+    return out | _raised_codes(silent, r)
 
 
 def commonest(silent: NDArray[np.bool_], r: I8) -> I8:
-    """Return the commonest code (16,) of each laser's records without a return, 0 where there are too few."""
+    """Return the commonest code (16,) of each laser's records without a return, 0 if there are too few."""
     each = [column[of] for column, of in zip(r.T, silent.T, strict=True)]
     return np.array([np.bincount(own).argmax() if len(own) >= _LEAST_EDGES else 0 for own in each])
 
 
-def _raised(silent: NDArray[np.bool_], r: I8) -> Statistics:
-    """Share of raised codes beside bright returns less that beside dark ones, and of raised runs that are one record long."""
+def _raised_codes(silent: NDArray[np.bool_], r: I8) -> Statistics:
+    """Return the share of raised codes beside bright returns minus the share beside dark ones, and the share of raised runs of one record."""
     mode = commonest(silent, r)
     raised = silent & (r > _RAISED * mode) & (mode > 0)
     neighbour = np.maximum(*(np.where(silent[side], -1, r[side]) for side in (slice(None, -2), slice(2, None))))
@@ -256,7 +256,7 @@ def _raised(silent: NDArray[np.bool_], r: I8) -> Statistics:
 
 
 def dual_returns(sequences: Sequences) -> Statistics:
-    """Share of pairs with one return where the other block has none, and of unequal codes in pairs without a return."""
+    """Return the share of pairs with one return whose other block has none, and of unequal codes in pairs without a return."""
     if sequences.last is None:
         return {}
     (d_last, r_last), d, r = sequences.last, sequences.distance_lsb, sequences.reflectivity
@@ -266,15 +266,15 @@ def dual_returns(sequences: Sequences) -> Statistics:
 
 
 class Turning(NamedTuple):
-    """Errors of the encoder against an even turn that changes its speed evenly."""
+    """Errors of the encoder against a rotation whose speed changes linearly."""
 
     once_cdeg: complex  # amplitudes of the sine (imaginary) and the cosine (real) of the azimuth
     twice_cdeg: complex
-    rest_cdeg: F8  # (b,) what is left
+    rest_cdeg: F8  # (b,) residuals
 
 
 def turning_of(sequences: Sequences) -> Turning:
-    """Find speed and errors that repeat with the turn."""
+    """Return the speed and the errors that repeat with each revolution."""
     azimuth, block = sequences.azimuth_cdeg, sequences.block
     span = block / block[-1]
     turn = 2.0 * np.pi * azimuth / AZIMUTH_CODES
@@ -285,18 +285,18 @@ def turning_of(sequences: Sequences) -> Turning:
 
 
 def local(series: NDArray[Any]) -> NDArray[Any]:
-    """Take a series without its ends, less the mean of nine around each value."""
+    """Return a series without its ends, minus the running mean of nine values."""
     return np.asarray(series[9:-9] - np.convolve(series, np.ones(9) / 9, "same")[9:-9])
 
 
 def tick_of(sequences: Sequences, rest_cdeg: F8) -> float:
-    """Return the height in us of the sawtooth of a reading that is as old as the last tick of a clock.
+    """Return the height in us of the sawtooth of encoder readings that are taken at the last tick of a clock.
 
-    It is the one that explains most of the residuals of the azimuth, by least squares for each of its phases.
+    It explains most of the residuals of the azimuth, by least squares for each of its phases.
     """
     since_us, packet = (sequences.clock_ns - sequences.clock_ns[0]) / US_NS, sequences.packet
     per_packet_us, first_us = np.polyfit(packet, since_us, 1)
-    # Stamps are cut to whole microseconds: half of one is missing in the mean.
+    # Stamps are truncated to whole microseconds: half a microsecond is missing in the mean.
     per_block_us = per_packet_us * len(packet) / len(sequences.block)
     clock_us = sequences.clock_ns[0] / US_NS + first_us + 0.5 + sequences.block * per_block_us
     rest, speed_cdeg_us = local(rest_cdeg), sequences.rpm * AZIMUTH_CODES / 60e6
@@ -310,7 +310,7 @@ def tick_of(sequences: Sequences, rest_cdeg: F8) -> float:
 
 
 def rotation(sequences: Sequences) -> Statistics:
-    """Speed, errors that repeat with the turn, the tick, and the noise of readings."""
+    """Return speed, errors that repeat with each revolution, the tick, and the noise of readings."""
     azimuth, block = sequences.azimuth_cdeg, sequences.block
     rpm, (once, twice, rest) = sequences.rpm, turning_of(sequences)
     step = np.diff(azimuth)[np.diff(block) == 1]
@@ -345,7 +345,7 @@ def _residues(sequences: Sequences) -> Statistics:
 
 
 def _clocks(sequences: Sequences) -> Statistics:
-    """Rates of the sensor's clock against its firings and of the host's against it, and how evenly packets arrive."""
+    """Return the rates of the sensor's clock against its firings and of the host's clock against it, and the jitter of arrivals."""
     clock_us, stamp_us = ((of - of[0]) / US_NS for of in (sequences.clock_ns, sequences.stamp_ns))
     arrival_us = (np.diff(stamp_us) - np.diff(clock_us)).std()
     if len(clock_us) < _LEAST_PACKETS:

@@ -1,4 +1,4 @@
-"""Two captures side by side: each statistic, and how far apart they are."""
+"""Two captures side by side: each statistic, and the distance between them."""
 
 import math
 import tomllib
@@ -14,7 +14,7 @@ _OF_ONE_UNIT = 2.0
 
 
 class Known(NamedTuple):
-    """A statistic, and what real units show of it."""
+    """A statistic, and its values on real units."""
 
     low: float
     high: float
@@ -22,7 +22,7 @@ class Known(NamedTuple):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Least and greatest value widened by half of the range; where both are above 0 by ratios, and of one unit by a factor of two."""
+        """Least and greatest value, widened by half of the range (by ratio if both are above 0; for one unit by a factor of two)."""
         low, high, _ = self
         if low > 0.0:
             factor = math.sqrt(high / low) if high > low else _OF_ONE_UNIT
@@ -30,7 +30,7 @@ class Known(NamedTuple):
         return low - (high - low) / 2, high + (high - low) / 2
 
     def is_like(self, value: float) -> bool:
-        """Return whether real units may show a value."""
+        """Return True if the value is plausible for a real unit."""
         low, high = self.limits
         return low <= value <= high
 
@@ -39,7 +39,7 @@ _TABLE = files(__package__).joinpath("real_units.toml").read_text(encoding="utf-
 REAL: Mapping[str, Known] = MappingProxyType({name: Known(*row) for name, row in tomllib.loads(_TABLE).items()})
 
 _LEAST_SPREAD = 0.25
-"""Least spread as a share of the greatest value: four units that agree more closely do not show what a fifth does."""
+"""Least spread as a share of the greatest value: if four units agree more closely, a fifth may still differ."""
 
 
 class Compared(NamedTuple):
@@ -50,12 +50,12 @@ class Compared(NamedTuple):
     first: float
     second: float
     distance: float  # difference as a multiple of the spread of real units
-    apart: bool  # real units do not differ so much
-    unlike: tuple[bool, bool]  # true for each that is outside what real units show, widened by half
+    apart: bool  # True if real units do not differ this much
+    unlike: tuple[bool, bool]  # True for each that is outside the limits of real units
 
 
 def compared(first: Sequences, second: Sequences) -> list[Compared]:
-    """Compare two captures by the statistics that both of them have."""
+    """Compare two captures by the statistics that both have."""
     one, other = statistics_of(first), statistics_of(second)
     rows = []
     for name in (name for name in one if name in other and name in REAL):

@@ -1,4 +1,4 @@
-"""Readings of an inertial measurement unit on the moving body."""
+"""Samples of an inertial measurement unit on the moving body."""
 
 import math
 from dataclasses import dataclass
@@ -15,43 +15,44 @@ from vlp16emu.units import S_NS
 
 GRAVITY_M_S2 = 9.80665  # standard gravity, downwards (3rd CGPM, 1901)
 _CHUNK = 4096  # samples of a random walk that are drawn together
-_HORIZON = 1 << 32  # chunks that the walk is long: centuries
+_HORIZON = 1 << 32  # length of the random walk in chunks: centuries
 _GYRO_WARM_UP_RAD_S, _ACCEL_WARM_UP_M_S2, _WARM_UP_S = 2.6e-3, 0.02, 200.0
-"""Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch BST-BMI088-DS001, tables 4 and 5); and the
-time in which 63 % of it is done: it takes 5 to 10 minutes (Xsens, Bias repeatability of gyroscopes)."""
+"""Change of the biases by 10 K of warming up, one sigma: 0.015 deg/s and 0.2 mg per K (Bosch BST-BMI088-DS001, tables 4
+and 5); and the time after which 63 % of it is done: it takes 5 to 10 minutes (Xsens, Bias repeatability of
+gyroscopes)."""
 _AXIS_ERROR = 0.005
 """Error of sensitivity and of alignment of an axis, one sigma: half of the tolerance of 1 % each (Bosch BNO055; assumption)."""
-_HEADING = 6  # lane of the heading's random walk, behind those of the six axes
+_HEADING = 6  # lane of the heading's random walk; the six axes have lanes 0 to 5
 
 
 @dataclass(frozen=True, slots=True)
 class Inertial:
-    """Readings at n instants, in the unit's own axes."""
+    """Samples at n instants, in the unit's own axes."""
 
     t_ns: I8  # (n,) UTC
     angular_rate_rad_s: F8  # (n, 3)
-    specific_force_m_s2: F8  # (n, 3) acceleration less gravity: at rest it points up
-    true_angular_rate_rad_s: F8  # (n, 3) without errors, as the next
+    specific_force_m_s2: F8  # (n, 3) acceleration minus gravity: at rest it points up
+    true_angular_rate_rad_s: F8  # (n, 3) without errors, like the next field
     true_specific_force_m_s2: F8
     gyro_bias_rad_s: F8
-    """(n, 3) at switch-on, with what it has wandered since, as the next; what is left of an error is white noise."""
+    """(n, 3) bias at switch-on and its random walk since, like the next field; the rest of an error is white noise."""
     accel_bias_m_s2: F8
     world_R_imu: F8 | None = None
-    """(n, 3, 3) the attitude that the unit reports, with its drift; None without `attitude`."""
-    stamp_ns: I8 | None = None  # (n,) UTC by the unit's time stamps; None if that is `t_ns`
+    """(n, 3, 3) attitude that the unit reports, with its drift; None without `attitude`."""
+    stamp_ns: I8 | None = None  # (n,) UTC of the unit's time stamps; None if equal to `t_ns`
 
 
 class ImuSampler:
-    """A strapdown unit that samples without pause from `start_ns` on; the motion is that of the unit itself."""
+    """A strapdown unit that samples at its rate from `start_ns` on; `motion` is the motion of the unit itself."""
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
         self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
         drawn = (normal(seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3) for lane in range(2))
-        # What the axes of gyroscopes, and of accelerometers, show of a rate or a force (3, 3).
+        # Sensitivity and alignment (3, 3) of the gyroscopes and of the accelerometers.
         self._responses = [np.eye(3) + _AXIS_ERROR * each for each in drawn]
 
     def late_ns(self, first: int, count: int) -> I8:
-        """Return how long after samples first .. first + count - 1 their time stamps are: (count,)."""
+        """Return the delay (count,) of the time stamps of samples first .. first + count - 1."""
         (least_s, greatest_s), late_s = self._imu.delay_s, np.zeros(count)
         if greatest_s:
             late_s += least_s + (greatest_s - least_s) * uniform(self._seed, Purpose.IMU_STAMP, 0, 1, 0)[0]
@@ -60,7 +61,7 @@ class ImuSampler:
         return np.rint(late_s * S_NS).astype(np.int64)
 
     def read(self, first: int, count: int) -> Inertial:
-        """Return samples first .. first + count - 1; the same whatever was read before."""
+        """Return samples first .. first + count - 1; the result does not depend on earlier calls."""
         t_ns = self._start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // self._imu.rate_hz
         truth = self._motion.kinematics_at(t_ns)
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
@@ -68,8 +69,8 @@ class ImuSampler:
         e, w = self._imu, truth.body_w_rad_s
         gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz
         accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
-        w_errors, w_bias = self._errors_of((*gyro, _GYRO_WARM_UP_RAD_S * e.is_rough), first, count, 0)
-        force_errors, force_bias = self._errors_of((*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3)
+        w_errors, w_bias = self._sample_errors((*gyro, _GYRO_WARM_UP_RAD_S * e.is_rough), first, count, 0)
+        force_errors, force_bias = self._sample_errors((*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3)
         attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
         seen_w, seen_force = map(matvec, self._responses, (w, force)) if e.is_rough else (w, force)
         late_ns = self.late_ns(first, count)
@@ -80,8 +81,8 @@ class ImuSampler:
     def _attitude(self, world_R_imu: F8, w_bias: F8, force_bias: F8, first: int) -> F8:
         """Return the reported attitude (n, 3, 3) of samples from `first` on.
 
-        Levelled by gravity, it is tilted by what the accelerometers' bias adds to 1 g, and its heading drifts with the bias of
-        the gyroscopes about the vertical since the start, and with the random walk that their white noise adds up to.
+        It is levelled by gravity, so the accelerometers' bias relative to 1 g tilts it. Its heading drifts with the
+        gyroscopes' bias about the vertical since the start, and with the random walk of their integrated white noise.
         """
         up = matvec(world_R_imu, force_bias) + np.array([0.0, 0.0, GRAVITY_M_S2])
         up /= norm(up)[:, None]
@@ -94,10 +95,10 @@ class ImuSampler:
             drift_rad += noise / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, len(up), _HEADING)
         return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
 
-    def _errors_of(
+    def _sample_errors(
         self, sizes: tuple[float, float, float, float], first: int, count: int, first_axis: int
     ) -> tuple[F8, F8]:
-        """Errors (count, 3) of three axes, white noise and bias; and the bias alone. What is zero is not drawn."""
+        """Return the errors (count, 3) of three axes, white noise and bias, and the bias alone. Errors of size zero are not drawn."""
         bias, noise, walk, warm_up = sizes
         warmed = 1.0 - exp(-np.arange(first, first + count) / (self._imu.rate_hz * _WARM_UP_S)) if warm_up else 0.0
         out, slow = np.zeros((count, 3)), np.zeros((count, 3))
@@ -121,30 +122,29 @@ class ImuSampler:
 
 
 def _random_walk(seed: int, first: int, count: int, lane: int) -> F8:
-    """Add up standard normal numbers to samples first .. first + count - 1 (count,), 0 at sample 0.
+    """Return the cumulative sum (count,) of standard normal numbers at samples first .. first + count - 1, 0 at sample 0.
 
-    Ends of chunks by halving intervals (Levy's construction of Brownian motion), the samples between as a
-    Brownian bridge: a sum over any past costs no more than one over the last chunk.
+    Ends of chunks come from halving intervals (Levy's construction of Brownian motion), the samples between from a
+    Brownian bridge: the sum costs the same after any time.
     """
     chunks = range(first // _CHUNK, (first + count - 1) // _CHUNK + 1)
-    parts = [_bridge(seed, chunk, lane) for chunk in chunks]
+    parts = [_random_walk_chunk(seed, chunk, lane) for chunk in chunks]
     begin = first - chunks.start * _CHUNK
     return np.concatenate(parts)[begin : begin + count]
 
 
-def _bridge(seed: int, chunk: int, lane: int) -> F8:
-    """Random walk (4096,) at the samples of a chunk."""
+def _random_walk_chunk(seed: int, chunk: int, lane: int) -> F8:
     # Lanes: two for each axis, one for the ends of chunks and one within.
     purpose, scale = int(Purpose.IMU_WALK), math.sqrt(_CHUNK)
-    start, end = (scale * _level(seed, purpose, index, 2 * lane) for index in (chunk, chunk + 1))
+    start, end = (scale * _brownian(seed, purpose, index, 2 * lane) for index in (chunk, chunk + 1))
     steps = np.cumsum(normal(seed, Purpose.IMU_WALK, chunk * _CHUNK, _CHUNK, 2 * lane + 1))
     free = np.concatenate([[0.0], steps[:-1]])
     return start + free + np.arange(_CHUNK) / _CHUNK * (end - start - steps[-1])
 
 
 @numba.njit(cache=True, nogil=True)
-def _level(seed: int, purpose: int, index: int, lane: int) -> float:
-    """Brownian motion at an integer time up to 2^32; each time's own number is drawn once, for its interval."""
+def _brownian(seed: int, purpose: int, index: int, lane: int) -> float:
+    """Brownian motion at an integer time up to 2^32; the number for each time is drawn once, for its interval."""
     low, high = 0, _HORIZON
     before, after = 0.0, math.sqrt(_HORIZON) * normal_pair(seed, purpose, _HORIZON, lane)[0]
     while low < index:

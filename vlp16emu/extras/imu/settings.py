@@ -23,7 +23,7 @@ _Error = Annotated[float, Field(ge=0, le=1000)]
 
 
 class Imu(Preset):
-    """Rate, place and errors; densities as in IEEE Std 952-1997. Defaults are those of `ideal`."""
+    """Rate, place and errors; densities as in IEEE Std 952-1997. The defaults are the values of `ideal`."""
 
     presets: ClassVar[Mapping[str, Mapping[str, object]]] = {
         "ideal": {},
@@ -41,22 +41,22 @@ class Imu(Preset):
             "accel_noise_m_s2_sqrt_hz": 1.0e-3,
             "accel_walk_m_s3_sqrt_hz": 1.0e-5,
         },
-        # A unit of a robot as it comes, by USB. Noise of Bosch's BMI088, 0.014 deg/s and 160 ug per sqrt(Hz) (BST-BMI088-DS001,
+        # A typical robot's unit, read over USB. Noise of Bosch's BMI088, 0.014 deg/s and 160 ug per sqrt(Hz) (BST-BMI088-DS001,
         # tables 4 and 5). Reads of a USB serial line come in steps of 4 ms (ROS wiki,
         # camera_calibration/calibration_notes/Timing), and 2 to 4 ms after the sample (assumption).
         "field": _CONSUMER | {"accel_noise_m_s2_sqrt_hz": 1.6e-3, "delay_s": (0.002, 0.004), "jitter_s": 0.004},
     }
 
     preset: Literal["ideal", "consumer", "tactical", "field"] = "ideal"
-    """Values of the keys that are not given beside it; `ideal` is their defaults. `field` has biases that change as it warms up, by
-    0.15 deg/s and 0.02 m/s2 (one sigma, 63 % of it in 200 s), and axes whose sensitivity and alignment are off by 0.005."""
+    """Sets the keys that are not given beside it; the defaults are `ideal`. `field` has biases that change during warm-up by
+    0.15 deg/s and 0.02 m/s2 (one sigma, 63 % of it in 200 s), and errors of sensitivity and alignment of 0.005 per axis."""
     rate_hz: Annotated[int, Field(ge=1, le=10_000)] = 200
     """Samples per second."""
     mount: Mount = Mount()
     """Mount on the pack, not on a spinning stage."""
     attitude: bool = False
-    """Whether the unit reports its attitude too, as programs for nine axes want: levelled by gravity, with the bias of its
-    accelerometers, and with a heading that drifts with the bias of its gyroscopes."""
+    """True if the unit also reports its attitude, as programs for nine axes need it: levelled by gravity, with the bias
+    of the accelerometers, and with a heading that drifts with the bias of the gyroscopes."""
     gyro_bias_rad_s: _Error = 0.0
     """At switch-on, one sigma."""
     gyro_noise_rad_s_sqrt_hz: _Error = 0.0
@@ -70,18 +70,18 @@ class Imu(Preset):
     accel_walk_m_s3_sqrt_hz: _Error = 0.0
     """Random walk of the bias."""
     delay_s: Annotated[tuple[NonNegative, NonNegative], Field(strict=False)] = (0.0, 0.0)
-    """Least and greatest delay of time stamps behind the samples; that of a run is drawn between them."""
+    """Least and greatest delay of time stamps behind the samples; the delay of a run is drawn between them."""
     jitter_s: NonNegative = 0.0
-    """Greatest further delay, drawn for each sample: less than the time between two samples."""
+    """Greatest additional delay, drawn for each sample; below the time between two samples."""
 
     @property
     def is_rough(self) -> bool:
-        """True if the unit has the errors of one in the field for which there is no key."""
+        """True if the unit has the errors of `field` for which there is no key."""
         return self.preset == "field"
 
     @property
     def is_late(self) -> bool:
-        """True if time stamps are not those of the samples."""
+        """True if time stamps differ from the times of the samples."""
         return bool(self.delay_s[1] or self.jitter_s)
 
     @model_validator(mode="after")

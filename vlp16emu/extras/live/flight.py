@@ -1,4 +1,4 @@
-"""A run that is flown while it is streamed: from the port of its poses to the report, and to the table that repeats it."""
+"""A run that is flown while it is streamed: pose port, report, and the table of knots that repeats the run."""
 
 import select
 import socket
@@ -28,27 +28,27 @@ from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
-_LISTEN_S = 0.1  # how often the thread looks whether it shall end
-_MERGED_S = 0.002  # poses that come within this time are one; knots are 5 ms apart
-_MOST = 1000  # datagrams that are looked at before a pose is handed on
+_LISTEN_S = 0.1  # how often the thread checks if it shall end
+_MERGED_S = 0.002  # poses that come within this time count as one; knots are 5 ms apart
+_MOST = 1000  # datagrams that are read before a pose is passed on
 _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 
 class PoseReceiver:
-    """Reads datagrams of poses in a thread of its own, and hands them on at once; a context manager.
+    """Receiver of pose datagrams with a thread of its own, which passes each pose on at once; a context manager.
 
     Parameters
     ----------
     where : udp://HOST:PORT; port 0 is any free one
-    put : takes position, quaternion and time of a pose, and raises `InputError` if they are none
+    put : takes position, quaternion and time of a pose, and raises `InputError` if they are not valid
 
-    Raises InputError if `where` is no address and port; OutputError if the port cannot be listened to.
+    Raises InputError if `where` is no address and port; OutputError if the port cannot be opened.
     """
 
     def __init__(self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]) -> None:
         place = host_and_port(where, "--pose-in", _EXPECTED, "udp://")
         self._put, self._over = put, threading.Event()
-        self.malformed = 0  # datagrams that are no pose packet
+        self.malformed = 0  # datagrams that are not pose packets
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(place)
@@ -58,7 +58,7 @@ class PoseReceiver:
             raise OutputError(where, found, "an address of this machine and a free port") from error
         self._socket.setblocking(False)
         host, port = self._socket.getsockname()
-        self.where = f"udp://{host}:{port}"  # address and port that are listened to
+        self.where = f"udp://{host}:{port}"  # address and port of the socket
         self._thread = threading.Thread(target=self._run, name="poses", daemon=True)
 
     def __enter__(self) -> Self:
@@ -71,7 +71,7 @@ class PoseReceiver:
         self._socket.close()
 
     def _run(self) -> None:
-        """Body of the thread: of poses that are there at once the last one counts, so a flood costs no more than a few."""
+        """Run the thread: among poses that are waiting together only the last one counts, so a flood costs little."""
         while not self._over.is_set():
             if not select.select([self._socket], [], [], _LISTEN_S)[0]:
                 continue
@@ -84,33 +84,33 @@ class PoseReceiver:
                     else:
                         self.malformed += 1
             if last is not None:
-                with suppress(InputError):  # `put` counts what is no pose
+                with suppress(InputError):  # `put` counts invalid poses
                     self._put(*unpack_pose(last))
             self._over.wait(_MERGED_S)
 
 
-_POLL_S = 0.05  # how often a run that waits for the first pose looks whether it shall end
-_START_NS = 20_000_000  # from when all is ready to the first pulse: threads start in it
-_WARM_S = 0.02  # what is computed before the run, so that kernels are loaded and compiled
+_POLL_S = 0.05  # how often a run that waits for the first pose checks if it shall end
+_START_NS = 20_000_000  # from the end of preparation to the first pulse: threads start in this time
+_WARM_S = 0.02  # span that is computed before the run, so that kernels are loaded and compiled
 _ROWS_NS = S_NS  # how often knots are written
 
 
 @dataclass(frozen=True, slots=True)
 class LiveReport:
-    """Poses that came in, and how soon packets followed."""
+    """Poses received, and the latency of the packets that followed."""
 
     poses: int
-    refused: int  # malformed, or without a rotation in them
+    refused: int  # malformed, or without a valid rotation
     out_of_order: int  # not later than the pose before
     longest_gap_s: float  # between arrivals
     lost: tuple[PosesLost, ...]  # times without a pose for more than a second
-    left_out_s: float  # time of the run, of all units, whose pulses were not cast, as the engine was late
+    left_out_s: float  # time of the run, summed over units, whose pulses were not cast because the engine was late
     latency_median_us: float
-    """From the arrival of a pose to the sending of the first data packet that was computed with it, as the next ones."""
+    """Time from the arrival of a pose to the first data packet that was computed with it, like the next fields."""
     latency_p95_us: float
     latency_p99_us: float
     latency_max_us: float
-    flown: str | None  # table of what was flown, if one is written
+    flown: str | None  # path of the table of knots, if one is written
 
 
 class Flight(PacketSink):
@@ -118,12 +118,12 @@ class Flight(PacketSink):
 
     Parameters
     ----------
-    emulator : of a live scene
-    poses : where they come in; `where` as `PoseReceiver` takes it
-    clock_ns : monotonic
+    emulator : emulator of a live scene
+    poses : options of the pose port; `where` as for `PoseReceiver`
+    clock_ns : monotonic clock
 
-    Raises InputError if the scene is not live; and as of `PoseReceiver`; OutputError if the table cannot be written, or
-    would be written over a file that is read; and as of `PoseReceiver`.
+    Raises InputError if the scene is not live; OutputError if the table cannot be written, or would be written over a
+    file that is read; and the errors of `PoseReceiver`.
     """
 
     look_ahead = 8  # packets of a unit that are computed before the first leaves: two steps, or one of dual return
@@ -163,7 +163,7 @@ class Flight(PacketSink):
         self._windows.begin_again()
 
     def prepare(self, stop: Event, pacer: Pacer) -> Late:
-        """Wait for the first pose, open the world around it, and compute once what leaves first; or until `stop` is set.
+        """Wait for the first pose or `stop`, open the world around the pose, and compute the first packets once.
 
         Late packets are dropped, as later poses would wait for them. Raises `InputError` if the speed is not 1.
         """
@@ -201,7 +201,7 @@ class Flight(PacketSink):
         return lambda _due_ns: go_on_from(self._pacer.due_in_ns(_START_NS))
 
     def send(self, packet: Packet) -> None:
-        """Send one packet, and take note of it; errors as of the sink."""
+        """Send one packet and record its latency; errors of the sink."""
         self._sink.send(packet)
         now_ns, uses = self._clock_ns(), self._motion.first_uses
         if packet.fired_ns is not None:

@@ -1,8 +1,8 @@
-"""A table of what was flown in a live run, read back as the same motion bit by bit, and the windows that were in use.
+"""The table of knots of a live run, which gives the same motion bit for bit, and the windows that were in use.
 
-The bytes of a pulse depend on the window that it is cast in, by rounding and by where the medium begins. So windows of a
-run whose path nobody knows beforehand are those of boxes of the world: they change where blocks of the ordinary way begin,
-a window depends on nothing but the name of its box, and the names go with the knots of the flight.
+The bytes of a pulse depend on the window that it is cast in, through rounding and the place where the medium begins. A
+live run does not know its path, so its windows belong to boxes of the world: they change only at the start of ordinary
+blocks, a window depends on the name of its box alone, and the table of knots has these names.
 """
 
 import math
@@ -39,7 +39,7 @@ FLOWN_HEADER = ",".join(_COLUMNS) + "\n"  # first line of the table
 
 
 def flown_rows(first: int, states: F8, cells: dict[int, Cell]) -> str:
-    """Write knots (n, 13) from number `first` on, each number with all the digits that it needs to be read back as it is."""
+    """Return knots (n, 13) from number `first` on as lines of text, with all digits that a float64 needs."""
     lines = []
     for number, state in enumerate(states.tolist(), start=first):
         seconds, rest_ns = divmod(number * STEP_NS, S_NS)
@@ -51,7 +51,7 @@ def flown_rows(first: int, states: F8, cells: dict[int, Cell]) -> str:
 def read_flown(path: Path) -> tuple[F8, dict[int, Cell]]:
     """Read a table of knots: states (n, 13), a step apart, and cells by the knot from which their windows are in use.
 
-    Raises TrajectoryError if the file is no such table, or is not whole from its beginning.
+    Raises TrajectoryError if the file is not such a table, or lacks knots from its beginning on.
     """
     table = read_table(path, _COLUMNS, "a table of knots", TrajectoryError)
     if len(table) < 2:
@@ -74,7 +74,7 @@ def read_flown(path: Path) -> tuple[F8, dict[int, Cell]]:
 
 
 class FlownMotion(Knots):
-    """Motion of a body as the table `path` has it; the first knot is at `start_ns`, UTC. Errors as of `read_flown`."""
+    """Motion of a body from the table `path`; the first knot is at `start_ns`, UTC. Errors as in `read_flown`."""
 
     def __init__(self, path: Path, *, start_ns: int) -> None:
         states, self.cells = read_flown(path)
@@ -82,37 +82,37 @@ class FlownMotion(Knots):
         self.run_time_s = self.last_ns / S_NS
 
     def require_open(self) -> None:
-        """Do nothing: what was flown is known."""
+        """Do nothing: the motion is known."""
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
-        """Return the windows that were in use; parameters as of `engine.windows.windows_of`."""
+        """Return the windows that were in use; parameters as in `engine.windows.windows_of`."""
         cells = [(number // STEPS, cell) for number, cell in self.cells.items()]
         return CellWindows(parts, start_ns, batching, threads, cells)
 
 
 _WIDE_M, _HIGH_M = 16.0, 32.0  # size of a box on the map, and its height
-_ASIDE_M = 8.0  # how far beyond its box a window serves: at 3 m/s the next one has 2 s to be opened
+_ASIDE_M = 8.0  # margin around its box in which a window is valid: at 3 m/s there are 2 s to open the next one
 _APART_M = 2.0
-"""Between the lines that a window is opened along: no place is farther from them than the 1 m that the medium allows for."""
-_SPARE_M, _SPARE_S = 2.0, 0.15  # what is left of that when the next window is waited for: a block goes on for 0.1 s
-_EXPECTED_S = 1.0  # so far ahead the place is looked at whose window is opened
+"""Distance between the lines that a window is opened along: each place is within the 1 m that the medium allows for."""
+_SPARE_M, _SPARE_S = 2.0, 0.15  # margin left when the run waits for the next window: a block lasts 0.1 s
+_EXPECTED_S = 1.0  # look-ahead to the place whose window is opened
 
 _LATE_BLOCKS = 6
-"""So many steps late, 32 ms, a step is left out, and those after it until now: who waits for packets wants young ones."""
+"""Steps of delay, 32 ms, from which all late steps are left out: receivers need recent packets."""
 _NICE = 10
-"""By how much threads that open windows of a live run are nicer than those that cast, who then get nine tenths of a core."""
+"""Niceness of threads that open windows of a live run above the casting threads, which then get nine tenths of a core."""
 
-_Name = tuple[Cell, int]  # box, and segment of time where trees sway
+_Name = tuple[Cell, int]  # box, and segment of time if trees sway
 
 
 def cell_of(place_m: F8) -> Cell:
-    """Name of the box that holds a place (3,)."""
+    """Return the name of the box that contains a place (3,)."""
     x, y, z = np.floor(place_m / [_WIDE_M, _WIDE_M, _HIGH_M]).astype(int).tolist()
     return x, y, z
 
 
 def track_of(cell: Cell, arm_m: float) -> F8:
-    """Positions (n, 3) all over a box and around it, whose sensors are up to so far from the body."""
+    """Return positions (n, 3) all over a box and around it, for sensors up to `arm_m` from the body."""
     aside_m = _ASIDE_M + arm_m
     lines = 1 + math.ceil((_WIDE_M + 2 * aside_m) / _APART_M)
     x_m = cell[0] * _WIDE_M - aside_m + np.repeat(np.arange(lines), 2) * _APART_M
@@ -122,7 +122,7 @@ def track_of(cell: Cell, arm_m: float) -> F8:
 
 
 class CellWindows(Windows[Geometry]):
-    """The world in windows of boxes; parameters as of `windows_of`, and which boxes are in use from which block on."""
+    """The world in windows of boxes; parameters as in `windows_of`, and the box in use by first block."""
 
     kept = 4
 
@@ -140,7 +140,7 @@ class CellWindows(Windows[Geometry]):
         self.cells, self._sways, self._segment = cells, parts.wind is not None, batching.segment
 
     def name_of(self, block: int) -> Hashable:
-        """Name of the window of a block."""
+        """Return the name of the window of a block."""
         at = bisect_right(self.cells, block // self._parts, key=lambda change: change[0])
         return self._named(self.cells[max(at, 1) - 1][1], block)
 
@@ -154,39 +154,39 @@ class LiveWindows(CellWindows):
     def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion") -> None:
         super().__init__(parts, start_ns, batching, threads, [])
         self._motion = motion
-        self.decided = -1  # last block of the ordinary way whose window is settled
-        self.left_out = 0  # blocks that were not cast, as their time was over
+        self.decided = -1  # last ordinary block whose window is decided
+        self.left_out = 0  # blocks that were not cast because their time was over
 
     @staticmethod
     def yielding() -> None:
-        """Lower the priority of a thread that opens windows: the next window has time, casting has none."""
+        """Lower the priority of a thread that opens windows: the next window can wait, casting cannot."""
         if sys.platform == "linux":
             os.nice(_NICE)
 
     @property
     def lead(self) -> int:
-        """No blocks: where they will be is not known."""
+        """Return 0 blocks: their place is not known."""
         return 0
 
     def at_block(self, block: int) -> Future[Geometry]:
-        """Window of a block; of blocks that have passed the one in which they were, or would have been, cast."""
+        """Return the window of a block; for past blocks the window in which they were, or would have been, cast."""
         if block // self._parts > self.decided:
             self.decided = block // self._parts
             self._decide(block)
         return super().at_block(block)
 
     def is_here(self) -> bool:
-        """Return whether the window in use serves the present position of the body."""
+        """Return True if the window in use is valid at the present position of the body."""
         state = self._motion.state
         return _serves(self.cells[-1][1], state[:3], state[7:10])
 
     def begin_again(self) -> None:
-        """Forget which windows were in use, for a run that begins again."""
+        """Forget the windows that were in use, for a run that begins again."""
         self.cells.clear()
         self.decided, self.left_out = -1, 0
 
-    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whatever the threads
-        """Take blocks one by one, so that packets do not wait for each other; and go on at now where it is too late."""
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time with any number of threads
+        """Yield blocks one by one, so that packets do not wait for each other, and skip to the present if they are too late."""
         block = blocks.start
         while block < blocks.stop:
             late = self._motion.elapsed_ns // self._block_ns - block
@@ -198,7 +198,6 @@ class LiveWindows(CellWindows):
             block += 1
 
     def _decide(self, block: int) -> None:
-        """Choose the window that is used from a block on."""
         state = self._motion.state
         place_m, velocity_m_s = state[:3], state[7:10]
         wanted = cell_of(place_m + _EXPECTED_S * velocity_m_s)

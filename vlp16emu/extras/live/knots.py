@@ -1,4 +1,4 @@
-"""A trajectory of knots that grows at its end: each knot has a pose and its rates, and decides no more than the pieces beside it."""
+"""A trajectory of knots that grows at its end; each knot has a pose and its rates, and determines only the pieces beside it."""
 
 import math
 
@@ -11,21 +11,21 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
 from vlp16emu.units import S_NS
 
-STEP_NS = 5_308_416  # from knot to knot: 96 firing sequences of a VLP-16, four packets of single return
+STEP_NS = 5_308_416  # time between knots: 96 firing sequences of a VLP-16, four packets of single return
 STATE = 13
-"""Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world, angular rate
-(3,) in body axes."""
+"""Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world, angular
+rate (3,) in body axes."""
 
-_MOST = 8192  # knots of a live run that are kept, 43 s; nobody asks for poses that are older than 12 s
+_MOST = 8192  # knots of a live run that are kept, 43 s; poses older than 12 s are never requested
 _COAST_S = 0.15
-"""For how long after a pose the body is taken to go on as it did, and then the time constant with which it comes to
-rest: poses at 10 Hz are followed without a hitch, and 3 m/s end after 0.9 m."""
-GAP_M, GAP_RAD = 0.1, 0.2  # off by more than that, the body is led back more slowly, with a speed that stays bounded
-_SMALL = 1e-6  # angle in rad, below which series are exact to float64
+"""Time after a pose for which its velocity is extrapolated, and then the time constant with which the body comes to
+rest: poses at 10 Hz are followed smoothly, and a body at 3 m/s stops after 0.9 m."""
+GAP_M, GAP_RAD = 0.1, 0.2  # above these errors the correction is slower, with bounded speed
+_SMALL = 1e-6  # angle in rad below which series are exact to float64
 
 
 class Knots(Pieces):
-    """Poses between two knots or more: cubic Hermite pieces of position and quaternion, with velocity and rate without jumps.
+    """Motion between knots: cubic Hermite pieces of position and quaternion, with continuous velocity and angular rate.
 
     Parameters
     ----------
@@ -45,20 +45,20 @@ class Knots(Pieces):
 
     @property
     def last(self) -> int:
-        """Number of the last knot, from 0."""
+        """Index of the last knot."""
         return self._first + self._count - 1
 
     @property
     def last_ns(self) -> int:
-        """Time of the last knot since the first one."""
+        """Time of the last knot since the first one, in nanoseconds."""
         return self.last * STEP_NS
 
     def states(self, first: int, stop: int) -> F8:
-        """Knots (n, 13) from number `first` until before `stop`, not older than 20 s."""
+        """Return knots (n, 13) from index `first` to before `stop`, not older than 20 s."""
         return self._states[first - self._first : stop - self._first]
 
     def append(self, state: F8) -> None:
-        """Add a knot (13,), a step after the last one."""
+        """Append a knot (13,), one step after the last one."""
         if self._count == len(self._states):  # drop the older half, in new arrays: others may be reading these
             half = self._count // 2
             self._first, self._count = self._first + half, self._count - half
@@ -68,13 +68,12 @@ class Knots(Pieces):
             _fill_piece(self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1])
         self._states[self._count] = self.last_state = state
         self._count += 1
-        # In one piece, as other threads read it.
+        # One assignment, because other threads read it.
         self._arrays = self._knots_ns[: self._count], self._pieces
 
 
 @numba.njit(cache=True, nogil=True)
 def _product(a: F8, b: F8) -> F8:
-    """Multiply two quaternions x, y, z, w."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     x = aw * bx + ax * bw + ay * bz - az * by
@@ -84,7 +83,7 @@ def _product(a: F8, b: F8) -> F8:
 
 
 @numba.njit(cache=True, nogil=True)
-def _values(knot: F8) -> tuple[F8, F8]:
+def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
     """Position and quaternion (7,) of a knot, and their change per second."""
     value, rate, turning = knot[:7].copy(), np.empty(7), np.zeros(4)
     turning[:3] = 0.5 * knot[10:]
@@ -95,7 +94,7 @@ def _values(knot: F8) -> tuple[F8, F8]:
 @numba.njit(cache=True, nogil=True)
 def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
-    (value, rate), (end_value, end_rate) = _values(begin), _values(end)
+    (value, rate), (end_value, end_rate) = _pose_and_rates(begin), _pose_and_rates(end)
     if (value[3:] * end_value[3:]).sum() < 0.0:
         end_value[3:], end_rate[3:] = -end_value[3:], -end_rate[3:]
     for a in range(7):
@@ -107,7 +106,7 @@ def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def turn_between(old: F8, new: F8) -> F8:
-    """Rotation vector (3,), in body axes, from one quaternion (4,) to another, the short way round."""
+    """Return the shortest rotation vector (3,), in body axes, from one quaternion (4,) to another."""
     q = _product(np.append(-old[:3], old[3]), new)
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = -1.0 if q[3] < 0.0 else 1.0
@@ -116,8 +115,8 @@ def turn_between(old: F8, new: F8) -> F8:
 
 
 @numba.njit(cache=True, nogil=True)
-def _gone_on(seen: F8, since_s: float) -> F8:
-    """Return a pose (13,) some time after it came in: it goes on as it did, and comes to rest where no other follows."""
+def _extrapolated(seen: F8, since_s: float) -> F8:
+    """Extrapolate a pose (13,) in time: with constant rates at first, then to rest if no other pose follows."""
     moving_s, share, late_s = since_s, 1.0, since_s - _COAST_S
     if late_s > 0.0:
         share = exp(-late_s / _COAST_S)
@@ -136,20 +135,20 @@ def _gone_on(seen: F8, since_s: float) -> F8:
 def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: float) -> F8:
     """Return the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
 
-    What position and quaternion are off from the prediction dies away as a critically damped oscillator, which is solved
-    exactly over the step; then the quaternion is put to unit length.
+    The error of position and quaternion against the prediction decays as a critically damped oscillator, which is
+    solved exactly over the step; then the quaternion is scaled to unit length.
 
     Parameters
     ----------
     state : (13,) the knot before
     seen : (13,) the last pose with its rates
     since_s : time from that pose to the knot before
-    step_s : from knot to knot
+    step_s : time between knots
     smoothing_s : time constant of the correction
     """
-    value, rate = _values(state)
-    wanted, wanted_rate = _values(_gone_on(seen, since_s))
-    target, target_rate = _values(_gone_on(seen, since_s + step_s))
+    value, rate = _pose_and_rates(state)
+    wanted, wanted_rate = _pose_and_rates(_extrapolated(seen, since_s))
+    target, target_rate = _pose_and_rates(_extrapolated(seen, since_s + step_s))
     if (value[3:] * wanted[3:]).sum() < 0.0:
         value[3:], rate[3:] = -value[3:], -rate[3:]
     error, change = value - wanted, rate - wanted_rate
@@ -166,6 +165,6 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
     length = math.sqrt((target[3:] * target[3:]).sum())
     out = np.empty(STATE)
     out[:3], out[3:7], out[7:10] = target[:3], target[3:] / length, target_rate[:3]
-    # The rate of the unit quaternion in body axes; what changes the length alone is its last number.
+    # The rate of the unit quaternion in body axes; its last component changes only the length.
     out[10:] = 2.0 / length * _product(np.append(-out[3:6], out[6]), target_rate[3:])[:3]
     return out

@@ -1,4 +1,4 @@
-"""A body that is flown while the run goes on: poses come in, and the motion is what was made of them so far."""
+"""Motion of a body whose poses arrive while the run goes on."""
 
 import math
 import threading
@@ -21,42 +21,42 @@ from vlp16emu.motion.pose import Kinematics
 from vlp16emu.types import F8, I8, Poses
 from vlp16emu.units import S_NS
 
-LOST_NS = S_NS  # without a pose for so long, poses are lost
+LOST_NS = S_NS  # time without a pose after which poses count as lost
 
 _AHEAD_NS = 2_000_000
-"""How long before its first pulse a step is computed: some packets need that, and each is due after its last pulse."""
+"""Time before its first pulse at which a step is computed: some packets need it, and each is due after its last pulse."""
 _BASE_NS = 20_000_000
-"""Rates are taken from poses at least that far apart, if there are such: noise of 1 mm then makes 0.07 m/s."""
-_LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000  # poses closer together, or farther apart, say nothing of rates
+"""Rates are computed from poses at least this far apart, if there are any: noise of 1 mm then gives 0.07 m/s."""
+_LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000  # poses closer together, or farther apart, give no rates
 _MOST_PULL = 500.0
-"""Accelerations beyond that, in gaps that are led back slowly, per s2, are jumps: 50 m/s2 and 100 rad/s2."""
-_RESTART_NS = S_NS  # a sender whose stamps are older than ever by more than that has begun a new clock
-_CREEP_NS_S = 100_000  # by how much per second a sender's clock may be slow: 100 ppm
-_FARTHEST_M = 1e6  # as far out as a scene may lie
+"""Limits in units of `GAP_M` and `GAP_RAD` per s2 above which a change is a jump: 50 m/s2 and 100 rad/s2."""
+_RESTART_NS = S_NS  # a sender whose stamps go back by more than this has started a new clock
+_CREEP_NS_S = 100_000  # rate by which a sender's clock may be slow: 100 ppm
+_FARTHEST_M = 1e6  # limit of a scene
 
 
 @dataclass(frozen=True, slots=True)
 class SeenPose:
-    """A pose that came in."""
+    """A pose that was received."""
 
-    state: F8  # (13,) as a knot has it; rates are those since poses before
-    at_ns: int  # when it was true, on the monotonic clock of this machine
-    arrived_ns: int  # when it came, on the same clock
+    state: F8  # (13,) like a knot; rates are from earlier poses to this one
+    at_ns: int  # time of the pose, on the monotonic clock of this machine
+    arrived_ns: int  # time of its arrival, on the same clock
 
 
 @dataclass(frozen=True, slots=True)
 class PosesLost:
     """A time without poses."""
 
-    at_s: float  # last pose before it, since the first pulse
+    at_s: float  # time of the last pose before it, since the first pulse
     lasted_s: float
 
 
 class PoseInput:
-    """Takes poses from any thread, and keeps the last one.
+    """Input of poses from any thread; it keeps the last one.
 
-    Stamps of a sender count on a clock of its own. What that clock is off is taken from the pose that was quickest so
-    far: its way took no time. So only what others took longer is known, and the least delay is part of the latency.
+    A sender has a clock of its own. Its offset is estimated from the pose with the least delay so far, which counts as
+    zero delay. So only additional delays are known, and the least delay is part of the latency.
     """
 
     def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
@@ -68,19 +68,19 @@ class PoseInput:
         self._offset_at_ns = 0
         self.last: SeenPose | None = None
         self.received = self.refused = self.out_of_order = 0
-        """Poses: taken, malformed, and with a stamp that is not after that of the pose before."""
+        """Counts of poses: accepted, malformed, and with a stamp that is not later than the stamp of the pose before."""
         self.longest_gap_ns = 0  # between one arrival and the next, since the run began
         self.gaps_ns: list[tuple[int, int]] = []
         """Arrivals before and after each time without poses for more than a second, since the run began."""
 
     def put(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
-        """Take a pose, and return whether it is later than the one before; others are left out.
+        """Take a pose; return True if it is later than the one before. Others are left out.
 
         Parameters
         ----------
-        position_m : (3,) of the body in the world
+        position_m : (3,) position of the body in the world
         quaternion : (4,) x, y, z, w of unit length, body to world
-        t_ns : when it was true, on the sender's clock of any epoch; None for now
+        t_ns : time of the pose, on the sender's clock of any epoch; None for now
 
         Raises TrajectoryError if a number is not finite, or the quaternion is not of unit length.
         """
@@ -92,7 +92,7 @@ class PoseInput:
             raise
         with self._lock:
             at_ns = now_ns
-            if t_ns is not None:  # the sender's clock, by how long after its stamp the present pose came
+            if t_ns is not None:  # offset of the sender's clock, from the delay of this pose
                 offset_ns, crept_ns = now_ns - t_ns, (now_ns - self._offset_at_ns) * _CREEP_NS_S // S_NS
                 if self._offset_ns is not None and offset_ns <= self._offset_ns + _RESTART_NS:
                     offset_ns = min(offset_ns, self._offset_ns + crept_ns)
@@ -108,12 +108,12 @@ class PoseInput:
                 if gap_ns > LOST_NS:
                     self.gaps_ns.append((last.arrived_ns, now_ns))
             self.received += 1
-            self.last = SeenPose(self._with_rates(at_ns, pose), at_ns, now_ns)
+            self.last = SeenPose(self._add_rates(at_ns, pose), at_ns, now_ns)
         self.came.set()
         return True
 
-    def _with_rates(self, at_ns: int, pose: F8) -> F8:
-        """Add to a pose (7,) the rates since the youngest pose that is old enough, and keep it for those to come."""
+    def _add_rates(self, at_ns: int, pose: F8) -> F8:
+        """Add to a pose (7,) its rates since the latest pose that is old enough, and keep the pose for later ones."""
         before = self._before
         while before and at_ns - before[0][0] > _MOST_BASE_NS:
             before.popleft()
@@ -134,7 +134,7 @@ class PoseInput:
         return state
 
     def _is_jump(self, at_ns: int, pose: F8) -> bool:
-        """Return whether no body gets from the last pose to a pose (7,) in time: then the step says nothing of its rates."""
+        """Return True if no body can move from the last pose to a pose (7,) in time: then the step gives no rates."""
         if self.last is None:
             return False
         last, since_s = self.last.state, (at_ns - self.last.at_ns) / S_NS
@@ -145,16 +145,16 @@ class PoseInput:
 
 
 class LiveMotion:
-    """Motion of a body by the poses that have come in, made knot by knot as time goes on.
+    """Motion of a body that follows the poses received, computed knot by knot as time goes on.
 
-    Each knot is made once, when its time comes, and never changed, so later calls, and readers of what was flown, find
-    the same. A call for a time to come waits for it.
+    Each knot is computed once, at its time, and never changes, so later calls and readers of the table get the same
+    motion. A call for a future time waits for it.
 
     Parameters
     ----------
-    section : how poses are followed
+    section : settings that say how poses are followed
     start_ns : UTC of the first pulse
-    clock_ns, sleep : monotonic clock, and what suspends a thread for some seconds
+    clock_ns, sleep : monotonic clock, and a function that suspends a thread for some seconds
     """
 
     moves, run_time_s = True, math.inf
@@ -170,64 +170,64 @@ class LiveMotion:
         self._smoothing_s, self._start_ns = section.smoothing_s, start_ns
         self._clock_ns, self._sleep, self._lock = clock_ns, sleep, threading.Lock()
         self._zero_ns = 0
-        self.knots: Knots | None = None  # all so far; None before the beginning
+        self.knots: Knots | None = None  # all knots so far; None before the beginning
         self._used: SeenPose | None = None
         self.poses = PoseInput(clock_ns)
-        self.is_open = False  # whether poses are waited for, as in a stream
+        self.is_open = False  # True if calls wait for poses, as in a stream
         self.first_uses = deque[tuple[int, int]]()
-        """Of each pose that was used: UTC of the first pulse whose pose it decides, and its arrival on the monotonic clock."""
+        """For each pose that was used: UTC of the first pulse that it affects, and its arrival on the monotonic clock."""
 
     def begin(self, zero_ns: int) -> None:
-        """Begin to move: the first pulse is fired at an instant of the monotonic clock."""
+        """Begin to move: the first pulse is fired at `zero_ns` on the monotonic clock."""
         self._zero_ns = zero_ns
         self.poses.longest_gap_ns = 0
         self.poses.gaps_ns.clear()
         self.knots = Knots(self._start_ns, self._seen().state[None])
 
     def end(self) -> None:
-        """Forget what was flown, and take no more poses."""
+        """Forget the motion, and accept no more poses."""
         self.is_open, self.knots, self._used = False, None, None
         self.poses = PoseInput(self._clock_ns)
         self.first_uses.clear()
 
     def require_open(self) -> None:
-        """Raise `TrajectoryError` if no poses come in, as nobody streams."""
+        """Raise `TrajectoryError` if no stream is open, so that no poses can arrive."""
         if not self.is_open:
             found = 'found "live", whose poses come in while `vlp16emu stream` runs'
             expected = 'motion.flown = "FILE", what a stream has written with --flown, beside it'
             raise TrajectoryError("motion.kind", found, expected)
 
     def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None) -> bool:
-        """Take a pose; parameters, result and errors as of `PoseInput.put`."""
+        """Take a pose; parameters, result and errors as in `PoseInput.put`."""
         return self.poses.put(position_m, quaternion, t_ns)
 
     def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> LiveWindows:
-        """Return windows that are opened as the body comes near; parameters as of `engine.windows.windows_of`."""
+        """Return windows that are opened as the body comes near; parameters as in `engine.windows.windows_of`."""
         return LiveWindows(parts, start_ns, batching, threads, self)
 
     def since_s(self, instant_ns: int) -> float:
-        """Turn an instant of the monotonic clock into seconds since the first pulse."""
+        """Convert an instant of the monotonic clock to seconds since the first pulse."""
         return (instant_ns - self._zero_ns) / S_NS
 
     @property
     def elapsed_ns(self) -> int:
-        """Time since the first pulse; 0 before the beginning."""
+        """Time since the first pulse, in nanoseconds; 0 before the beginning."""
         return 0 if self.knots is None else self._clock_ns() - self._zero_ns
 
     @property
     def state(self) -> F8:
-        """(13,) of the last knot, or before the beginning of the last pose."""
+        """State (13,) of the last knot, or of the last pose before the beginning."""
         return self._seen().state if self.knots is None else self.knots.last_state
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
+        """Return poses at UTC instants (n,) and wait for future ones; before the beginning the body is at rest.
 
-        Raises `TrajectoryError` if nobody streams, and `CancelledError` if the stream ends before there is a pose.
+        Raises `TrajectoryError` if no stream is open, and `CancelledError` if the stream ends before there is a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives; the rest as of `poses_at`."""
+        """Return poses at UTC instants (n,) with their derivatives; otherwise like `poses_at`."""
         return self._knots_until(int(t_ns.max())).kinematics_at(t_ns)
 
     def _seen(self) -> SeenPose:
@@ -237,10 +237,10 @@ class LiveMotion:
         return seen
 
     def _knots_until(self, t_ns: int) -> Knots:
-        """Make knots until a UTC instant, each when its time has come."""
+        """Compute knots until a UTC instant, each at its time."""
         if self.knots is None:
             rest = np.append(self._seen().state[:7], np.zeros(STATE - 7))
-            still = follow(rest, rest, 0.0, STEP_NS / S_NS, self._smoothing_s)  # by the kernel, which is loaded with it
+            still = follow(rest, rest, 0.0, STEP_NS / S_NS, self._smoothing_s)  # also loads the kernel
             return Knots(self._start_ns, np.stack([rest, still]))
         while True:
             with self._lock:
@@ -261,7 +261,7 @@ class LiveMotion:
 
 
 def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> F8:
-    """Put a pose into one array (7,), its quaternion scaled to unit length."""
+    """Return a pose as one array (7,), its quaternion scaled to unit length."""
     numbers = [*map(float, position_m), *map(float, quaternion)]
     if len(position_m) != 3 or len(quaternion) != 4:
         raise TrajectoryError("pose", f"found {len(position_m)} and {len(quaternion)} numbers", "3 and 4")

@@ -1,4 +1,4 @@
-"""The datagram that brings a pose of the carrier into a live run; its bytes stand in `protocol/pose_packet.toml`."""
+"""The datagram of a pose of the carrier in a live run; `protocol/pose_packet.toml` describes its bytes."""
 
 import struct
 from collections.abc import Sequence
@@ -18,24 +18,24 @@ class PosePacket(NamedTuple):
 
     position_m: tuple[float, ...]  # x, y, z: east, north, up
     quaternion: tuple[float, ...]  # x, y, z, w, body to world; the body's x axis is forward, z up
-    t_ns: int | None = None  # time of the pose on the sender's clock, of any epoch; None stands for its arrival
+    t_ns: int | None = None  # time of the pose on the sender's clock, of any epoch; None for its arrival
 
 
 def pack_pose(position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bytes:
-    """Write the datagram of a pose; parameters as the fields of `PosePacket`."""
+    """Return the datagram of a pose; parameters as the fields of `PosePacket`."""
     flags = 0 if t_ns is None else _HAS_TIME
     return _LAYOUT.pack(_MAGIC, _VERSION, flags, 0, t_ns or 0, *position_m, *quaternion)
 
 
 def is_pose(payload: bytes) -> bool:
-    """Return whether a datagram is a pose packet, at a tenth of the cost of `unpack_pose`."""
+    """Return True if a datagram is a pose packet, at a tenth of the cost of `unpack_pose`."""
     return len(payload) == POSE_BYTES and payload[:8] in _BEGINNINGS
 
 
 def unpack_pose(payload: bytes) -> PosePacket:
     """Read the datagram of a pose; its numbers are not checked.
 
-    Raises PacketError if it is none.
+    Raises PacketError if it is no pose packet.
     """
     if not is_pose(payload):
         found = f"found {len(payload)} bytes that begin with {payload[:8].hex(' ')}"

@@ -1,4 +1,4 @@
-"""The table `[motion]` of a scene whose poses come in while it is streamed."""
+"""The table `[motion]` of a scene whose poses arrive while it is streamed."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -17,22 +17,22 @@ _Place = Annotated[tuple[Place, Place], Field(strict=False)]
 
 
 class Live(MotionSection):
-    """Poses that come in while the run is streamed, from a simulator, motion capture or a joystick."""
+    """Poses that arrive while the run is streamed, from a simulator, motion capture or a joystick."""
 
     kind: Literal["live"]
-    """Selects poses that come in."""
+    """Selects poses that arrive during the run."""
     path_m: Annotated[list[_Place], Field(min_length=1, default_factory=lambda: [(0.0, 0.0)])]
-    """x and y where the body is expected, one or more; plants keep clear of the line through them, and in a forest the body
-    stays within 35 m of the rectangle around them."""
+    """x and y of one or more places where the body is expected. No plant is on the line through them, and in a forest
+    the body stays within 35 m of the rectangle around them."""
     smoothing_s: Annotated[float, Field(ge=0.005, le=1)] = 0.02
-    """Time constant with which the body is led to where poses show it. It lags by its square times the acceleration, and
-    not at all at constant speed."""
+    """Time constant with which the body follows the poses. It lags by the square of this times the acceleration; at
+    constant speed there is no lag."""
     flown: SceneFile | None = None
-    """Motion that a stream has written by `--flown`: the run is repeated byte for byte, and no poses come in."""
+    """Table that a stream has written with `--flown`: the run is repeated byte for byte, and no poses are read."""
 
     @property
     def takes_poses(self) -> bool:
-        """True if poses come in, and nothing is repeated."""
+        """True if poses are read from outside, not from a table."""
         return self.flown is None
 
     def carrier(self, site: "Site", *, start_ns: int, **_: object) -> "tuple[Motion, F8]":  # noqa: ARG002  # it flies over any ground

@@ -1,1 +1,1 @@
-"""Meshes of the user's own, as things in the world and as trees."""
+"""The user's own meshes, as objects in the world and as trees."""

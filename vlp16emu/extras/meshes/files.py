@@ -1,8 +1,8 @@
 """Meshes that the user brings: OBJ, PLY, GLB and STL through trimesh, checked before they are scanned.
 
-What is refused: coordinates that are not finite, faces whose corners do not exist, files without a face,
-sizes that suggest a wrong unit. What is dropped, and reported: triangles without area. What is kept, and reported:
-holes and faces that look the wrong way, for light is cast against both sides.
+Refused: coordinates that are not finite, faces whose corners do not exist, files without a face, sizes that suggest
+a wrong unit. Dropped and reported: triangles without area. Kept and reported: holes and faces that are turned inside
+out, because rays hit both sides.
 """
 
 import logging
@@ -25,22 +25,22 @@ _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
 _KINDS = ".obj", ".ply", ".glb", ".stl"
 _SPLIT = dict.fromkeys(("skip_materials", "split_objects", "split_groups", "maintain_order"), True)
-_AS_WRITTEN: dict[str, Any] = {"process": False, "group_material": False, **_SPLIT}  # trimesh joins and moves no face
+_AS_WRITTEN: dict[str, Any] = {"process": False, "group_material": False, **_SPLIT}  # no face is joined or moved
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
-"""Nothing in a forest is taller, wider, or smaller as a whole."""
+"""Greatest height, greatest width and least size of an object in a forest."""
 _FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
 _OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE)
-"""A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
+"""A face of an OBJ file that trimesh would skip: fewer than three corners, or a corner 0 (they count from 1)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UserMesh:
-    """A file of meshes, ready to be placed."""
+    """Meshes of a file, ready to be placed."""
 
     path: Path
     centre_m: F8  # (3,) middle of the bounding box in the file's frame, turned z up
-    parts: tuple[tuple[str, Mesh], ...]  # in alphabetical order of their names; in metres from the centre, z up
-    radius_m: float  # radius of a sphere about the centre that holds everything
+    parts: tuple[tuple[str, Mesh], ...]  # sorted by name; in metres from the centre, z up
+    radius_m: float  # radius of the bounding sphere about the centre
 
 
 def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
@@ -49,15 +49,15 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     Each object or group of an OBJ file and each node of a GLB scene is a part of its own, with its own
     place; other files have one part, named like the file. Colours and textures are not read.
 
-    Raises GeometryError naming file, part and element of what cannot be scanned.
+    Raises GeometryError with file, part and element if something cannot be scanned.
 
     Parameters
     ----------
     path : .obj, .ply, .glb or .stl
-    unit : of its coordinates
+    unit : unit of its coordinates
     up : axis that points upwards; y turns to z, and z to -y
     """
-    parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in _parts(path)]
+    parts = [(name, *_without_empty_faces(f"{path}: {name}", *part)) for name, part in _parts(path)]
     scale = _UNIT_M[unit]
     z_up = [(name, _turned(vertices, up) * scale, faces, dropped) for name, vertices, faces, dropped in parts]
     corners = np.array([end for _, v, f, _ in z_up for end in (v[f].min(axis=(0, 1)), v[f].max(axis=(0, 1)))])
@@ -74,9 +74,9 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
 
 
 def _parts(path: Path) -> list[tuple[str, tuple[F8, Faces]]]:
-    """Names, vertices and faces of all parts in the file's frame, by name."""
+    """Return name, vertices and faces of all parts in the file's frame, sorted by name."""
     scene, found = _scene(path), []
-    unnamed = list(scene.geometry) in (["geometry"], ["geometry_0"])  # trimesh's names for what has none
+    unnamed = list(scene.geometry) in (["geometry"], ["geometry_0"])  # trimesh's names for unnamed geometry
     for node in sorted(scene.graph.nodes_geometry):
         name = path.stem if unnamed else node
         file_T_part, geometry_name = scene.graph[node]
@@ -84,7 +84,7 @@ def _parts(path: Path) -> list[tuple[str, tuple[F8, Faces]]]:
         faces = np.asarray(getattr(geometry, "faces", ()), np.int64).reshape(-1, 3)
         if len(faces):
             vertices = np.asarray(geometry.vertices, np.float64)
-            found.append((name, (_placed(f"{path}: {name}", vertices, faces, file_T_part), faces)))
+            found.append((name, (_checked_vertices(f"{path}: {name}", vertices, faces, file_T_part), faces)))
         else:
             _log.warning("%s: %s: left out, for it has no face", path, name)
     if not found:
@@ -108,12 +108,12 @@ def _scene(path: Path) -> Any:
 
     try:
         return trimesh.load_scene(BytesIO(content), file_type=kind[1:], **_AS_WRITTEN)
-    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
+    except Exception as error:  # noqa: BLE001  # trimesh's readers raise errors of any type
         raise GeometryError(str(path), f"cannot be read: {error}", expected) from None
 
 
-def _placed(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
-    """Vertices in the file's frame, after a check of both arrays."""
+def _checked_vertices(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
+    """Return vertices in the file's frame, after a check of both arrays."""
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise GeometryError(where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each")
     stray = (faces < 0) | (faces >= len(vertices))
@@ -132,8 +132,8 @@ def _placed(where: str, vertices: F8, faces: Faces, file_T_part: F8) -> F8:
     return matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
 
 
-def _swept(where: str, vertices: F8, faces: Faces) -> tuple[F8, Faces, int]:
-    """Vertices that are used, faces that have an area, and how many had none."""
+def _without_empty_faces(where: str, vertices: F8, faces: Faces) -> tuple[F8, Faces, int]:
+    """Return the vertices in use, the faces that have an area, and the number of faces without."""
     corner = vertices[faces]
     sides = corner - np.roll(corner, 1, axis=1)
     longest2 = (sides * sides).sum(axis=2).max(axis=1)
@@ -150,7 +150,7 @@ def _turned(vertices: F8, up: UpAxis) -> F8:
 
 
 def _check_size(path: Path, extent_m: F8, unit: LengthUnit) -> None:
-    """Refuse a size that nothing in a forest has, with the unit that was perhaps meant."""
+    """Refuse a size that no object in a forest has; the error suggests the unit that fits."""
     if extent_m[2] <= _TALLEST_M and _SMALLEST_M <= extent_m.max() <= _WIDEST_M:
         return
     size = " x ".join(f"{length:.3g}" for length in extent_m)

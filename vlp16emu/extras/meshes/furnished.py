@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 def surfaces_of(section: MeshFile, mesh: UserMesh) -> NDArray[np.void]:
-    """Return `SURFACE` (parts,) of a mesh, material and instance still 0; GeometryError for a part that it does not have."""
+    """Return `SURFACE` (parts,) of a mesh, with material and instance 0; GeometryError for a part that it does not have."""
     names = [name for name, _ in mesh.parts]
     own = {part.name: part for part in section.parts}
     for name in own.keys() - set(names):
@@ -50,16 +50,16 @@ def surfaces_of(section: MeshFile, mesh: UserMesh) -> NDArray[np.void]:
 class MeshKey:
     """Name of a mesh's shape."""
 
-    number: int  # among those of the user
+    number: int  # index among the user's meshes
     path: Path
 
 
 class BareWorld(World, Protocol):
-    """A world that things can be put into."""
+    """A world without the user's meshes."""
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Names by `SURFACE` material number."""
+        """Names of materials by `SURFACE` material number."""
 
     @property
     def height_m(self) -> HeightField:
@@ -67,25 +67,25 @@ class BareWorld(World, Protocol):
 
 
 class Furnished:
-    """A world and what the user has put into it; a `World`.
+    """A world with the user's meshes in it; a `World`.
 
-    Raises GeometryError for more things than can be numbered, and for a part that a mesh does not have.
+    Raises GeometryError for more objects than there are instance numbers, and for a part that a mesh does not have.
 
     Parameters
     ----------
-    world : without them
-    meshes : what the user wrote and what the file holds, in the order of their numbers
+    world : world without the meshes
+    meshes : settings and contents of each mesh file, in the order of their numbers
     reach_m : how far the sensor sees
     """
 
     def __init__(self, world: BareWorld, *, meshes: Sequence[tuple[MeshFile, UserMesh]], reach_m: float) -> None:
         self.bare = world  # the world without the user's things
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
-        for name in ("name", "far_tile"):  # nothing of a hall is far
+        for name in ("name", "far_tile"):  # a hall has no far tiles
             if hasattr(world, name):
                 setattr(self, name, getattr(world, name))
         self._reach_m = reach_m
-        self.names = dict[int, str]()  # names of the user's things by instance
+        self.names = dict[int, str]()  # names of the user's objects by instance
         self._mesh_of, self._keys = dict[MeshKey, UserMesh](), list[MeshKey]()
         materials, placed, radius_m, self._rows = list(world.materials), [], [], []
         for section, mesh in meshes:
@@ -99,7 +99,7 @@ class Furnished:
             for place in section.places:
                 first, rows = FIRST_FREE_INSTANCE + len(self.names), surfaces.copy()
                 rows["material"] = len(materials) + np.arange(len(rows))
-                rows["instance"] = first + np.arange(len(things))  # one for each part, or for all
+                rows["instance"] = first + np.arange(len(things))  # one number for each part, or one for all
                 where = f"at ({place.x_m:g}, {place.y_m:g}) m"
                 self.names |= {first + i: f"{thing} {where}" for i, thing in enumerate(things)}
                 self._keys.append(key)
@@ -111,7 +111,7 @@ class Furnished:
         self._world_T_mesh, self._radius_m = np.reshape(placed, (-1, 3, 4)), np.array(radius_m)
 
     def check(self, path_xy_m: F8) -> None:
-        """Warn of each mesh that is out of sight all along the path (n, 2)."""
+        """Warn of each mesh that is out of sight along the whole path (n, 2)."""
         gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m if self._keys else np.zeros(0)
         for key in self._mesh_of:
             nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
@@ -123,7 +123,7 @@ class Furnished:
                 )
 
     def window(self, track_m: F8) -> Window:
-        """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""
+        """Return the world and the user's meshes within reach of sensor positions (n, 3)."""
         window = self.bare.window(track_m)
         gap_m = distance_m(self._world_T_mesh[:, :2, 3], track_m[:, :2]) - self._radius_m
         near = np.flatnonzero(gap_m <= self._reach_m)
@@ -144,11 +144,11 @@ class Furnished:
         )
 
     def shape_name(self, key: ShapeKey) -> str:
-        """Name a shape of the world; the user's meshes are not kept."""
+        """Return the store name of a shape of the world; the user's meshes are not stored."""
         return "" if isinstance(key, MeshKey) else self.bare.shape_name(key)
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
-        """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""
+        """Return the meshes of a shape: one for each part of a user's file, or the meshes from the world."""
         if isinstance(key, MeshKey):
             return tuple(mesh for _, mesh in self._mesh_of[key].parts)
         return self.bare.shape(key)

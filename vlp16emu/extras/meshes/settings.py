@@ -17,9 +17,9 @@ class MeshPart(PartFinish):
     name: str
     """Name of the object or group (OBJ) or node (GLB)."""
     semantic: SemanticName | None = None
-    """Class of the points on it, where it differs."""
+    """Class of the points on it, if it differs."""
     part: PartName | None = None
-    """Part of a plant that it is, where it differs."""
+    """Part of a plant, if it differs."""
 
 
 class MeshPlace(Section):
@@ -32,7 +32,7 @@ class MeshPlace(Section):
     z_m: Place | None = None
     """Height of the file's origin in the world; without it the mesh is on the ground."""
     above_ground_m: Place = 0.0
-    """Height of the file's origin over the ground, where `z_m` is not given."""
+    """Height of the file's origin over the ground, if `z_m` is not given."""
     yaw_deg: Angle = 0.0
     """Counter-clockwise, seen from above."""
     scale: Annotated[float, Field(ge=1e-3, le=1000)] = 1.0
@@ -40,14 +40,14 @@ class MeshPlace(Section):
 
 
 class MeshFile(Finish, MeshSource):
-    """A mesh of the user's own: OBJ, PLY, GLB or STL."""
+    """A mesh file of the user: OBJ, PLY, GLB or STL."""
 
     semantic: SemanticName = "other"
     """Class of the points on it."""
     part: PartName = "none"
-    """Part of a plant that it is."""
+    """Part of a plant."""
     one_thing: bool = True
-    """Whether all parts at one place are one instance; otherwise each is one of its own."""
+    """True if all parts at one place are one instance; otherwise each part is an instance of its own."""
     parts: list[MeshPart] = Field(default_factory=list)
     """Parts that differ."""
     places: Annotated[list[MeshPlace], Field(min_length=1)]

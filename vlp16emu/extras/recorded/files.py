@@ -1,7 +1,7 @@
 """Recorded poses in files: TUM, CSV and KITTI.
 
-All functions raise `TrajectoryError` with file and line if a file or a number cannot be read, a rotation is none, or times do
-not grow.
+All functions raise `TrajectoryError` with file and line if a file or a number cannot be read, a matrix is no rotation,
+or times do not increase.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
 UNIT_TOLERANCE = 1e-3
-"""Tolerance of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
-_ROUNDS = 3  # from that error to one below the last bit: each round squares it
+"""Tolerance of a quaternion's length and of a matrix times its transpose: the rounding of four decimals."""
+_ROUNDS = 3  # from this error to below the last bit: each round squares it
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 TIMED_POSES = {
     "t_s": Column({"t_s": 1.0}),
@@ -32,16 +32,16 @@ _MATRIX = tuple(f"{row}{column}" for row in "123" for column in "1234")
 
 @dataclass(frozen=True, slots=True)
 class RecordedPoses:
-    """Poses as a file has them."""
+    """Poses of a file."""
 
     where: list[str]  # (n,) file and line of each, for messages
-    t_ns: I8  # (n,) stamps, of whatever epoch
+    t_ns: I8  # (n,) time stamps, of any epoch
     position_m: F8  # (n, 3)
     quaternion: F8  # (n, 4) x, y, z, w of unit length; body to the recording's frame
 
 
 def read_poses(recorded: Recorded) -> RecordedPoses:
-    """Read the file of poses, and that of their times, if there is one."""
+    """Read the file of poses, and the file of their times if there is one."""
     path = Path(recorded.file)
     if recorded.format == "kitti":
         return read_kitti(path, recorded.rate_hz or Path(recorded.times_file or ""))
@@ -54,14 +54,14 @@ def read_tum(path: Path) -> RecordedPoses:
 
 
 def read_trajectory_csv(path: Path) -> RecordedPoses:
-    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw; others, as of a live run, are left out."""
+    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw; other columns, as in the table of a live run, are ignored."""
     return _timed(read_table(path, TIMED_POSES, f"a CSV with the columns {', '.join(TIMED_POSES)}", TrajectoryError))
 
 
 def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     """Read lines of 12 numbers, the rows of a 3 x 4 pose matrix (KITTI odometry benchmark, development kit).
 
-    Their times are the rate of the poses in Hz, or a file with a time in seconds for each pose, one to a line.
+    `times` is the rate of the poses in Hz, or a file with a time in seconds for each pose, one per line.
     """
     columns = {name: Column({name: 1.0}) for name in _MATRIX}
     table = read_table(path, columns, "the numbers of a 3 x 4 matrix", TrajectoryError, has_header=False)
@@ -76,7 +76,7 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
 
 
 def _quaternions(turns: F8) -> F8:
-    """Quaternions (n, 4), x, y, z, w and about of unit length, of the rotations nearest to matrices (n, 3, 3).
+    """Quaternions (n, 4), x, y, z, w, about of unit length, of the rotations nearest to matrices (n, 3, 3).
 
     Source: Markley, "Unit quaternion from rotation matrix", J. Guidance, Control, and Dynamics 31(2), 2008.
     """
@@ -108,12 +108,12 @@ def _timed(table: Table) -> RecordedPoses:
 
 
 def _checked(table: Table, t_ns: Sequence[int], poses: F8) -> RecordedPoses:
-    """Refuse poses (n, 7) that are no rotations, and times that do not grow."""
+    """Return the poses (n, 7) and their times; TrajectoryError for a pose that is no rotation or a time that does not increase."""
     if len(table) < 2:
         raise TrajectoryError(str(table.path), f"found {len(table)} poses", "at least 2")
     for i, (before, after) in enumerate(pairwise(t_ns), start=1):
         if after <= before:
-            late = f"a time {(before - after) / S_NS:g} s before that of" if after < before else "the time of"
+            late = f"a time {(before - after) / S_NS:g} s before" if after < before else "the time of"
             raise TrajectoryError(table.where(i), f"{late} the pose before", "times that grow")
     lengths = unit_lengths(table, poses[:, 3:])
     where = [table.where(i) for i in range(len(table))]

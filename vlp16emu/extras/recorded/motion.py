@@ -1,4 +1,4 @@
-"""A body that moves as was recorded."""
+"""Motion of a body along recorded poses."""
 
 import logging
 import math
@@ -18,14 +18,14 @@ from vlp16emu.world.settings import Site
 
 _log = logging.getLogger(__name__)
 
-_MOST_TURN_DEG = 90.0  # between one pose and the next: half of what would leave the sense of the turn open
+_MOST_TURN_DEG = 90.0  # between one pose and the next: half the angle at which the sense of the turn is undefined
 _LEAST_NORM = 0.5
-"""Least norm of the quaternion spline: it is 1 at each pose, and bends the turn in between the more the more it sinks."""
-_LOOKS = 8  # between two poses, for that norm
+"""Least norm of the quaternion spline: it is 1 at each pose; the lower it is between poses, the more it distorts the turn."""
+_LOOKS = 8  # samples of this norm between two poses
 
 
 class Pieces:
-    """Motion by powers of the time between knots: (4, n - 1, 7) of position and quaternion, highest first.
+    """Piecewise cubic motion: coefficients (4, n - 1, 7) of position and quaternion between knots, highest power first.
 
     Before its first knot and after its last one the body is at rest.
     """
@@ -36,13 +36,13 @@ class Pieces:
         self._start_ns, self._arrays = start_ns, (knots_ns, powers)
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses at UTC instants (n,)."""
+        """Return poses at UTC instants (n,)."""
         position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
         fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
         return Poses(t_ns, turn, position_m)
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
+        """Return poses at UTC instants (n,) with their derivatives, which are zero while the body is at rest."""
         poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
         fill_rates(*self._arrays, t_ns - self._start_ns, rates)
         return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
@@ -51,24 +51,24 @@ class Pieces:
 class RecordedMotion(Pieces):
     """Recorded poses, interpolated with two continuous derivatives in position and rotation.
 
-    Positions are a cubic spline. So are the quaternions, each taken with the sign that is nearer to the
-    one before; scaled to unit length they are the rotation. On a steady turn of 10 degrees from pose to
-    pose the rotation is right within 1e-6 rad.
+    Positions and quaternions are cubic splines. Each quaternion has the sign that is nearer to the one
+    before, and the spline scaled to unit length is the rotation. On a steady turn of 10 degrees from pose
+    to pose the rotation is correct within 1e-6 rad.
 
-    Raises TrajectoryError if poses are farther apart in time than the greatest gap, turn by more than 90 degrees from
-    one to the next, or are spaced too unevenly for a smooth turn.
+    Raises TrajectoryError if the time between two poses is above the greatest gap, the turn between them is above
+    90 degrees, or times are too uneven for a smooth turn.
 
     Parameters
     ----------
     recorded : greatest gap between poses, place and axes of the recording
-    poses : as recorded
+    poses : recorded poses
     start_ns : UTC of the first pose
     """
 
     def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
         knots_ns = poses.t_ns - poses.t_ns[0]
         self.run_time_s = float(knots_ns[-1] / S_NS)
-        quaternion = _continuous(poses.quaternion)
+        quaternion = _sign_continuous(poses.quaternion)
         _check_steps(poses, knots_ns, quaternion, recorded.max_gap_s)
         position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
         powers = interpolant(knots_ns / S_NS, np.column_stack([position_m, quaternion])).powers[::-1]
@@ -87,13 +87,13 @@ class RecordedMotion(Pieces):
 
 
 def _refuse(poses: RecordedPoses, values: F8, most: float, found: str, expected: str) -> None:
-    """Refuse the first step (n - 1,) from pose to pose whose value, which may stand in `found`, is above the most."""
+    """Raise TrajectoryError for the first step (n - 1,) between poses whose value is above `most`; `found` formats it."""
     if (values > most).any():
         i = int((values > most).argmax())
         raise TrajectoryError(poses.where[i + 1], found.format(values[i]), expected)
 
 
-def _continuous(quaternion: F8) -> F8:
+def _sign_continuous(quaternion: F8) -> F8:
     """Return the same rotations (n, 4), each with the sign that is nearer to the one before."""
     flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
     sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
@@ -108,10 +108,10 @@ def _check_steps(poses: RecordedPoses, knots_ns: I8, quaternion: F8, max_gap_s: 
 
 
 def check_places(position_m: F8, site: Site, reach_m: float) -> None:
-    """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
+    """Warn of poses (n, 3) in map coordinates, below the ground, or farther above it than the sensor sees."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - site.height_m(*plan_m.T)
-    if (norm(plan_m - site.origin_m[:2]) < norm(plan_m)).all():  # the origin as maps have it is nearer than (0, 0)
+    if (norm(plan_m - site.origin_m[:2]) < norm(plan_m)).all():  # the origin in map coordinates is nearer than (0, 0)
         _log.warning(
             "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
             " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",
@@ -126,7 +126,7 @@ def check_places(position_m: F8, site: Site, reach_m: float) -> None:
 
 
 def _placed(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]:
-    """Positions (n, 3) and quaternions (n, 4) in axes of the world, about the recording's origin."""
+    """Return positions (n, 3) and quaternions (n, 4) in world axes, relative to the recording's origin."""
     if recorded.axes == "camera":
         # Forward is the camera's z, left its -x, up its -y, in the recording's frame and in the body's:
         # the same turn before and after, which for a quaternion permutes its vector part.
@@ -145,8 +145,8 @@ def _placed(recorded: Recorded, position_m: F8, quaternion: F8) -> tuple[F8, F8]
 
 
 @numba.njit(cache=True, nogil=True)
-def _piece(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
-    """Piece that holds an instant, and seconds into it; instants beyond the ends fall on them."""
+def _piece_at(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
+    """Return the piece that contains an instant, and the seconds since its start; instants beyond an end count as the end."""
     t = min(max(elapsed_ns, 0), knots_ns[-1])
     piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
     return piece, (t - knots_ns[piece]) * 1e-9
@@ -154,10 +154,10 @@ def _piece(knots_ns: I8, elapsed_ns: int) -> tuple[int, float]:
 
 @numba.njit(cache=True, nogil=True)
 def fill_poses(knots_ns: I8, coefficients: F8, elapsed_ns: I8, position_m: F8, turn: F8) -> None:
-    """Evaluate the pieces, each instant alone."""
+    """Evaluate the pieces, each instant on its own."""
     value = np.empty(7)
     for i in range(elapsed_ns.size):
-        piece, d = _piece(knots_ns, elapsed_ns[i])
+        piece, d = _piece_at(knots_ns, elapsed_ns[i])
         for a in range(7):
             c0, c1 = coefficients[0, piece, a], coefficients[1, piece, a]
             value[a] = ((c0 * d + c1) * d + coefficients[2, piece, a]) * d + coefficients[3, piece, a]
@@ -185,7 +185,7 @@ def fill_rates(knots_ns: I8, coefficients: F8, elapsed_ns: I8, rates: F8) -> Non
         if elapsed_ns[i] < 0 or elapsed_ns[i] > knots_ns[-1]:
             rates[:, i] = 0.0
             continue
-        piece, d = _piece(knots_ns, elapsed_ns[i])
+        piece, d = _piece_at(knots_ns, elapsed_ns[i])
         for a in range(7):
             c = coefficients[:, piece, a]
             first, second = (3.0 * c[0] * d + 2.0 * c[1]) * d + c[2], 6.0 * c[0] * d + 2.0 * c[1]

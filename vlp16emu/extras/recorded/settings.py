@@ -14,31 +14,31 @@ if TYPE_CHECKING:  # scenes are read without numpy
 
 
 class Recorded(MotionSection):
-    """Poses in a file, with the first at the start of the run."""
+    """Poses from a file; the first one is at the start of the run."""
 
     kind: Literal["recorded"]
     """Selects recorded poses."""
     file: SceneFile
-    """Path of the file, from the folder of the scene file."""
+    """Path of the file, relative to the folder of the scene file."""
     format: Literal["tum", "csv", "kitti"]
     """t x y z qx qy qz qw; CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz, qw; 12 numbers of a matrix."""
     times_file: SceneFile | None = None
-    """Time of each KITTI pose in seconds, one to a line."""
+    """File with the time of each KITTI pose in seconds, one per line."""
     rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = None
-    """Rate of KITTI poses, where no file gives their times."""
+    """Rate of KITTI poses if no file gives their times."""
     max_gap_s: Positive = 1.0
     """Poses farther apart in time are refused."""
     axes: Literal["body", "camera"] = "body"
     """body: x forward, z up, in the file's poses and in their world; camera: z forward, y down, in both (KITTI)."""
     x_m: Place = 0.0
-    """Place in the world of the file's origin, with `y_m` and `z_m`; of poses in map coordinates the world's `origin_m` with
-    its signs turned, for that is not taken off them."""
+    """Position of the file's origin in the world, with `y_m` and `z_m`. For poses in map coordinates give the negative
+    of the world's `origin_m`, which is not subtracted from them."""
     y_m: Place = 0.0
     """See `x_m`."""
     z_m: Place = 0.0
     """See `x_m`."""
     yaw_deg: Angle = 0.0
-    """Where the file's x axis points, counter-clockwise from east."""
+    """Direction of the file's x axis, counter-clockwise from east."""
 
     @model_validator(mode="after")
     def _times_of_kitti(self) -> Self:

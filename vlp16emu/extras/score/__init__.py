@@ -1,1 +1,1 @@
-"""Scores of a pipeline under test against the truth of a run, from files of any tool."""
+"""Scores of a pipeline under test against the ground truth of a run, from files of any tool."""

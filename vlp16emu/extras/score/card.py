@@ -1,4 +1,4 @@
-"""Scores of a pipeline from the files it gives, and the thresholds that they are compared with."""
+"""Scores of a pipeline from its output files, and thresholds for the scores."""
 
 import math
 import operator
@@ -24,18 +24,18 @@ Cloud = Mapping[str, NDArray[Any]]
 
 WITHIN_M = (0.05, 0.1, 0.2)  # distances for precision and completeness of a map
 SAME_POINT_M = 0.02
-"""A labelled point stands for the nearest true one within this distance: half a beam's width near the sensor."""
-LEAST_POINTS = 10  # least number of points of a tree that counts as seen: fewer make neither a stem nor a box
+"""A labelled point represents the nearest true point within this distance: half a beam's width near the sensor."""
+LEAST_POINTS = 10  # least number of points of a visible tree: fewer give neither a stem nor a box
 REGION_M = 20.0  # radius around the first true position in which density and uniformity of a map are measured
 _BREAST_M = 0.1  # half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m
 _SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
-Limit = tuple[str, str, float]  # a threshold: the name of a score, the sign, and the bound, which NaN never keeps
+Limit = tuple[str, str, float]  # a threshold: name of a score, sign and bound; NaN never meets it
 
 
 @dataclass(frozen=True, slots=True)
 class TreeRow:
-    """A true tree, a found one, or a pair of them."""
+    """A true tree, a found tree, or a pair of both."""
 
     true_id: str  # number in the inventory; empty if a found tree is false
     list_line: str  # line of the user's stem list that named the true tree
@@ -44,26 +44,26 @@ class TreeRow:
     y_m: float
     position_error_m: float
     true_dbh_m: float
-    dbh_error_m: float  # found minus true
+    dbh_error_m: float  # found value minus true value
     hits: int | None  # true points on the stem from 1.2 to 1.4 m over the foot; None without labelled true points
 
     @property
     def kind(self) -> str:
-        """Whether the tree is `found`, `missed`, or `false`: found where none is."""
+        """One of `found`, `missed` and `false`, which is a found tree without a true one."""
         return "false" if not self.true_id else "found" if self.found_number else "missed"
 
 
 @dataclass(slots=True)
 class ScoreCard:
-    """Scores, and what they are made of."""
+    """Scores, with the data behind them."""
 
     inputs: ScoreInputs
     scores: dict[str, float] = field(default_factory=dict)
-    notes: dict[str, str] = field(default_factory=dict)  # how groups of scores are measured
+    notes: dict[str, str] = field(default_factory=dict)  # description of the measure by group of scores
     trees: list[TreeRow] = field(default_factory=list)
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
-        """Return the thresholds that are not kept, with the values, as text; InputError if there is no score of that name."""
+        """Return the failed thresholds, with the values, as text; InputError if there is no score of that name."""
         missed = []
         for name, sign, bound in limits:
             if name not in self.scores:
@@ -86,9 +86,9 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
 
 
 def make_card(inputs: ScoreInputs) -> ScoreCard:
-    """Score everything that is given.
+    """Compute all scores that the given files allow.
 
-    InputError if a file is wrong, or is given without its ground truth; MissingExtraError if the library of a file is not installed.
+    InputError if a file is malformed, or its ground truth is missing; MissingExtraError without the library for a file.
     """
     if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
         raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
@@ -128,7 +128,7 @@ def _need(true: Cloud, *names: str) -> None:
 
 
 def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
-    """Score labels at the true points; a true point without a point near has no label."""
+    """Score labels at the true points; a true point without a near labelled point has no label."""
     from scipy.spatial import KDTree
 
     away_m, nearest = KDTree(found["xyz"]).query(true["xyz"])
@@ -143,7 +143,7 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
         card.scores |= measures.leaf_wood_scores(labels, np.where(is_tree, true["leaf_wood"], 0))
     if "instance" in found:
         trees = np.where(is_tree, true["instance"], 0)
-        if "semantic" in found:  # ours number shrubs and stones too
+        if "semantic" in found:  # our instances include shrubs and stones
             found = {**found, "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0)}
         card.scores |= measures.instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
         boxes, counts = measures.boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
@@ -158,7 +158,7 @@ def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ..
     hits: list[int | None] = [None] * len(trees)
     seen = trees
     if true is not None:
-        on_stem, points = _hits(trees, true)
+        on_stem, points = _point_counts(trees, true)
         kept = [i for i, count in enumerate(points) if count >= LEAST_POINTS]
         seen, hits = tuple(trees[i] for i in kept), [on_stem[i] for i in kept]
     pairs = measures.match_stems(found, seen, card.inputs.radius_m)
@@ -178,8 +178,8 @@ def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
     return TreeRow(*names, place.x_m, place.y_m, off_m, true.dbh_m, one.dbh_m - true.dbh_m, hits)
 
 
-def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
-    """Return the number of points of each tree: on the stem at breast height, and in all."""
+def _point_counts(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
+    """Return the number of points of each tree: on the stem at breast height, and in total."""
     _need(true, "instance", "part")
     numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])
     order = np.argsort(numbers)

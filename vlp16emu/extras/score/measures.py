@@ -9,7 +9,7 @@ from vlp16emu.extras.score.files import Stem
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.types import F8, I8
 
-_DISKS, _SHARE, _SEED = 9000, 0.01, 1  # disks of PU-Net, the share of the area of each, and what places them
+_DISKS, _SHARE, _SEED = 9000, 0.01, 1  # disks of PU-Net, the share of the area of each, and the seed of their places
 _COCO = tuple(np.arange(50, 100, 5) / 100)
 """Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
 
@@ -38,8 +38,8 @@ def cloud_distances(found: F8, true: F8, within_m: tuple[float, ...]) -> dict[st
 def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return points (n, 2) per square metre of plan within a circle, an indicator of a sensor's placement.
 
-    After Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a region of interest;
-    here the region is a circle around the viewpoint.
+    Source: Cai et al., Analyzing Infrastructure LiDAR Placement, arXiv 2211.15975, which counts points of a region of
+    interest; here the region is a circle around the viewpoint.
     """
     inside = ((xy_m - centre_m) ** 2).sum(axis=1) <= radius_m**2
     return float(inside.sum() / (math.pi * radius_m**2))
@@ -48,9 +48,10 @@ def density_per_m2(xy_m: F8, centre_m: F8, radius_m: float) -> float:
 def uniformity(xy_m: F8, centre_m: F8, radius_m: float) -> float:
     """Return the normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even.
 
-    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the area,
-    `_SHARE`, there 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on
-    the surfaces of objects, these lie in the plan, wholly within the circle. NaN without points in the circle.
+    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the
+    area, `_SHARE`, in the paper 0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the
+    disks. The paper's disks are on surfaces of objects; here they are horizontal, wholly within the circle. NaN without
+    points in the circle.
     """
     from scipy.spatial import KDTree
 
@@ -66,7 +67,7 @@ def uniformity(xy_m: F8, centre_m: F8, radius_m: float) -> float:
 
 
 def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) -> list[tuple[int, int]]:
-    """Pair stems, each once and within a radius: the most pairs, and of those the least sum of distances.
+    """Pair stems, each once and within a radius: as many pairs as possible, with the least sum of distances.
 
     Returns indices into `found` and `true`.
     """
@@ -74,7 +75,7 @@ def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) ->
 
     places = [np.array([(stem.x_m, stem.y_m) for stem in stems]).reshape(-1, 2) for stems in (found, true)]
     apart_m = np.linalg.norm(places[0][:, None] - places[1], axis=-1)
-    # A pair too far apart costs more than all pairs that may be.
+    # A pair beyond the radius costs more than all possible pairs within it.
     cost = np.where(apart_m <= radius_m, apart_m, (radius_m + 1) * (min(apart_m.shape) + 1))
     rows, columns = linear_sum_assignment(cost)
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if apart_m[i, j] <= radius_m]
@@ -92,7 +93,7 @@ def stem_scores(found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tup
 
 
 def leaf_wood_scores(found: I8, true: I8) -> dict[str, float]:
-    """Return accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over points whose true label is one of them."""
+    """Return accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over points whose true label is 1 or 2."""
     known = true > 0
     found, true = found[known], true[known]
     scores = {"leaf_wood_accuracy": float((found == true).mean()) if known.any() else math.nan}
@@ -106,7 +107,7 @@ def leaf_wood_scores(found: I8, true: I8) -> dict[str, float]:
 def instance_scores(found: I8, true: I8) -> dict[str, float]:
     """Return panoptic, segmentation and recognition quality of instances (n,) of points, 0 for none.
 
-    Kirillov et al., Panoptic Segmentation, CVPR 2019: pairs of more than 0.5 intersection over union are matches.
+    Kirillov et al., Panoptic Segmentation, CVPR 2019: pairs with an intersection over union above 0.5 are matches.
     """
     names, rows = np.unique(found, return_inverse=True)
     known, columns = np.unique(true, return_inverse=True)
@@ -122,7 +123,7 @@ def instance_scores(found: I8, true: I8) -> dict[str, float]:
 
 
 def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
-    """Return axis-aligned boxes (k, 2, 3) around the points of each instance that has enough, and their counts (k,)."""
+    """Return axis-aligned boxes (k, 2, 3) around each instance with enough points, and the numbers of points (k,)."""
     names, counts = np.unique(instance[instance > 0], return_counts=True)
     names, counts = names[counts >= least_points], counts[counts >= least_points]
     boxes = [(of.min(axis=0), of.max(axis=0)) for name in names if len(of := xyz_m[instance == name])]
@@ -132,8 +133,9 @@ def boxes_of(xyz_m: F8, instance: I8, least_points: int) -> tuple[F8, I8]:
 def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
     """Return average precision of boxes (k, 2, 3) against the true ones, by intersection over union in 3D.
 
-    Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at 0.25 and 0.5, `box_map` the mean
-    over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are taken by falling confidence, each true box once.
+    Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at
+    0.25 and 0.5, `box_map` the mean over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are matched by falling confidence,
+    each true box once.
     """
     order = np.argsort(-confidence, kind="stable")
     overlap = _overlaps(found[order], true)
@@ -151,7 +153,7 @@ def _overlaps(found: F8, true: F8) -> F8:
 
 
 def _average_precision(overlap: F8, limit: float) -> float:
-    """Return the area under precision over recall of boxes in order of confidence; NaN without true boxes."""
+    """Return the area under precision over recall of boxes sorted by confidence; NaN without true boxes."""
     n_found, n_true = overlap.shape
     if not n_true:
         return math.nan

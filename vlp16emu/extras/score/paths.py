@@ -1,4 +1,4 @@
-"""Error of a trajectory, by evo."""
+"""Errors of a trajectory, computed by evo."""
 
 import math
 from pathlib import Path
@@ -12,27 +12,27 @@ from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.types import F8
 from vlp16emu.units import MS_NS, S_NS
 
-RPE_DELTA_M = 1.0  # length of path for relative errors, which short walks have too
+RPE_DELTA_M = 1.0  # length of path for relative errors, short enough for short walks
 DRIFT_M = (10.0, 100.0)  # lengths of path for drift; KITTI's are 100 to 800 m (Geiger et al., CVPR 2012, section 3.2)
-_MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS  # three sweeps, and how finely they are searched
-_LEAST_POSES, _FLAT_M = 10, 1e-4  # fewer poses, or a motion this even, say nothing about stamps
+_MOST_OFFSET_NS, _OFFSET_STEP_NS = 300 * MS_NS, 10 * MS_NS  # three sweeps, and the step of the search
+_LEAST_POSES, _FLAT_M = 10, 1e-4  # fewer poses, or a motion this uniform, do not determine the offset of stamps
 
 
 def score_path(
     file: Path, times: Path | None, truth: Path, unit: int, alignment: str
 ) -> tuple[dict[str, float], int, int]:
-    """Compare a trajectory with the truth at its own stamps, between which the truth is interpolated.
+    """Compare a trajectory with the ground truth, which is interpolated to the trajectory's stamps.
 
-    TrajectoryError, InputError if one is no trajectory, or they have fewer than three instants in common.
+    TrajectoryError, InputError if one of them is no trajectory, or they have fewer than three instants in common.
 
     The file is TUM, or KITTI if `times` has a time in seconds for each pose; truth and unit are as in `Trajectory`.
 
     Returns
     -------
     scores: `ate_m` RMSE of positions, `ate_max_m`, `rpe_m` and `rpe_deg` RMSE over `RPE_DELTA_M` of path; `drift_10m_percent`
-    and `drift_100m_percent`, the mean relative error of positions over such stretches, NaN on a shorter path; `stamp_offset_s`
-    to add to the estimate's stamps, NaN where the motion is too even to say; the number of poses; and how many more are outside
-    the time of the truth
+    and `drift_100m_percent`, the mean relative error of positions over such lengths, NaN on a shorter path; `stamp_offset_s`
+    to add to the estimate's stamps, NaN if the motion is too uniform to determine it; the number of poses; and the number
+    of poses outside the time of the ground truth
     """
     try:
         from evo.core import metrics
@@ -70,9 +70,9 @@ def score_path(
 
 
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
-    """Return what to add to the estimate's stamps so that its steps from pose to pose are most like the true ones.
+    """Return the offset to add to the estimate's stamps that best fits its steps between poses to the true steps.
 
-    Steps need no alignment, and the swing of each pace shows its time. NaN if there are too few poses, or the motion is too even.
+    Steps need no alignment, and the swing of each pace marks its time. NaN for too few poses or too uniform a motion.
     """
     from scipy.spatial.transform import Rotation
 
@@ -94,13 +94,13 @@ def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:
     best = int(unlike.argmin())
     if not 0 < best < len(unlike) - 1 or np.ptp(unlike) < _FLAT_M:
         return math.nan
-    before, at, after = unlike[best - 1 : best + 2] ** 2  # a parabola, near the least
+    before, at, after = unlike[best - 1 : best + 2] ** 2  # a parabola through the minimum
     bend = before - 2.0 * at + after
     return float(offsets_ns[best] + 0.5 * _OFFSET_STEP_NS * (before - after) / bend) / S_NS
 
 
 def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
-    """Return trajectories of evo, true and found, at the same instants."""
+    """Return the true and the found trajectory, as evo's classes, at the same instants."""
     from evo.core.geometry import GeometryException, umeyama_alignment
     from evo.core.trajectory import PoseTrajectory3D
     from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""Ground truth beside a run: a folder of text files that grow with it and are readable at any time."""
+"""Folder of ground truth beside a run: text files that grow with it and are readable at any time."""
 
 import ctypes
 import json
@@ -22,31 +22,31 @@ from vlp16emu.units import S_NS
 _FILES = re.compile(
     r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json|(packets|trajectory)(_\d+)?\.tum"
     r"|returns(_\d+)?\.parquet"
-)  # names of all files that a run may write
+)  # names of all files of a run
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # arguments of renameat2(2). Source: linux/fcntl.h and linux/fs.h.
 
 
 class TruthFolder:
-    """A folder for the truth of one run; a context manager.
+    """A folder for the ground truth of one run; a context manager.
 
-    It is made as NAME.xxxxxxxx.part, and its files grow in it, at `path`. At the end it takes its name as `OutputFile` does, in
-    one step: what stood under the name until then is as it was, or all of it is replaced. After an error the samples so far stay
-    in `path`.
+    It is created as NAME.xxxxxxxx.part, at `path`, and its files grow there. At the end it gets its name in one step,
+    like an `OutputFile`: an earlier folder of this name is unchanged until then and is then replaced as a whole. After
+    an error the samples so far stay in `path`.
 
     Parameters
     ----------
-    path : new, empty, or with nothing in it but the truth of an earlier run; missing parents are made
+    path : new, empty, or with only the ground truth of an earlier run; missing parents are created
     inputs : files that the run itself reads
 
-    Raises OutputError if the folder cannot be made, holds something else or one of the inputs, or another run writes
-    it.
+    Raises OutputError if the folder cannot be created, contains other files or one of the inputs, or another run
+    writes it.
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:
         self._where = str(path)
         with opening(self._where, "a folder that can be written"):
             self._final = final_name(path)
-            if self._final.is_mount() or self._final == Path.cwd():  # which cannot be renamed, or not under our feet
+            if self._final.is_mount() or self._final == Path.cwd():  # these cannot be renamed, or must not be
                 raise OutputError(self._where, "is a mount point or the working folder", "a folder in it")
             self._check()
             for file in self._final.iterdir() if self._final.exists() else ():
@@ -82,9 +82,9 @@ class TruthFolder:
             self._close()
 
     def append(self, name: str, text: str) -> None:
-        """Add whole lines to a file and hand them to the operating system.
+        """Append whole lines to a file and pass them to the operating system.
 
-        If that fails, the lines so far stay, nothing more is written, and it is a `RunError`.
+        Raises RunError if that fails; the lines so far stay, and nothing more is written.
         """
         if self._failed:
             raise self._failed
@@ -101,7 +101,7 @@ class TruthFolder:
             self._check()
             if self._final.exists():
                 _exchange(self.path, self._final)
-                with suppress(OSError):  # what cannot be removed of the earlier run stays beside the new one
+                with suppress(OSError):  # files of the earlier run that cannot be removed stay beside the new folder
                     for file in self.path.iterdir():
                         file.unlink()
                     self.path.rmdir()
@@ -112,13 +112,13 @@ class TruthFolder:
             raise RunError(f"{self._where}: {found}; it is left as {self.path}") from error
 
     def _check(self) -> None:
-        if self._final.exists() and (found := _stranger(self._final)) is not None:
+        if self._final.exists() and (found := _foreign_entry(self._final)) is not None:
             expected = "a new or empty folder, or one with the truth of an earlier run"
             raise OutputError(self._where, f"holds {found}", expected)
 
 
 def read_json(path: Path, expected: str) -> Any:
-    """Read a JSON file of a folder with truth; InputError if it cannot be read or is none."""
+    """Read a JSON file of a folder with ground truth; InputError if it cannot be read or is no JSON."""
     with readable(path, expected, InputError):
         try:
             return json.loads(path.read_text(encoding="utf-8"))
@@ -127,13 +127,13 @@ def read_json(path: Path, expected: str) -> Any:
 
 
 def _append(file: FileIO, lines: bytes) -> None:
-    """Add lines; where that fails, or is interrupted, the file ends with a whole one."""
+    """Append lines; if that fails, or is interrupted, the file ends with a whole line."""
     begin, written = file.tell(), 0
     try:
-        while written < len(lines):  # a full disk takes what fits and refuses only the next byte
+        while written < len(lines):  # a full disk takes the bytes that fit and refuses the next one
             written += file.write(lines[written:])
     except BaseException:
-        with suppress(OSError):  # a device has no end that could be cut
+        with suppress(OSError):  # a device cannot be truncated
             there = os.fstat(file.fileno()).st_size - begin
             file.seek(begin + lines.rfind(b"\n", 0, there) + 1)
             file.truncate()
@@ -141,16 +141,16 @@ def _append(file: FileIO, lines: bytes) -> None:
 
 
 def seconds_text(t_ns: int) -> str:
-    """Write an instant in seconds with all nine decimals, which a float does not hold."""
+    """Return an instant in seconds with all nine decimals, which a float cannot represent."""
     return f"{t_ns // S_NS}.{t_ns % S_NS:09d}"
 
 
 def tum_rows(poses: Poses | Kinematics) -> str:
-    """Write poses as lines `t x y z qx qy qz qw` of the TUM RGB-D benchmark, qw never negative.
+    """Return poses as lines `t x y z qx qy qz qw` of the TUM RGB-D benchmark, qw never negative.
 
-    UTC seconds, metres, and the rotation that takes coordinates of the body to those of the world.
+    UTC seconds, metres, and the rotation from body axes to world axes.
     """
-    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
+    from scipy.spatial.transform import Rotation  # here: the import takes 0.1 s, and few runs need it
 
     quaternions = Rotation.from_matrix(poses.world_R_body).as_quat(canonical=True)
     lines = [
@@ -162,8 +162,8 @@ def tum_rows(poses: Poses | Kinematics) -> str:
     return "".join(lines)
 
 
-def _stranger(folder: Path) -> str | None:
-    """Name an entry that is none of ours; without the scenario of an earlier run the folder is somebody else's."""
+def _foreign_entry(folder: Path) -> str | None:
+    """Return the name of an entry that no run writes, if any; a folder without the scenario of an earlier run is not ours."""
     present = sorted(folder.iterdir())
     strange = [file for file in present if not _FILES.fullmatch(file.name) or not stat.S_ISREG(file.lstat().st_mode)]
     tree = None

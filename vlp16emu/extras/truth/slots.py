@@ -1,4 +1,4 @@
-"""The truth behind each record of the data packets of a run, as a table in Parquet: written, and read beside its capture."""
+"""Ground truth of each record of the data packets of a run, as a Parquet table: writer, and reader beside the capture."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,12 +20,12 @@ _LABELS = ("semantic", "part", "instance", "species")
 
 
 def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]:
-    """Return `SLOT` (n, 384) of whole packets, in the order of their records: block by block, and by channel.
+    """Return `SLOT` (n, 384) of whole packets, in the order of their records: by block, then by channel.
 
     Parameters
     ----------
-    returns : with truth, as `pack_data` takes them
-    mode : which returns are sent
+    returns : returns with ground truth, as `pack_data` takes them
+    mode : return mode
     """
     shape = returns.distance_m.shape[:2]
     if mode is ReturnMode.DUAL:
@@ -33,14 +33,14 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
         pairs = [_rows(unit, returns, column) for column in (last, odd)]
         of_last = returns.distance_m[..., 1] == returns.distance_m[..., 0]
         pairs[1]["repeat"] = (odd == 0) & of_last & (pairs[1]["echo"] != NO_ECHO)
-        rows = np.stack([pair.reshape(-1, 32) for pair in pairs], axis=1)  # two blocks to two firing sequences
+        rows = np.stack([pair.reshape(-1, 32) for pair in pairs], axis=1)  # two blocks per two firing sequences
     else:
         rows = _rows(unit, returns, np.full(shape, _ONLY_COLUMN[mode]))
     return rows.reshape(-1, RECORDS_PER_PACKET)
 
 
 def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
-    """Return `SLOT` (k, 16) of one return of each pulse, by its place (k, 16) on the last axis."""
+    """Return `SLOT` (k, 16) of one return of each pulse, given by its index (k, 16) on the last axis."""
 
     def taken(values: NDArray[Any] | None) -> NDArray[Any]:
         assert values is not None
@@ -58,7 +58,7 @@ def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
     rows["world_m"] = world_m
     rows["sensor_m"] = matvec(poses.world_R_body.swapaxes(-1, -2), away_m).reshape(world_m.shape)
     assert returns.surfaces is not None
-    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of no surface
+    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row stands for no surface
     met = surfaces[np.minimum(np.where(is_sent, taken(returns.surface), len(returns.surfaces)), len(returns.surfaces))]
     for name in _LABELS:
         rows[name] = met[name]
@@ -68,25 +68,25 @@ def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
 SLOT = np.dtype(
     [
         ("t_ns", "<i8"),  # UTC of the pulse
-        ("echo", "u1"),  # which return it is, place on the last axis of `Returns`; `NO_ECHO` without any
+        ("echo", "u1"),  # index of the return on the last axis of `Returns`; `NO_ECHO` for none
         ("range_m", "<f4"),  # before errors of range and the 2 mm of the wire
-        ("sensor_m", "<f4", 3),  # at that range, in the sensor at the instant of the pulse
+        ("sensor_m", "<f4", 3),  # at this range, in the sensor's frame at the instant of the pulse
         ("world_m", "<f8", 3),
         ("semantic", "u1"),
         ("part", "u1"),
         ("instance", "<u4"),
         ("species", "<u2"),
-        ("share", "<f4"),  # of the footprint that met the surface of the return
-        ("repeat", "?"),  # in dual return: of the same return as the record of the block before
+        ("share", "<f4"),  # share of the footprint on the surface of the return
+        ("repeat", "?"),  # in dual return: the same return as in the record of the block before
     ]
-)  # truth behind one record of a data packet
+)  # ground truth of one record of a data packet
 
 NO_ECHO = 255  # echo of a record without distance
 LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)  # leaf (2) or wood (1) by `PlantPart`; 0 neither
 
-_GROUP = 256  # packets of a row group, 98 304 rows: what is held in memory, some 20 MB
+_GROUP = 256  # packets of a row group, 98 304 rows: some 20 MB in memory
 _CHANNELS = 32
-_LATE = 64  # by how many packets one may be late in a capture
+_LATE = 64  # greatest lateness of a packet in a capture, in packets
 _EXPECTED = "the returns.parquet of the run that made the capture (`record --truth DIR --truth-returns`)"
 
 SLOT_COLUMNS = {
@@ -101,13 +101,13 @@ SLOT_COLUMNS = {
     "species": "uint16",
     "share": "float32",
     **dict.fromkeys(("miss", "repeat"), "bool"),
-}  # columns with their types; of a record without distance those from `echo` to `share` are null
+}  # columns with their types; in a record without distance the columns from `echo` to `share` are null
 _OF_RETURNS = tuple(SLOT_COLUMNS)[5:-2]
 _FLOATS = [name for name in _OF_RETURNS if SLOT_COLUMNS[name].startswith("float")]
 
 
 class SlotTable:
-    """Writes a row for each record of the data packets that it is given; a context manager, after which the file is readable.
+    """Writer of a row for each record of data packets; a context manager, after which the file is readable.
 
     Raises MissingExtraError if pyarrow is not installed; OutputError if the file cannot be opened.
     """
@@ -138,7 +138,7 @@ class SlotTable:
             self._file.close()
 
     def add(self, packet: Packet) -> None:
-        """Add the records of a data packet, whose number is how many came before it; `RunError` if they cannot be written."""
+        """Add the records of the next data packet; `RunError` if they cannot be written."""
         self._held.append(packet)
         if len(self._held) == _GROUP:
             try:
@@ -179,10 +179,10 @@ class SlotTable:
 class SlotReader:
     """Rows of a table behind the records of a capture of the same run, in the order of the capture.
 
-    A packet of the capture is found by its time stamp, from the one before on, so that some of the run's packets may be
-    missing, twice, or late by up to 64.
+    A packet of the capture is found by its time stamp, starting from the packet before, so packets of the run may be
+    missing, repeated, or late by up to 64.
 
-    Raises MissingExtraError if pyarrow is not installed; InputError if the file is no such table.
+    Raises MissingExtraError if pyarrow is not installed; InputError if the file is not such a table.
     """
 
     def __init__(self, path: Path) -> None:
@@ -197,7 +197,7 @@ class SlotReader:
                 raise InputError(str(path), f"no column {min(missing)}", _EXPECTED)
         except pa.ArrowException as error:
             raise InputError(str(path), str(error).splitlines()[0], _EXPECTED) from None
-        self._begin = np.cumsum([0, *map(len, stamps)])  # of the row groups, in packets
+        self._begin = np.cumsum([0, *map(len, stamps)])  # first packet of each row group
         self._stamps_us = np.concatenate([np.zeros(0, np.uint32), *stamps])
         self._held: tuple[int, dict[str, NDArray[Any]]] = (-1, {})
 
@@ -206,12 +206,12 @@ class SlotReader:
 
         Parameters
         ----------
-        stamp_us : (p,) of the packets, which follow on those of the call before
-        packet : (n,) row of `stamp_us`, rising
-        slot : (n,) place in the packet, 32 times the block and the channel
+        stamp_us : (p,) time stamps of the packets, which follow the packets of the call before
+        packet : (n,) row of `stamp_us`, ascending
+        slot : (n,) index in the packet, 32 times the block plus the channel
 
-        Raises InputError if the table does not hold such a packet, or has no return there: the capture is of another
-        run.
+        Raises InputError if the table does not hold such a packet, or has no return there: the capture belongs to
+        another run.
         """
         number = self._numbers(stamp_us)[packet]
         group = np.searchsorted(self._begin, number, side="right") - 1
@@ -253,7 +253,7 @@ class SlotReader:
         return numbers
 
     def _read(self, group: int, names: list[str]) -> dict[str, NDArray[Any]]:
-        """Read columns of a row group; 0 where there is no return."""
+        """Return columns of a row group; 0 for records without a return."""
         table = self._file.read_row_group(group, columns=names)
         columns = ((name, table[name]) for name in names)
         return {name: (column.fill_null(0) if column.null_count else column).to_numpy() for name, column in columns}
@@ -269,6 +269,6 @@ def _pyarrow() -> tuple[Any, Any]:  # it has no types
 
 
 def _stamp_us(payload: bytes) -> int:
-    """Read the time stamp of a packet; 0 of one that was cut short."""
+    """Return the time stamp of a packet; 0 for a truncated packet."""
     at = DATA_PAYLOAD.fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
     return int.from_bytes(payload[at : at + 4], "little") if len(payload) == DATA_BYTES else 0

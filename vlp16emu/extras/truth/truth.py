@@ -1,4 +1,4 @@
-"""Ground truth beside what was sent: trajectory, inertial unit, GNSS, events, rig and scenario of a run."""
+"""Ground truth of a run: trajectory, inertial unit, GNSS, events, rig and scenario."""
 
 import heapq
 import threading
@@ -37,20 +37,20 @@ from vlp16emu.units import S_NS, seconds_to_ns
 
 @dataclass(frozen=True, slots=True, order=True)
 class Happening:
-    """An event, and the packets of one kind that are due while it lasts; or one packet that an event hits."""
+    """An event with the packets of one kind that are due while it lasts, or one packet that an event hits."""
 
-    begin_ns: int  # UTC, as the next
+    begin_ns: int  # UTC, like the next field
     end_ns: int
     event: int  # number of the table in the scene, from 1
     unit: int  # from 1
     kind: str
     packets: PacketKind
-    first: int  # number of the first packet from its begin on, from 0 at the first pulse of the run
-    count: int  # packets until its end
+    first: int  # number of the first packet after its begin; packets count from 0 at the first pulse of the run
+    count: int  # number of packets until its end
 
     @property
     def row(self) -> str:
-        """Line of `events.csv`."""
+        """Return its line of `events.csv`."""
         last = str(self.first + self.count - 1) if self.count else ""
         cells = seconds_text(self.begin_ns), seconds_text(self.end_ns), self.event, self.unit, self.kind, self.packets
         return ",".join(map(str, (*cells, self.first, last, self.count))) + "\n"
@@ -59,15 +59,15 @@ class Happening:
 def happenings(
     scenario: Scenario, units: Sequence[Unit], from_ns: int | None, until_ns: int, stop_ns: int
 ) -> list[Happening]:
-    """List what begins to happen in a span of time since the first pulse.
+    """Return the events that begin in a span of time since the first pulse.
 
-    Events that hit each packet with a probability are listed packet by packet, as these are due.
+    Events that hit each packet with a probability are listed packet by packet, in order of due time.
 
     Parameters
     ----------
-    from_ns : of the span; None with what began earlier
+    from_ns : begin of the span; None to include earlier events
     until_ns : end of the span
-    stop_ns : end of the run, and of what lasts longer
+    stop_ns : end of the run, and of events that last longer
     """
     found = list[Happening]()
     for place, event in enumerate(scenario.events):
@@ -114,9 +114,9 @@ def _single(
 
 
 def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
-    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so that no light is cast.
+    """Yield the packets due in a span since the first pulse in order of sending, without bytes, so no ray is cast.
 
-    Of a sensor without packets, as many firing sequences at a time.
+    A sensor without packets yields one for each group of as many firing sequences.
     """
 
     def data(unit: Unit) -> Iterator[Packet]:
@@ -148,28 +148,28 @@ IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
 _IMU_COLUMNS = ("t_utc_s", *IMU_AXES, *(f"true_{axis}" for axis in IMU_AXES), *(f"bias_{axis}" for axis in IMU_AXES))
 _OF_UNITS = ("name", "model", "serial_number", "address", "data_port", "position_port")  # keys of a unit in `rig.json`
-ATTITUDE = ("qx", "qy", "qz", "qw")  # columns behind them of a unit that reports its attitude: world_R_imu
-STAMP = "stamp_utc_s"  # column behind all others of a unit whose time stamps are late
+ATTITUDE = ("qx", "qy", "qz", "qw")  # further columns for a unit that reports its attitude: world_R_imu
+STAMP = "stamp_utc_s"  # last column for a unit whose time stamps are late
 
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
-"""Kinds of packets by which the truth goes; what leaves beside them changes no line."""
+"""Kinds of packets that pace the ground truth; other outputs change no line."""
 
-_AT_ONCE_S = 0.05  # simulated, between two looks at the event that ends a run
+_AT_ONCE_S = 0.05  # simulated time between two checks of the event that ends a run
 
 _T = TypeVar("_T")
 
 
 class Truth:
-    """Writes the ground truth of a run beside its packets, or without them by the times at which they are due; a context manager.
+    """Writer of the ground truth of a run, paced by its packets or by their due times; a context manager.
 
     Parameters
     ----------
-    to : where it goes
-    of : has the engine that makes the packets, with the events so far
-    span_s : of the run, since the first pulse
+    to : folder and options
+    of : holder of the engine that makes the packets, with the events so far
+    span_s : span of the run, since the first pulse
 
-    Raises OutputError if the folder cannot be used, or holds a file that the scenario names; ScenarioError if poses of
-    packets are wanted of a sensor that has none; RunError if it cannot be written: here, or later.
+    Raises OutputError if the folder cannot be used, or contains a file that the scenario names; ScenarioError if poses
+    of packets are requested for a sensor without packets; RunError if it cannot be written, here or later.
     """
 
     def __init__(self, to: TruthTo, of: Emulator | PacketFeed, span_s: tuple[float, float]) -> None:
@@ -192,7 +192,7 @@ class Truth:
             self._folder = stack.enter_context(TruthFolder(to.folder, named_files(scenario)))
             write_json(self._folder.path / to.scenario.name, _resolved(scenario, span_s))
             write_json(self._folder.path / "rig.json", rig_of(scenario, parts))
-            # The first packet may have begun before it was asked for.
+            # The first packet may begin before the requested span.
             earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
             firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
             from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
@@ -216,7 +216,7 @@ class Truth:
                 self._finish()
         except RunError as late:
             failed = error or late
-        self._open.__exit__(type(failed) if failed else None, failed, None)  # which keeps the folder if nothing failed
+        self._open.__exit__(type(failed) if failed else None, failed, None)  # this keeps the folder if nothing failed
         if failed is not error and failed is not None:
             raise failed
 
@@ -225,7 +225,7 @@ class Truth:
         return Samples(append, lambda *part: tum_rows(true_motion(unit.motion, *at, *part)), *at, from_ns)
 
     def _finish(self) -> None:
-        """Write the samples up to the last packet, and the scene with the span that was run."""
+        """Write the samples up to the last packet, and the scene with the span of the run."""
         self._write()
         for samples in self._trajectories:
             samples.up_to(self._seen_ns + self._step_ns)
@@ -236,9 +236,9 @@ class Truth:
             write_json(self._folder.path / self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
-        """Pass packets on, and write what was true until each of them once a second.
+        """Pass packets on, and write the ground truth up to a packet once a second.
 
-        A packet counts as sent when the next one is asked for: a run that stops at one has not sent it.
+        A packet counts as sent when the next one is requested: a run that stops at a packet has not sent it.
         """
         for packet in packets:
             yield packet
@@ -255,7 +255,7 @@ class Truth:
         self._is_whole = True
 
     def up_to(self, since_s: float) -> None:
-        """Write what was true until a time since the first pulse, of a run whose packets do not go by."""
+        """Write the ground truth up to a time since the first pulse, for a run whose packets are not passed through."""
         until_ns = self._scenario.start_ns + seconds_to_ns(since_s)
         next((packet for packet in self._to_come if packet.due_ns >= until_ns), None)
 
@@ -275,7 +275,6 @@ class Truth:
                 firsts_ns.clear()
 
     def _write_events(self) -> None:
-        """Write what happened so far, by the events that the run has by now."""
         ran, stop_ns = self._of.engine.scenario, seconds_to_ns(self._span_s[1])
         until_ns = stop_ns if self._is_whole else self._seen_ns + 1 - ran.start_ns
         from_ns = self._listed_ns
@@ -293,7 +292,6 @@ class Truth:
         return partial(self._folder.append, name)
 
     def _others(self, engine: Engine, begin_ns: int, from_ns: int) -> Iterator["Samples[str]"]:
-        """Begin the files of inertial unit and receiver, where there are such."""
         scenario, imu = engine.scenario, engine.parts.imu
         if scenario.imu is not None and imu is not None:
             others = (*(ATTITUDE if scenario.imu.attitude else ()), *([STAMP] if scenario.imu.is_late else []))
@@ -305,13 +303,13 @@ class Truth:
 
 
 class Samples(Generic[_T]):
-    """Samples at a steady rate that are written when their time has come, sample i at `zero_ns` + i / `rate_hz`.
+    """Samples at a constant rate that are written at their time, sample i at `zero_ns` + i / `rate_hz`.
 
     Parameters
     ----------
     append : writes samples
-    rows : makes samples first .. first + count - 1
-    from_ns : samples before are left out
+    rows : returns samples first .. first + count - 1
+    from_ns : samples before this time are left out
     """
 
     def __init__(
@@ -321,7 +319,7 @@ class Samples(Generic[_T]):
         self._next = self._count_before(from_ns)
 
     def up_to(self, t_ns: int) -> None:
-        """Write all samples until and with an instant that are not written yet."""
+        """Write all samples up to and including an instant that are not written yet."""
         stop = self._count_before(t_ns + 1)
         if stop > self._next:
             self._append(self._rows(self._next, stop - self._next))
@@ -355,14 +353,14 @@ def _inertial(imu: ImuSampler, first: int, count: int) -> str:
 
 
 def attitude_of(read: Inertial) -> list[F8]:
-    """Return the reported attitude as x y z w (n, 4), alone in a list that is empty without it."""
+    """Return a list with the reported attitude as x y z w (n, 4), or an empty list."""
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
     return [] if read.world_R_imu is None else [Rotation.from_matrix(read.world_R_imu).as_quat(canonical=True)]
 
 
 def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
-    """Write what a receiver measures and reports; sample i is the UTC second i."""
+    """Return rows of what a receiver measures and reports; sample i is the UTC second i."""
     rows = []
     for t_ns in range(first * S_NS, (first + count) * S_NS, S_NS):
         true, fix = receiver.reading(t_ns), receiver.fix(t_ns)
@@ -383,12 +381,12 @@ def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]
 
 
 def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
-    """Describe the frames of the trajectory and the extrinsics of what is fixed to it."""
+    """Return `rig.json`: the frames of the trajectory and the extrinsics of the devices."""
     gps, imu = scenario.gps, scenario.imu
     place = {key: getattr(gps, key) for key in ("latitude_deg", "longitude_deg", "height_m")}
     return {
         "world": {"axes": "x east, y north, z up"} | place,
-        "sensor": {"axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"},
+        "sensor": {"axes": "x forward at azimuth 0, y left, z up; the frame of the trajectory and of decoded points"},
         "units": [
             {
                 "unit": unit.number + 1,
@@ -411,7 +409,7 @@ def _extrinsics(key: str, true: Mount, given: Mount) -> dict[str, Any]:
 
 
 def given_mount(device: dict[str, Any], key: str, *, true: bool = False) -> F8 | None:
-    """Return the extrinsics (4, 4) of a device of `rig.json`, as its user has them or as they are; None if it spins."""
+    """Return the extrinsics (4, 4) of a device of `rig.json`, as its user knows them or with `true` the true ones; None if it spins."""
     mount = device[key] if true else device.get(f"given_{key}", device[key])
     return None if "spin_hz" in mount else np.array(mount["matrix"])
 
@@ -423,7 +421,7 @@ def _mount(section: Mount) -> dict[str, Any]:
 
 
 def transform(R: F8, p_m: F8) -> dict[str, Any]:
-    """Write a rigid transform as matrix and as translation and quaternion."""
+    """Return a rigid transform as matrix and as translation and quaternion, for JSON."""
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
     T = np.eye(4)
@@ -446,17 +444,17 @@ def write_truth(
     Parameters
     ----------
     to : folder
-    start_s, duration_s : as of `Emulator.record`
+    start_s, duration_s : as in `Emulator.record`
     progress : called with the simulated seconds so far
-    stop : ends it from another thread
+    stop : ends the run from another thread
 
     Returns
     -------
     Simulated seconds
 
-    Raises OutputError if the folder cannot be written, or holds an input of the scene; ScenarioError if poses of
-    packets are wanted of a sensor that has none; TrajectoryError if the walk ends before the span does; RunError if the
-    disk is full; the lines before are kept.
+    Raises OutputError if the folder cannot be written, or contains an input of the scene; ScenarioError if poses of
+    packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span; RunError if
+    the disk is full: then the lines before are kept.
     """
     emulator = emulator.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = emulator.scenario.span_s(start_s, duration_s)

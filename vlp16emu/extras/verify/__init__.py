@@ -1,1 +1,1 @@
-"""The validator of VLP-16 traffic: whether a real sensor could have sent it."""
+"""The validator of VLP-16 traffic, which checks if a real sensor could have sent it."""

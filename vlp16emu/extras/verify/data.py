@@ -32,34 +32,34 @@ from vlp16emu.types import F8, I8, PpsState, ReturnMode
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
-"""Share of the equal pairs of a packet; 603 packets of a real unit show 0.03 % overall and 1.1 % at most."""
+"""Limit of the share of a packet's equal pairs; 603 packets of a real unit have 0.03 % overall and 1.1 % at most."""
 
 _STEP_TOLERANCE_CDEG = 6
-"""Real units read azimuths with 0.5 cdeg of noise, which makes steps 0.8 cdeg wide; the widest seen is 4.5."""
+"""Real units read azimuths with 0.5 cdeg of noise, so steps have 0.8 cdeg of noise; the greatest error seen is 4.5 cdeg."""
 _GAP_TOLERANCE_CDEG = 26
-"""Difference of the azimuth left out from the time left out: 9 cdeg of once-per-revolution error, as
-seen on real units, at either end, and the noise of two readings and a step."""
-_GAP_TOLERANCE = 0.005  # further difference in proportion to the gap, for speed control: 3 rpm of 600
-_CLOCK_PPM = 10  # rate error of a clock that follows GPS, for a while
+"""Difference between the azimuth and the time left out: 9 cdeg of once-per-revolution error, as on real
+units, at either end, and the noise of two readings and a step."""
+_GAP_TOLERANCE = 0.005  # additional difference in proportion to the gap, for speed control: 3 rpm in 600
+_CLOCK_PPM = 10  # short-term rate error of a clock that follows GPS
 
 _RPM = (300, 1200)  # source: 63-9243 Rev D, section 8.3, p. 50
 _RPM_TOLERANCE = 0.01  # speed control, 3 rpm in sibling manuals, and the once-per-revolution error of the encoder
-_RPM_STEPS = 100  # fewer steps than these say too little about the speed
+_RPM_STEPS = 100  # least number of steps to judge the speed
 _CDEG_PER_STEP_AND_RPM = 6 * 100 * layout.BLOCK_PERIOD_NS / 1e9
 _STILL_CDEG = 12  # two readings differ by less than this if the rotor stands; at 300 rpm a packet turns by 220
-_SET_RPM = 60  # speeds that can be set are multiples of this (63-9243 Rev D, section 8.3)
+_SET_RPM = 60  # settable speeds are multiples of this (63-9243 Rev D, section 8.3)
 _HELD_RPM = 4.0  # error of the mean speed of a revolution: speed control, 3 rpm in sibling manuals, and two readings
 
 _BY_ELEVATION = np.array([*range(0, layout.LASERS, 2), *range(1, layout.LASERS, 2)])
-"""Lasers from the lowest to the highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
-_SHORTEST = 300  # firing sequences: fewer may all look into the sky
-_SEEN = 0.1  # share of pulses with a return from which on a laser sees something
+"""Lasers from lowest to highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
+_SHORTEST = 300  # firing sequences: fewer may all point into the sky
+_SEEN = 0.1  # least share of pulses with a return for a laser that sees a surface
 _SECTORS = 36
-_SECTOR_RETURNS = 300  # fewer returns say too little about a sector
-_SECTOR_BLOCKS = 20  # fewer blocks say too little; a whole revolution has more in each sector
+_SECTOR_RETURNS = 300  # least number of returns to judge a sector
+_SECTOR_BLOCKS = 20  # least number of blocks; a whole revolution has more in each sector
 _DARKER = 0.35
-"""Light of a sector as a share of that before; behind dirt that lets 0.5 through it is 0.25, as light passes twice."""
-_STEADY = 0.25  # largest median change of the sectors while one turns dark
+"""Light of a sector as a share of its earlier light; dirt that transmits 0.5 gives 0.25, as light passes it twice."""
+_STEADY = 0.25  # greatest median change of the sectors while one turns dark
 
 
 class DataChunk:
@@ -67,10 +67,10 @@ class DataChunk:
 
     Parameters
     ----------
-    datagrams : at least one
+    datagrams : the packets, at least one
     before : factory bytes of the packet before the first; empty if there is none
-    continues : the first packet was the last one of the chunk before, and stands here as its neighbour only
-    ends : no chunk follows that begins with the last packet
+    continues : True if the first packet was the last one of the chunk before, and is here only as a neighbour
+    ends : True if no chunk follows that begins with the last packet
     """
 
     unequal_share, tolerance_deg = _UNEQUAL_REFLECTIVITY_SHARE, _STEP_TOLERANCE_CDEG / 100
@@ -78,9 +78,9 @@ class DataChunk:
 
     def __init__(self, datagrams: Sequence[Datagram], before: bytes, *, continues: bool, ends: bool) -> None:
         n = len(datagrams)
-        self.own = slice(1 if continues else 0, n)  # packets whose codes no chunk before has judged
+        self.own = slice(1 if continues else 0, n)  # packets whose codes no earlier chunk has judged
         self.judged = slice(0, n if ends else n - 1)
-        """Packets whose azimuths are judged; of the last one only the next chunk knows the neighbour."""
+        """Packets whose azimuths are judged; only the next chunk has the neighbour of the last packet."""
         self.number, self.stamp_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
         payload = np.frombuffer(b"".join(each.payload for each in datagrams), layout.DATA_PAYLOAD)
         blocks = payload["blocks"]
@@ -97,7 +97,7 @@ class DataChunk:
         self._read_revolutions()
 
     def _read_factory(self, payload: NDArray[np.void], before: bytes) -> None:
-        """Find changes of return mode and product; what was there before is not reported again."""
+        """Find changes of return mode and product; findings of the chunk before are not repeated."""
         self.mode, self.product = payload["return_mode"], payload["factory"]
         pairs = zip(before or bytes([self.mode[0], self.product[0]]), (self.mode, self.product), strict=True)
         self.mode_before, self.product_before = (np.append(np.uint8(first), codes[:-1]) for first, codes in pairs)
@@ -123,7 +123,7 @@ class DataChunk:
         self.short = is_short.sum(axis=(1, 2, 3))
         self.has_short = self.short > 0
         self.shortest = np.where(is_short, self.distance_lsb, layout.MIN_DISTANCE_LSB).min(axis=(1, 2, 3))
-        # Even and odd blocks of dual return are pairs (63-9243 Rev D, section 9.3.2, p. 57).
+        # In dual return even and odd blocks are pairs (63-9243 Rev D, section 9.3.2, p. 57).
         is_apart = self.azimuth_cdeg[:, ::2] != self.azimuth_cdeg[:, 1::2]
         self.is_apart, pair = is_apart.any(axis=1), is_apart.argmax(axis=1)
         self.even, self.odd = 2 * pair, 2 * pair + 1
@@ -143,20 +143,20 @@ class DataChunk:
         azimuth_cdeg = self.azimuth_cdeg[:, :: 2 if self.dual else 1]
         forward_cdeg = np.append(np.diff(azimuth_cdeg.ravel()) % layout.AZIMUTH_CODES, 0)
         self.forward_cdeg: I8 = forward_cdeg.reshape(azimuth_cdeg.shape)
-        """(n, blocks) 0 .. 35999; the very last one leads nowhere and is 0."""
+        """(n, blocks) 0 .. 35999; the very last one has no end and is 0."""
         half = layout.AZIMUTH_CODES // 2
         self.signed_cdeg: I8 = (self.forward_cdeg + half - 1) % layout.AZIMUTH_CODES - half + 1
         self.usual_cdeg = np.median(self.forward_cdeg[:, :-1], axis=1, keepdims=True)
         self.is_even = np.abs(self.signed_cdeg - self.usual_cdeg) <= _STEP_TOLERANCE_CDEG
         self.is_odd: NDArray[np.bool_] = ~self.is_even | (self.signed_cdeg <= 0)
-        """(n, blocks) neither forward nor near the usual step; `_read_times` takes off what it explains."""
+        """(n, blocks) neither forward nor near the usual step; `_read_times` clears those that time explains."""
         self.is_odd[-1, -1] = False
         inside_cdeg = self.signed_cdeg[:, :-1]
         self.is_still = np.abs(inside_cdeg).max(axis=1) <= _STILL_CDEG
         self.is_still &= np.abs(inside_cdeg.sum(axis=1)) <= _STILL_CDEG
         blocks = azimuth_cdeg.shape[1]
         self.step_number = np.repeat(self.number[:, None], blocks, axis=1)
-        self.step_number[:-1, -1] = self.number[1:]  # a step belongs to the packet it leads to
+        self.step_number[:-1, -1] = self.number[1:]  # a step belongs to the packet at its end
         self.step_deg, self.usual_deg = self.signed_cdeg / 100, float(np.median(self.usual_cdeg)) / 100
         led_to = np.roll(np.arange(0, layout.BLOCKS_PER_PACKET, layout.BLOCKS_PER_PACKET // blocks), -1)
         self.step_block = np.broadcast_to(led_to, self.step_deg.shape)
@@ -193,7 +193,7 @@ class DataChunk:
     def _explain(self, extra_us: F8) -> NDArray[np.bool_]:
         """Find where the odd azimuth steps of a packet account for the time (n - 1,) beyond a period."""
         even_cdeg = self.forward_cdeg[:, :-1][~self.is_odd[:, :-1]]
-        # A mean, because the median of whole numbers is too coarse to turn a gap into time.
+        # A mean, because the median of integers is too coarse to convert a gap to time.
         usual_cdeg = max(float(even_cdeg.mean()), 1.0) if len(even_cdeg) else 1.0
         rate_cdeg_us = usual_cdeg / (layout.BLOCK_PERIOD_NS / US_NS)
         is_odd = self.is_odd[:-1]
@@ -203,7 +203,7 @@ class DataChunk:
         return np.asarray(is_odd.any(axis=1) & (np.abs(gap_us - extra_us) <= tolerance_us))
 
     def _find_late(self, takes_longer: NDArray[np.bool_]) -> None:
-        """Hold time stamps against capture stamps; packets (n,) that take longer have a gap of the revolution inside."""
+        """Compare time stamps with capture stamps; packets (n,) that take longer contain a gap of the revolution."""
         offset_us = self.stamp_ns // US_NS - self.timestamp_us
         moved_us = wrap_hour_us(offset_us - offset_us[0])
         after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
@@ -211,10 +211,10 @@ class DataChunk:
         self.late_ms = late_us / 1e3
         self.is_late = (late_us > JITTER_US) & ~takes_longer & (not self.is_broken.any())
         self.offset_us = int(offset_us[0]) + round(float(np.median(moved_us)))
-        """Clock offset of the whole chunk: a median, which no burst can move."""
+        """Clock offset of the whole chunk: a median, which a burst does not change."""
 
     def _read_revolutions(self) -> None:
-        """Find the mean speed of each revolution, over which the error of the encoder goes out."""
+        """Find the mean speed of each revolution, in which the error of the encoder cancels."""
         turned_cdeg = self.signed_cdeg[:-1].sum(axis=1)
         middle_cdeg = float(np.median(turned_cdeg)) if len(turned_cdeg) else 0.0
         packets = max(round(layout.AZIMUTH_CODES / middle_cdeg), 1) if middle_cdeg >= 1.0 else len(self.number)
@@ -231,14 +231,14 @@ class DataChunk:
 
 
 class DataRules:
-    """Checks data packets, chunk by chunk, and keeps what only several chunks show."""
+    """Rules of data packets, checked chunk by chunk, with the state that spans chunks."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
         self._clock, self._optics = ClockWatch(findings), OpticsRules(findings)
         self.lost_packets = 0
-        self.covered_us = 0.0  # time spanned by the packets and by those that were lost
-        self.left_out_us = 0.0  # time during which the sensor sent nothing, by a limited field of view
+        self.covered_us = 0.0  # time spanned by the packets, lost ones included
+        self.left_out_us = 0.0  # time without packets because of a limited field of view
         self._turned_cdeg = self._turned_steps = 0
 
     @property
@@ -247,7 +247,7 @@ class DataRules:
         return self._turned_cdeg / self._turned_steps / _CDEG_PER_STEP_AND_RPM if self._turned_steps else None
 
     def check(self, chunk: DataChunk) -> None:
-        """Check one chunk; the last packet of one that goes on is judged with the next, where its neighbour is known."""
+        """Check one chunk; the last packet is judged with the next chunk, if there is one, which has its neighbour."""
         apply = self._findings.apply
         apply(TABLES["packets"] + TABLES["pairs"] * chunk.dual, chunk, chunk.own)
         apply(TABLES["steps"], chunk)
@@ -271,7 +271,7 @@ class DataRules:
 
 
 class OpticsRules:
-    """Checks what lasers and sectors of the window return, beside their neighbours and beside the chunk before."""
+    """Rules of the returns of lasers and of sectors of the window, against their neighbours and the chunk before."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
@@ -288,7 +288,7 @@ class OpticsRules:
         self._check_sectors(packet, chunk, is_return)
 
     def _check_lasers(self, packet: int, share: F8) -> None:
-        """Report lasers without a single return, whose neighbours have many; at the edge, which had them before."""
+        """Report lasers without any return whose neighbours have many; lasers at the edge if they had returns before."""
         of, before = share[_BY_ELEVATION], self._share[_BY_ELEVATION]
         sees = of >= _SEEN
         dead = of == 0
@@ -301,7 +301,7 @@ class OpticsRules:
         self._share, self._dead = share, found
 
     def _check_sectors(self, packet: int, chunk: DataChunk, is_return: NDArray[np.bool_]) -> None:
-        """Report sectors that turn dark from one chunk to the next, while the others stay as they are."""
+        """Report sectors that turn dark from one chunk to the next while the others do not change."""
         sector = (chunk.azimuth_cdeg * _SECTORS // 36_000 % _SECTORS).ravel()
         returns = np.bincount(sector, is_return.sum(axis=(2, 3)).ravel(), _SECTORS)
         blocks = np.bincount(sector, minlength=_SECTORS)
@@ -309,7 +309,7 @@ class OpticsRules:
         light = np.bincount(sector, reflectivity.ravel(), _SECTORS)
         known = blocks >= _SECTOR_BLOCKS
         mean = np.divide(light, blocks, out=np.zeros(_SECTORS), where=known)
-        # Of a sector that was too dark to be judged nothing is known the next time.
+        # A sector that is too dark to be judged gives no reference for the next chunk.
         before, self._light = self._light, np.where(returns >= _SECTOR_RETURNS, mean, 0.0)
         if before is None:
             return
@@ -326,7 +326,7 @@ class OpticsRules:
 
 _SHORTEST_INTERVAL_NS = 1_400_000  # real units leave 1.47 ms or more between position packets
 _UNEVEN_S = 0.25  # difference between the delays of two sentences of one receiver
-_NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show when a sentence came
+_NEXT_NS = 50 * MS_NS  # position packets farther apart than this do not show the time of a sentence
 _SENTENCE_CHARACTERS = 82  # longest sentence of NMEA 0183
 _SENTENCE = re.compile(
     rb"\$(?P<talker>[A-Z]{2})RMC,"
@@ -341,22 +341,22 @@ _SENTENCE = re.compile(
 
 
 class _Sentence(NamedTuple):
-    """Contents of a sentence, and the words of its faults, empty without one."""
+    """Contents of a sentence, and the texts of its faults, empty without a fault."""
 
-    second: int = -1  # past the hour; -1 unless the sentence names a time
+    second: int = -1  # past the hour; -1 if the sentence has no time
     status: str = ""
     malformed: str = ""
     end: str = ""
     checksum: str = ""
-    right: str = ""  # the checksum that it should have
-    talker: str = ""  # talker of a receiver other than GPS alone, whose sentences the manual does not name
+    right: str = ""  # the correct checksum
+    talker: str = ""  # talker of a receiver with more systems than GPS, which the manual does not name
 
 
 class PositionChunk:
-    """Columns of n consecutive position packets; the first is the last one of the chunk `before`, which has judged it."""
+    """Columns of n consecutive position packets; the first one is the last packet of the chunk `before`, already judged."""
 
-    head_bytes = 14  # other sensors of the family report motion from here on; software takes the zeros for a mark
-    latest_s = 2  # the sentence of a second arrives during the next one, and until then its forerunner is echoed
+    head_bytes = 14  # other sensors of the family report motion from here on; software detects the VLP-16 by the zeros
+    latest_s = 2  # the sentence of a second arrives during the next one; until then the sentence before is repeated
 
     def __init__(self, datagrams: Sequence[Datagram], before: "PositionChunk | None") -> None:
         self.last = datagrams[-1]
@@ -388,7 +388,7 @@ class PositionChunk:
         self.is_no_count = (self.missing > most) & is_own
 
     def _read_sentences(self, every: Sequence[Datagram], before: "PositionChunk | None") -> None:
-        """Read the sentences, and hold their seconds against the clock and against the sentences before."""
+        """Read the sentences, and compare their seconds with the clock and with earlier sentences."""
         areas = [each.payload[SENTENCE_OFFSET:] for each in every]
         columns = zip(*map(_read_sentence, areas), strict=True)
         self.second, self.status, self.malformed, self.end, self.checksum, self.right, talker = map(np.array, columns)
@@ -405,7 +405,7 @@ class PositionChunk:
         is_old = is_known & (self.late_s >= self.latest_s)
         self.is_old, self.is_off = (
             of & ~np.append(False, of[:-1]) for of in (is_old & is_locked, is_old & ~is_locked & (self.status == "A"))
-        )  # first of packets in a row whose sentence and clock disagree, with lock and without
+        )  # first of consecutive packets whose sentence and clock disagree, with lock and without
         is_next = is_locked & is_known & ~is_old & (earlier >= 0) & (self.second == (earlier + 1) % 3600)
         is_next[1:] &= np.diff(self.stamp_ns) < _NEXT_NS
         came_s = self.late_s[self.own][is_next[self.own]]
@@ -416,7 +416,7 @@ class PositionChunk:
 
 
 class PositionRules:
-    """Checks position packets, chunk by chunk."""
+    """Rules of position packets, checked chunk by chunk."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings, self._clock = findings, ClockWatch(findings)
@@ -436,7 +436,7 @@ class PositionRules:
 
 @lru_cache(16)
 def _read_sentence(area: bytes) -> _Sentence:
-    """Read the characters from the first of a sentence to the end of the payload; one sentence fills some 146 packets."""
+    """Read a sentence from its first character to the end of the payload; some 146 packets repeat one sentence."""
     if not any(area):
         return _Sentence()
     text, _, rest = area.partition(b"\0")

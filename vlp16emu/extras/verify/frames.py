@@ -1,4 +1,4 @@
-"""The rules of VLP-16 traffic, and those of frames: ports, headers, order, and time stamps that keep pace.
+"""Names of the rules of VLP-16 traffic, and the checks of frames: ports, headers, order, clock drift.
 
 The header fields were measured on frames of two real units, see `vlp16emu.packets.frames`.
 """
@@ -27,7 +27,7 @@ class Level(StrEnum):
     """Weight of a finding."""
 
     ERROR = "error"  # no sensor sends it
-    NOTE = "note"  # settings of the user, receivers, old firmware or recorders cause it; the sensor is sound
+    NOTE = "note"  # caused by settings of the user, receivers, old firmware or recorders; the sensor works correctly
 
 
 class Rule(StrEnum):
@@ -43,26 +43,26 @@ class Rule(StrEnum):
     FLAG = "flag"  # every block begins with FF EE
     FACTORY = "factory"  # return mode and product are known and the product does not change; a change of mode is a note
     TIME_RANGE = "time-range"  # time stamps lie within the hour
-    TIME_STEP = "time-step"  # time stamps grow by one packet period, over the hour as well
+    TIME_STEP = "time-step"  # time stamps increase by one packet period, across the hour too
     LOST_PACKETS = "lost-packets"  # no packet is missing
-    DUPLICATE = "duplicate"  # no packet comes twice
+    DUPLICATE = "duplicate"  # no packet is repeated
     PACKET_ORDER = "packet-order"  # packets come in order of their time stamps
-    FROZEN = "frozen"  # no payload is sent again and again, as by a sensor that hangs
+    FROZEN = "frozen"  # no payload is sent repeatedly, as by a sensor that hangs
     SILENCE = "silence"
-    """Packets of one kind or the other come all the time, as long as the sensor has power and its cable."""
+    """Packets of one kind or the other arrive all the time while the sensor has power and its cable."""
     LATENESS = "lateness"
-    """No packet comes later after its time stamp than those before and after it, by more than 5 ms."""
+    """No packet is later, relative to its time stamp, than its neighbours by more than 5 ms."""
     CLOCK_DRIFT = "clock-drift"  # time stamps keep pace with the capture stamps
     AZIMUTH_RANGE = "azimuth-range"  # azimuths lie in 0 .. 35999
-    AZIMUTH_STEP = "azimuth-step"  # azimuths grow evenly from block to block, over 0 as well
+    AZIMUTH_STEP = "azimuth-step"  # azimuths increase evenly from block to block, across 0 too
     AZIMUTH_GAP = "azimuth-gap"
     """The whole revolution is sent; a limited field of view, a setting of the manual's section 10.1, is a note."""
     SINGLE_AS_DUAL = "single-as-dual"
-    """In single return the first two blocks differ in azimuth, which some software takes for dual."""
+    """In single return the first two blocks differ in azimuth, which some software mistakes for dual."""
     RPM = "rpm"  # the rotor makes 300 to 1200 revolutions per minute
     SPEED = "speed"  # the rotor holds its speed, a multiple of 60 rpm
     LASER = "laser"  # every laser has returns where those beside it have
-    WINDOW = "window"  # no sector turns dark from one moment to the next
+    WINDOW = "window"  # no sector turns dark suddenly
     DISTANCE_CODE = "distance-code"  # distances are 0 or at least 250 counts
     DUAL_AZIMUTH = "dual-azimuth"  # in dual return the two blocks of a pair have one azimuth
     DUAL_ORDER = "dual-order"  # the last return, in the even block, is never nearer than its pair
@@ -86,7 +86,7 @@ class Finding:
     """One place where a rule is broken."""
 
     rule: Rule
-    packet: int  # number of the frame in the capture, from 1, as Wireshark counts
+    packet: int  # number of the frame in the capture, from 1, as in Wireshark
     found: str
     expected: str
     level: Level = Level.ERROR
@@ -97,15 +97,15 @@ class Finding:
 
 
 class Row(NamedTuple):
-    """One row of `rules.toml`: what breaks a rule in the columns of a chunk, and the words for it."""
+    """One row of `rules.toml`: the column of a chunk that marks broken rules, and the text of a finding."""
 
     rule: Rule
-    broken: str  # column of truth values, (n,) or of more axes
-    found: str  # format of the words, with names of columns of the same shape, or of single values
+    broken: str  # boolean column, (n,) or with more axes
+    found: str  # format of the text, with names of columns of the same shape, or of single values
     expected: str
     level: Level = Level.ERROR
     at: str = "number"  # column of the frame numbers to which the findings belong
-    once: bool = False  # only the first finding is kept; all are counted
+    once: bool = False  # True if only the first finding is kept; all are counted
 
 
 def _row(rule: str, broken: str, found: str, expected: str, level: str = Level.ERROR, *more: Any) -> Row:
@@ -166,12 +166,12 @@ class Findings:
 Microseconds = TypeVar("Microseconds", int, I8)
 
 HOUR_US = HOUR_NS // US_NS
-JITTER_US = 5 * MS_NS // US_NS  # latest stamp of a capturing host, bursts included; a quiet one stays below 0.1 ms
-_DRIFT_PPM = 150  # sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off
+JITTER_US = 5 * MS_NS // US_NS  # greatest delay of a capture stamp, bursts included; a quiet host stays below 0.1 ms
+_DRIFT_PPM = 150  # clocks of sensors and hosts differed by 2 to 20 ppm; a cheap oscillator may be 100 ppm off
 _LAYOUTS = {PacketKind.DATA: layout.DATA_PAYLOAD, PacketKind.POSITION: layout.POSITION_PAYLOAD}
 _MODE_AT: int = layout.DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
 _PERIODS_NS = {layout.RETURN_MODE_BYTE[mode]: n * SEQUENCE_NS for mode, n in layout.SEQUENCES_PER_PACKET.items()}
-_HELD = 128  # packets among which one is put in its place: those of 0.17 s in single return
+_HELD = 128  # packets that are held for sorting: 0.17 s of single return
 _FLAG = layout.BLOCK_FLAG.to_bytes(2, "little")
 SENTENCE_OFFSET: int = layout.POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
 """First character of the sentence in a position payload."""
@@ -181,8 +181,8 @@ PAYLOAD_BYTES = {PacketKind.DATA: layout.DATA_BYTES, PacketKind.POSITION: layout
 _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
 _VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
-"""Header from source MAC to source address that its old versions give all packets. Source: Kitware/VeloView,
-LidarPlugin/Common/Network/NetworkPacket.cxx; so has a capture of 2014."""
+"""Header from source MAC to source address that old versions of VeloView give all packets. Source: Kitware/VeloView,
+LidarPlugin/Common/Network/NetworkPacket.cxx, and a capture of 2014."""
 _HEADER = np.dtype(
     [
         *(("version", "u1"), ("tos", "u1"), ("total", ">u2"), ("identification", ">u2"), ("fragment", ">u2")),
@@ -193,13 +193,13 @@ _HEADER = np.dtype(
 
 
 def wrap_hour_us(difference_us: Microseconds) -> Microseconds:
-    """Difference of two times past the hour, brought to half an hour around 0; number or (n,)."""
+    """Wrap a difference of two times past the hour to half an hour around 0; number or (n,)."""
     half_us = HOUR_US // 2
     return (difference_us + half_us) % HOUR_US - half_us
 
 
 class ClockWatch:
-    """Follows the distance between capture stamp and time stamp of one stream."""
+    """Monitor of the offset between capture stamps and time stamps of one stream."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
@@ -210,7 +210,7 @@ class ClockWatch:
         self._reference = None
 
     def check(self, packet: int, stamp_ns: int, offset_us: int) -> None:
-        """Compare the offset of a frame, its capture stamp less its time stamp, with that of the first packet."""
+        """Compare the offset of a frame, capture stamp minus time stamp, with the offset of the first packet."""
         if self._reference is None:
             self._reference = stamp_ns, offset_us
             return
@@ -237,12 +237,12 @@ def kind_of(datagram: Datagram) -> PacketKind | None:
 
 
 def is_rewritten(datagram: Datagram) -> bool:
-    """Return whether VeloView has put its own header around a packet, which leaves nothing of the sensor's."""
+    """Return True if VeloView has replaced the header of a packet by its own."""
     return datagram.header[6:30] == _VELOVIEW
 
 
 class _Frames:
-    """Columns of n frames of one kind whose payloads have the right length; header fields (n, c) beside their right values."""
+    """Columns of n frames of one kind whose payloads have the right length; header fields (n, c) beside their correct values."""
 
     def __init__(self, datagrams: Sequence[Datagram], kind: PacketKind) -> None:
         self.kind, is_data, payload_bytes = kind, kind is PacketKind.DATA, PAYLOAD_BYTES[kind]
@@ -257,9 +257,9 @@ class _Frames:
             np.frombuffer(part, ">u2").reshape(len(raw), -1).astype(np.int64)
             for part in (raw.tobytes(), b"".join(each.payload for each in datagrams))
         )
-        # Addresses, protocol and length stand before the UDP header in its sum (RFC 768).
+        # The UDP sum includes addresses, protocol and length (RFC 768).
         udp = words[:, 6:].sum(axis=1) + sent.sum(axis=1) + dpkt.ip.IP_PROTO_UDP + raw["udp_bytes"]
-        # The words of what holds its own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
+        # Words that include their own checksum add up to a multiple of 2**16 - 1 (RFC 1071).
         fields = [
             ("IP version", raw["version"] >> 4, 4),
             ("header bytes", np.array([len(each.ip) + 8 for each in datagrams]), 28),
@@ -278,7 +278,7 @@ class _Frames:
         self.field, self.wanted = (np.broadcast_to(of, self.value.shape) for of in (names, wanted))
         self.is_fragmented = (raw["version"] >> 4 == 4) & ((raw["fragment"] & 0x3FFF) != 0)
         self.is_other = (self.value != self.wanted) & ~(self.is_rewritten | self.is_fragmented)[:, None]
-        self.is_other[:, 1:] &= self.is_other[:, :1] == 0  # the fields of another version lie elsewhere
+        self.is_other[:, 1:] &= self.is_other[:, :1] == 0  # another IP version has its fields elsewhere
         self.field_number = np.broadcast_to(self.number[:, None], self.value.shape)
 
 
@@ -289,9 +289,9 @@ def check_frames(datagrams: Sequence[Datagram], kind: PacketKind, findings: Find
 
 
 class InOrder:
-    """Brings the packets of one kind into the order in which they were made, and leaves out those that come again.
+    """Sorter of the packets of one kind into the order of their creation, which drops repeated packets.
 
-    What does not fit the packets held, because the clock has been set or a stamp is wrong, stays where it is.
+    A packet that does not fit the held packets, because the clock has been set or a stamp is wrong, keeps its place.
     """
 
     def __init__(self, kind: PacketKind, findings: Findings) -> None:
@@ -301,7 +301,7 @@ class InOrder:
         self._repeats = 0
 
     def take(self, datagram: Datagram) -> Iterator[Datagram]:
-        """Insert a packet in order, and yield those that no packet can precede any more."""
+        """Insert a packet in order, and yield the packets that no later packet can precede."""
         for known in reversed(self._held):
             if datagram.payload == known.payload:
                 self._report_again(datagram, known)
@@ -323,12 +323,12 @@ class InOrder:
             yield self._held.pop(0)
 
     def rest(self) -> Iterator[Datagram]:
-        """Yield those that are still held."""
+        """Yield the packets that are still held."""
         held, self._held = self._held, []
         yield from held
 
     def _report_again(self, datagram: Datagram, known: Datagram) -> None:
-        """Report a packet that was there already; a sensor that hangs sends it again and again."""
+        """Report a repeated packet; a sensor that hangs sends it again and again."""
         rule, found = Rule.DUPLICATE, f"packet {known.number} again"
         counts_on = self._kind is PacketKind.POSITION and datagram.identification != known.identification
         if self._repeats > 0 or counts_on:
@@ -337,7 +337,7 @@ class InOrder:
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
 
     def _is_late(self, datagram: Datagram) -> bool:
-        """Return whether it belongs between those held: by the period of data packets, or the count of position packets."""
+        """Return True if a packet belongs between held ones: by the period of data packets, or the count of position packets."""
         if self._since_us(datagram, self._held[0]) <= 0:
             return False
         if self._kind is PacketKind.POSITION:

@@ -24,37 +24,37 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
-_CHUNK_PACKETS = 512  # data packets looked at together: 0.6 MB, 0.7 s of single return
+_CHUNK_PACKETS = 512  # data packets checked together: 0.6 MB, 0.7 s of single return
 _HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
-"""Length of the chunks of all units together, and of the shortest."""
+"""Total length of the chunks of all units, and the least length of a chunk."""
 _MODE_AT = -2  # return mode and product end a data payload
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
-_SHORTEST_S = 2.0  # a shorter piece says too little about rates: position packets come at irregular intervals
+_SHORTEST_S = 2.0  # least span to judge rates: position packets arrive at irregular intervals
 _RATE_TOLERANCE = 0.1
-_SILENCE_NS = S_NS // 2  # position packets come every 20 ms or faster, also where lasers are off
+_SILENCE_NS = S_NS // 2  # position packets arrive every 20 ms or faster, also with lasers off
 _POSITION_RATES_HZ = (146.0, 53.8)  # measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Contents of a capture, and the rules that it breaks."""
+    """Contents of a capture, and its broken rules."""
 
     data_packets: int
     position_packets: int
     other_frames: int  # frames of other traffic and of other units, which are not checked
     lost_packets: int  # missing data and position packets
     void_sentences: int
-    """Seconds for which the GPS receiver had no fix, by the status V of its sentences, as trees make them too."""
+    """Seconds without a GPS fix, from the status V of sentences; trees cause them too."""
     span_s: float  # time from the first packet to the last, by the capture's stamps
     rpm: float | None  # mean rotor speed; None without data packets
-    is_cut: bool  # the file ends in the middle of a packet, as that of a killed program may; the rest has been checked
+    is_cut: bool  # True if the file ends in the middle of a packet, as after a killed recorder; the rest is checked
     counts: Mapping[Rule, int]  # errors of each broken rule
-    notes: Mapping[Rule, int]  # findings of each rule that settings, receivers, old firmware or recorders account for
+    notes: Mapping[Rule, int]  # findings of each rule that settings, receivers, old firmware or recorders cause
     findings: tuple[Finding, ...]  # the first findings of each rule, by packet number
 
     @property
     def is_clean(self) -> bool:
-        """No rule is broken; there may be notes."""
+        """True if no rule is broken; there may be notes."""
         return not self.counts
 
 
@@ -64,11 +64,11 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
     Parameters
     ----------
     capture : file or pattern of files, as `Capture`
-    unit : the sensor, if there are several: its number from 1, or `address:port` with its data port
+    unit : sensor, if there are several: its number from 1, or `address:port` with its data port
     limit_per_rule : findings kept of each rule; all are counted
 
-    Raises CaptureError if the file cannot be read, or holds no VLP-16 packets at all; InputError if there is no such
-    unit, or there are several and none is named.
+    Raises CaptureError if the file cannot be read, or has no VLP-16 packets; InputError if there is no such
+    unit, or `unit` is missing and there are several.
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
@@ -76,7 +76,7 @@ def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule
 
 
 def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10) -> list[Verification]:
-    """Check each of several units by itself, all of them in one pass and with little memory; None stands for all packets."""
+    """Check each of several units on its own, in one pass and with little memory; None stands for all packets."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [(unit, _Check(Findings(limit_per_rule), chunk_packets)) for unit in units]
     with Capture(path, repeats=True) as capture:
@@ -88,14 +88,14 @@ def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_
 
 
 class _Check:
-    """Sorts datagrams by kind, counts them, and hands them on in chunks."""
+    """Check of one unit: it sorts datagrams by kind, counts them, and passes them on in chunks."""
 
     def __init__(self, findings: Findings, chunk_packets: int) -> None:
         self._findings, self._chunk_packets = findings, chunk_packets
         self._data, self._position = DataRules(findings), PositionRules(findings)
         self._in_order = {kind: InOrder(kind, findings) for kind in PORT}
         self._chunk: dict[PacketKind, list[Datagram]] = {kind: [] for kind in PORT}
-        self._before: Datagram | None = None  # last data packet of the chunk before, if this one goes on from it
+        self._before: Datagram | None = None  # last data packet of the chunk before, if this chunk continues it
         self._factory = b""
         self._packets = Counter[PacketKind]()
         self._first: dict[PacketKind, Datagram] = {}
@@ -133,7 +133,7 @@ class _Check:
         self._collect(kind, self._in_order[kind].take(datagram))
 
     def finish(self, path: Path, capture: Capture) -> Verification:
-        """Check what is left, and sum up."""
+        """Check the remaining packets, and return the result."""
         if not self._packets:
             found = f"no VLP-16 packets, but {capture.missed}" if capture.missed else "no VLP-16 packets"
             raise CaptureError(str(path), found, "data packets on UDP port 2368")
@@ -157,7 +157,7 @@ class _Check:
         )
 
     def _collect(self, kind: PacketKind, datagrams: Iterable[Datagram]) -> None:
-        """Gather packets in order; a chunk of data packets ends where the return mode changes."""
+        """Collect packets in order; a chunk of data packets ends at a change of return mode."""
         for datagram in datagrams:
             held = self._chunk[kind]
             if kind is PacketKind.DATA and held and held[-1].payload[_MODE_AT] != datagram.payload[_MODE_AT]:
@@ -173,7 +173,7 @@ class _Check:
         self._check_data(ends=True)
 
     def _check_data(self, *, ends: bool) -> None:
-        """Check the packets collected; the last one stays as the neighbour of those to come."""
+        """Check the collected packets; the last one stays as the neighbour of the next chunk."""
         chunk = self._chunk[PacketKind.DATA]
         if chunk:
             continues = chunk[0] is self._before
@@ -189,7 +189,7 @@ class _Check:
         self._chunk[PacketKind.POSITION] = []
 
     def _check_rates(self) -> None:
-        """Check packets per second, those lost included: position packets, and the time that data packets cover."""
+        """Check packets per second, lost ones included: position packets, and the time that data packets cover."""
         data_s, position_s = (
             (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS if kind in self._first else 0.0
             for kind in (PacketKind.DATA, PacketKind.POSITION)

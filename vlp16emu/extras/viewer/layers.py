@@ -13,18 +13,18 @@ from vlp16emu.types import F8, SURFACE, U1, PlantPart, Scan, Semantic
 from vlp16emu.units import S_NS
 
 Entries = Mapping[str, Rgb] | tuple[float, float, str] | None
-"""Legend of a layer: colours by name, or the ends of a scale with their unit; None for instances, which have no names."""
+"""Legend of a layer: colours by name, or limits of a scale with their unit; None for instances, which have no names."""
 
 _LABELLED = ("natural", "class", "part", "species", "instance")
 MEASURED = ("range", "reflectivity", "ring", "time")
 LAYERS = (*_LABELLED, *MEASURED, "range error")
 
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
-"""Viridis at five places (matplotlib, `_cm_listed.py`)."""
+"""Viridis at five values (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
-"""Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that shows on white."""
+"""Scale of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that is visible on white."""
 _ERROR_CM = 6.0  # end of the scale of range errors: twice the +-3 cm of the data sheet
-_GOLDEN = 0.618034  # step of the hue between instances: neighbours in number differ most
+_GOLDEN = 0.618034  # step of the hue between instances: consecutive numbers differ most
 _STOPS = 9  # colours of a gradient
 _DOT = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.5em;border-radius:2px"
 
@@ -35,7 +35,7 @@ def layers_of_scan(scan: Scan) -> tuple[str, ...]:
 
 
 def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, Entries]:
-    """Return the colours (n, 3) of the points of a sweep by one of its layers, and the legend of what it shows; `species` are names by number."""
+    """Return the colours (n, 3) of the points of a sweep in one of its layers, and the legend; `species` are names by number."""
     if scan.labels is None or layer not in _LABELLED:
         values, scale = _measured(scan, layer)
         return colours_of_scale(values, *scale[:2]), scale
@@ -60,7 +60,7 @@ def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, En
 
 
 def colours_of_scale(values: F8, least: float, most: float) -> U1:
-    """Return colours (n, 3) of values (n,) on a scale, which diverges from its middle if it begins below 0."""
+    """Return colours (n, 3) of values (n,) on a scale, which is a diverging scale if it begins below 0."""
     scale = _EITHER_WAY if least < 0 else _SCALE
     place = np.clip((values - least) / max(most - least, 1e-9), 0.0, 1.0) * (len(scale) - 1)
     return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
@@ -76,12 +76,12 @@ def _named(layer: str, species: Mapping[int, str]) -> dict[int, tuple[str, Rgb]]
 
 
 def _measured(scan: Scan, layer: str) -> tuple[F8, tuple[float, float, str]]:
-    """Return values (n,) of a layer, and the ends of its scale with their unit."""
+    """Return values (n,) of a layer, and the limits of its scale with their unit."""
     if layer == "range error" and scan.labels is not None:
         error_cm = 100.0 * (scan.distance_m.astype(np.float64) - scan.labels.range_m)
         return error_cm, (-_ERROR_CM, _ERROR_CM, "cm")
     since_s = (scan.t_ns - scan.start_ns) / S_NS
-    # Few ranges exceed 40 m in a forest; reflectivities beyond 100 are of retroreflectors.
+    # Few ranges exceed 40 m in a forest; reflectivities above 100 come from retroreflectors.
     values: dict[str, tuple[NDArray[Any], float, str]] = {
         "range": (scan.distance_m, 40.0, "m"),
         "reflectivity": (scan.reflectivity, 100.0, ""),

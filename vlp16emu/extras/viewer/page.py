@@ -1,6 +1,7 @@
 """The page in the browser: its server, the stand, the path, and the sweep at the cursor's time. Nothing on it changes a file.
 
-viser itself listens on all interfaces, answers any page that a browser has open, and asks for a public address when a page wants one.
+By default viser listens on all interfaces, answers any page that is open in a browser, and requests a public address if
+a page asks.
 """
 
 import logging
@@ -36,20 +37,20 @@ from vlp16emu.types import F8
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
 _MOST_KEPT = 50  # sweeps drawn together: 1.2 million points
-_LISTED = 6  # most faults of a sweep that are listed
+_LISTED = 6  # greatest number of faults listed for a sweep
 _PATH = (220, 60, 40)
 
 
 @contextmanager
 def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
-    """Serve the page until the end of the context; OutputError if the address is not of this machine, or the port is in use.
+    """Serve the page until the end of the context; OutputError if the address does not belong to this machine, or the port is in use.
 
     Parameters
     ----------
-    host : address to listen on; beside loopback the only name that requests may use
+    host : address to listen on; requests may use only this name and loopback
     port : 0 for any that is free
     """
-    try:  # viser would try the next thousand ports, and wait for ever if there is no such address
+    try:  # viser would try the next thousand ports, and wait without end if there is no such address
         with socketserver.TCPServer((host, port), socketserver.BaseRequestHandler):
             pass
     except OSError as error:
@@ -68,9 +69,9 @@ def guarded_server(host: str, port: int) -> Iterator[viser.ViserServer]:
 
 
 def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL + 1)  # strangers write no line of ours
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL + 1)  # bad requests must not fill our log
     loop = server.get_event_loop()
-    # viser's server of websockets is a local of a task of its own.
+    # viser's websocket server is a local variable of a task.
     values = (value for task in all_tasks(loop) for frame in task.get_stack() for value in frame.f_locals.values())
     web = next(value for value in values if isinstance(value, Server))
     answer = web.process_request
@@ -79,30 +80,31 @@ def _check_requests(server: viser.ViserServer, names: frozenset[str]) -> None:
     def checked(connection: ServerConnection, request: Request) -> Response | None:
         if not is_ours(request.headers, names):
             return Response(HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}))
-        return answer(connection, request)  # type: ignore[return-value]  # viser's is no coroutine
+        return answer(connection, request)  # type: ignore[return-value]  # viser's function is no coroutine
 
     def drop_unchecked() -> None:
         for connection in web.handlers:
             connection.transport.abort()
 
     web.process_request = checked
-    loop.call_soon_threadsafe(drop_unchecked)  # who came before the check was there
+    loop.call_soon_threadsafe(drop_unchecked)  # clients that connected before the check was installed
 
 
 def is_ours(headers: Headers, names: frozenset[str]) -> bool:
-    """Return whether a request is for one of our names and comes from no page but our own.
+    """Return True if a request is for one of our names and comes from our own page.
 
-    A page of another origin sends its own in `Origin` (RFC 6454, section 7); a name that was made to resolve to this machine is in `Host`.
+    A page of another origin sends that origin in `Origin` (RFC 6454, section 7); a foreign name that resolves to this
+    machine is in `Host`.
     """
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-    with suppress(ValueError):  # of an address that is none
+    with suppress(ValueError):  # from a malformed address
         if len(hosts) == 1 and urlsplit(f"//{hosts[0]}").hostname in names:
             return not origins or origins == [f"http://{hosts[0]}"]
     return False
 
 
 def scene_page(server: viser.ViserServer, emulator: Emulator, unit: int, radius_m: float) -> "Page":
-    """Grow a scene and draw it to a radius from its path; InputError if there is no such unit, or the stand cannot be grown."""
+    """Grow a scene and draw it up to a radius around its path; InputError without such a unit, or if the stand cannot be grown."""
     sweeps = SceneSweeps(emulator, unit)  # first: a wrong number should not wait for the stand
     text, scenario = server.gui.add_markdown("growing the world"), emulator.scenario
     seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), emulator.parts)
@@ -112,7 +114,7 @@ def scene_page(server: viser.ViserServer, emulator: Emulator, unit: int, radius_
 
 
 def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, unit: int) -> "Page":
-    """Show the sweeps of a capture, and what is wrong with its packets; errors and parameters as of `CaptureSweeps`."""
+    """Show the sweeps of a capture, and the faults of its packets; parameters and errors as in `CaptureSweeps`."""
     text = server.gui.add_markdown("reading the capture")
     sweeps = CaptureSweeps(capture, truth, unit)
     text.content = "  \n".join(sweeps.health or ["packets as a sensor sends them"])
@@ -123,12 +125,12 @@ def capture_page(server: viser.ViserServer, capture: Path, truth: Path | None, u
 
 
 def _draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
-    """Draw what stands along the path, look at it from behind the start, and return the node above it."""
+    """Draw the stand along the path, set the view from behind the start, and return the parent node."""
     scene, way_m = server.scene, seen.path_m
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
-    scene.configure_environment_map(None)  # light of its own on each pixel, where a stand needs two lamps
-    # A hall is looked into through its ceiling.
+    scene.configure_environment_map(None)  # image-based light on each pixel is slow; two lamps are enough for a stand
+    # The view into a hall is through its ceiling.
     look: dict[str, Any] = {"lod": "off", "flat_shading": True, "material": "toon5"}
     look |= {"cast_shadow": False, "receive_shadow": False, "side": "double" if seen.hall is None else "front"}
     for name, piece in pieces_of(seen):
@@ -140,7 +142,6 @@ def _draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
 
 
 def _look_from(server: viser.ViserServer, place_m: F8, ahead_m: F8) -> None:
-    """Put the initial camera behind a place and over it."""
     away_m = math.hypot(*ahead_m[:2])
     east, north = ahead_m[:2] / away_m if away_m > 0 else (1.0, 0.0)
     camera = server.initial_camera
@@ -180,16 +181,16 @@ class Page:
             control.on_update(lambda _: self._wake.set())
 
     def run(self) -> None:
-        """Draw what the controls ask for, for ever."""
+        """Draw what the controls select, without end."""
         while self._wake.wait():
             self._wake.clear()
             began_s = time.monotonic()
             self._draw()
             if self._play.value:
-                self._go_on(began_s)
+                self._advance(began_s)
 
     def _draw(self) -> None:
-        # A client may set any number; NaN becomes the least.
+        # A client may send any number; NaN becomes the least.
         time_s = min(max(0.0, self._slider.value), self._sweeps.last_s)
         size_m = min(max(0.01, self._size.value / 100), 0.2)
         layer = self._layer.value if self._layer.value in self._layers else self._layers[0]
@@ -217,7 +218,7 @@ class Page:
         self._text.content = f"{points} points by {layer}, sweep at {time_s:.1f} s"
         self._faults.content = boxed(map(escape, shown[-1].faults[:_LISTED]))
 
-    def _go_on(self, began_s: float) -> None:
+    def _advance(self, began_s: float) -> None:
         """Move the cursor to the next sweep, no faster than in real time."""
         time_s = self._time_s + self._sweeps.step_s
         if time_s > self._sweeps.last_s:

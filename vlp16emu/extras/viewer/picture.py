@@ -26,26 +26,26 @@ if TYPE_CHECKING:
 
 _BACKGROUND, _INK, _FRAME = (14, 18, 24), (215, 219, 224), (58, 68, 82)
 _RELIEF = 0.35
-"""How dark a pixel gets per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""
+"""Darkening of a pixel per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""
 _DARKEST = 0.3
 _NEIGHBOUR_PX, _DOT_PX = 2, 2
 
 _ELEVATION_DEG = 32.0
-_AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0  # what is in the picture around, below and above the path of the sensor
-_SHARE = 0.93  # share of the points in a sweep that the box of a capture in its sensor holds
+_AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0  # extent of the picture around, below and above the path of the sensor
+_SHARE = 0.93  # share of a sweep's points inside the box, for a capture without trajectory
 _CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
 _DEEP_M = -1e3  # circles of range about the sensor are behind all points
 _MOST_ENTRIES = 12
-_MILLIONS = 100_000  # points from which on they are counted in millions
-_FROM_DEG = 205.0  # bearing of the eye, unless another is wanted: light falls from the south
+_MILLIONS = 100_000  # number of points from which captions use millions
+_FROM_DEG = 205.0  # default bearing of the eye: light falls from the south
 _STATIONS = 200  # number of places along a path
-_LEAST_EM_PX, _LINES = 11, 45  # letters are as high as this, or as a picture of so many lines has them
+_LEAST_EM_PX, _LINES = 11, 45  # least height of letters, or the number of text lines in the height of a picture
 
 
 class Canvas:
-    """Points within a box with corners (2, 3), which fills the image; lengths across the view have one scale everywhere.
+    """Image of the points within a box with corners (2, 3), which fills it; the projection is parallel, with one scale.
 
-    Points beside the box are left out: they would hide what is near the path.
+    Points outside the box are left out: they would hide points near the path.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Canvas:
         a, e = math.radians(from_deg), math.radians(elevation_deg)
         right = np.array([-math.cos(a), math.sin(a), 0.0])
         back = np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
-        self._axes = np.stack([right, np.cross(back, right), back])  # to the right, upwards, and towards the eye
+        self._axes = np.stack([right, np.cross(back, right), back])  # right, up, and towards the eye
         seen_m = np.array(list(product(*box_m.T))) @ self._axes.T
         low_m, high_m = seen_m.min(axis=0), seen_m.max(axis=0)
         self._centre_m = (low_m + high_m) / 2
@@ -68,13 +68,13 @@ class Canvas:
         self._rgb = np.zeros((height * width, 3), np.uint8)
 
     def pixels(self, places_m: F8) -> tuple[I8, I8, F8]:
-        """Return columns, rows and nearness in metres (n,) of places (n, 3); the nearest of several at a pixel hides the others."""
+        """Return columns, rows and nearness in metres (n,) of places (n, 3); at one pixel the nearest hides the others."""
         right, up, near = ((places_m @ self._axes.T) - self._centre_m).T
         column = np.floor(self.size[0] / 2 + right * self.px_per_m).astype(np.int64)
         return column, np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64), near
 
     def add(self, places_m: F8, rgb: U1) -> int:
-        """Draw places (n, 3) in colours (n, 3), and return how many of them are in plan within the box."""
+        """Draw places (n, 3) in colours (n, 3), and return the number of places whose x and y are within the box."""
         width, height = self.size
         shown = ((places_m >= self._box_m[0]) & (places_m <= self._box_m[1]))[:, :2].all(axis=1)
         pixels, rgb = self.pixels(places_m[shown]), rgb[shown]
@@ -85,7 +85,7 @@ class Canvas:
                 inside = (column + x >= 0) & (column + x < width) & (row + y >= 0) & (row + y < height)
                 pixel = (row[inside] + y) * width + column[inside] + x
                 in_front = near[inside] > self._near[pixel]
-                # Points come by nearness, and of several at one pixel numpy keeps the last.
+                # Points are sorted by nearness, and numpy keeps the last of several at one pixel.
                 self._near[pixel[in_front]] = near[inside][in_front]
                 self._rgb[pixel[in_front]] = rgb[inside][in_front]
         return len(rgb)
@@ -105,7 +105,7 @@ class Canvas:
 
 
 def check_suffix(path: Path) -> None:
-    """Raise OutputError if the suffix of a file is not .png, MissingExtraError if pillow, which writes it, is not installed."""
+    """Raise OutputError if the suffix of a file is not .png, and MissingExtraError if pillow is not installed."""
     if (suffix := path.suffix.lower()) != ".png":
         raise OutputError(str(path), f"found the ending {suffix}", ".png")
     if find_spec("PIL") is None:
@@ -122,9 +122,9 @@ class Source(NamedTuple):
 
 
 def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Source:
-    """Return the revolutions of a capture by a trajectory, without those that it does not cover; without one the first revolution.
+    """Return the revolutions of a capture that a trajectory covers; without a trajectory, the first revolution.
 
-    Without a trajectory points are as in the sensor.
+    Without a trajectory points are in the sensor's frame.
     """
     way, way_m, inputs = None, None, [capture]
     if trajectory is not None:
@@ -155,13 +155,13 @@ def source_of_scene(emulator: Emulator, span: Span) -> Source:
 
 
 def draw_picture(source: Source, path: Path, look: PictureLook, stop: Event) -> dict[str, Any]:
-    """Draw the points of all revolutions, or those of the first one from above, as PNG; return what is in the picture.
+    """Draw the points of all revolutions, or of the first one from above, as PNG; return the contents of the picture.
 
     InputError if there is no revolution, or none with such a layer; OutputError if the file cannot be written.
 
     Parameters
     ----------
-    path : one that `check_suffix` lets pass
+    path : a path that passes `check_suffix`
     stop : ends the picture between two revolutions; before the first one with a `KeyboardInterrupt`
     """
     sweeps, way_m, species, inputs = source
@@ -211,7 +211,7 @@ def _slant(look: PictureLook, first: Sweep, way_m: F8 | None) -> Canvas:
 
 
 def _above(size: tuple[int, int], sweep: Sweep) -> Canvas:
-    """Return a canvas for a sweep from straight above, to the range that most of its points have."""
+    """Return a canvas for a sweep seen vertically from above, up to the range of most of its points."""
     width, height = size
     corner_m = np.quantile(sweep.scan.distance_m, _SHARE) * np.array([width, height, height]) / min(width, height)
     box_m = np.stack([-corner_m, corner_m])
@@ -250,7 +250,7 @@ def _annotated(
     font = ImageFont.load_default(em)
 
     def write(x: float, y: float, words: str, anchor: str) -> None:
-        """Write words, readable on points; the anchor's letters are those of pillow."""
+        """Write words, readable on points; `anchor` is pillow's."""
         left, top, right, bottom = draw.textbbox((x, y), words, font, anchor)
         draw.rectangle((left - 3, top - 3, right + 3, bottom + 3), (*_BACKGROUND, 178))
         draw.text((x, y), words, _INK, font, anchor)
@@ -287,7 +287,7 @@ def _draw_scale(
     colours = colours_of_scale(np.linspace(most, least, tall), least, most)
     image.paste(Image.fromarray(np.repeat(colours[:, None], em, axis=1)), (left, top))
     write(left + em / 2, top - em // 2, unit, "ms")
-    rough = (most - least) * 2 * em / tall  # numbers are two letters' heights apart or more
+    rough = (most - least) * 2 * em / tall  # numbers are at least two letters' heights apart
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(times * power for times in (1, 2, 5, 10) if times * power >= rough)
     for number in range(math.ceil(least / step), math.floor(most / step) + 1):

@@ -1,4 +1,4 @@
-"""The stand along the path as a browser can draw it: few faces per thing, and instances of repeated shapes."""
+"""The stand along the path, simplified for a browser: few faces per object, and instances of repeated shapes."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -18,23 +18,24 @@ from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, I8, U4, Mesh, PlantPart, ShapeKey
 
 _FACES = 300_000
-"""Triangles of all plants and things without stems, about: crowns look like crowns, and a browser without a graphics card draws a picture every second or two."""
-_FEWEST, _MOST = 6, 3_000  # faces of one mesh of one thing; between these limits in proportion to its size
+"""Approximate number of triangles of all plants and objects without stems: crowns look like crowns, and a browser
+without a graphics card draws an image every second or two."""
+_FEWEST, _MOST = 6, 3_000  # faces of one mesh of one object; between these limits in proportion to its size
 _MOST_GROWN = 3.5
-"""Limit of the growth of a leaf in length: larger ones look wrong; a crown that would need them is drawn less dense."""
-_BRANCHES = 0.25  # faces of branches, as a share of those of leaves, which largely hide them
+"""Greatest enlargement of a leaf in length: larger leaves look wrong, so a crown that needs them is drawn less dense."""
+_BRANCHES = 0.25  # faces of branches as a share of the faces of leaves, which largely hide them
 _SIDES, _RINGS = 6, 7  # sides and rings of a stem
 _DENSE_M = 6.0
 """Ground cover is complete up to this distance from the path; beyond it thins out with the square of the distance."""
 _GOLDEN = 0.618034
 _CELL_M = 1.0  # cell of the ground mesh
 _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
-"""Parts too fine to be seen among leaves."""
+"""Parts that are too fine to be visible among leaves."""
 _ONE = np.eye(3, 4)[None]
 
 
 def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the ground, the plants and the things within the radius of a survey, by name.
+    """Yield the ground, the plants and the objects within the radius of a survey, by name.
 
     Each is a mesh of one colour with its instances, as the arguments of viser's `add_batched_meshes_simple`.
     """
@@ -75,13 +76,13 @@ def pieces_of(seen: Survey) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], F8]:
-    """Return the placements (n,) that are drawn, and the size (n,) of each in metres: 0 for tiles, whose stems have faces of their own."""
+    """Return the placements (n,) that are drawn, and the size (n,) of each in metres: 0 for tiles, whose stems are drawn separately."""
     window = seen.window
     is_tile, is_floor = (
         np.array([isinstance(key, kind) for key in window.shapes], np.bool_)[window.shape]
         for kind in (TileKey, FloorKey)
     )
-    # A tile's place is its corner; its stems are drawn where one of them may be near.
+    # A tile's place is its corner; its stems are drawn if one of them may be near.
     gap_m = path.distance_m(window.world_T_shape[:, :2, 3] + np.where(is_tile, TILE_M / 2, 0.0)[:, None])
     radius_m = np.where(is_tile, seen.radius_m + TILE_M / 2, np.inf if seen.hall else seen.radius_m)
     dense = np.minimum(_DENSE_M / np.maximum(gap_m, _DENSE_M), 1.0) ** 2
@@ -111,26 +112,26 @@ def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
 
 
 def slim_stem(mesh: Mesh) -> Mesh:
-    """Simplify an upright stem to few sides and rings: a vertex moves to the one of its sector nearest to a ring's height."""
+    """Simplify an upright stem to few sides and rings: a vertex moves to the vertex of its sector that is nearest to a ring's height."""
     place_m = mesh.vertices_m.astype(np.float64)
     along = (place_m[:, 2] - place_m[:, 2].min()) / max(float(np.ptp(place_m[:, 2])), 1e-6)
     axis_m = np.stack([np.polyval(np.polyfit(along, place_m[:, k], 3), along) for k in (0, 1)], axis=1)
     aside_m = place_m[:, :2] - axis_m
     ring = np.rint(along * (_RINGS - 1)).astype(np.int64)
     sector = np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
-    return _gathered(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
+    return _merge_clusters(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
 
 
 def lump(mesh: Mesh) -> Mesh:
-    """Simplify a small solid thing to the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
+    """Simplify a small solid object to the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
     low_m, size_m = mesh.vertices_m.min(axis=0), np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
     place = (mesh.vertices_m - low_m) / size_m
     x, y, z = np.minimum(place * 3, 2).astype(np.int64).T
-    return _gathered(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))
+    return _merge_clusters(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))
 
 
-def _gathered(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh:
-    """Move all vertices (n,) of a cluster to its cheapest, and remove faces that then have no area."""
+def _merge_clusters(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh:
+    """Move all vertices (n,) of a cluster to its vertex of least cost, and remove faces that then have no area."""
     order = np.lexsort([cost, cluster])
     _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)
     at = np.empty(len(order), np.uint32)
@@ -142,7 +143,7 @@ def _gathered(mesh: Mesh, cluster: I8, cost: NDArray[np.floating]) -> Mesh:
 
 
 def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
-    """Keep `most` faces of a mesh: the largest, or with `grown` any, enlarged to keep the area of all.
+    """Keep `most` faces of a mesh: the largest, or with `grown` a sample that is enlarged to keep the total area.
 
     R. L. Cook et al., "Stochastic simplification of aggregate detail", SIGGRAPH 2007.
     """
@@ -179,7 +180,7 @@ def _ground(seen: Survey) -> Mesh:
 
 
 def _triangles(mesh: Mesh) -> U4:
-    """Return triangles; quads (a, b, c, d) become (a, b, d) and (c, d, b), as in casters."""
+    """Return triangles; quads (a, b, c, d) become (a, b, d) and (c, d, b), as in the ray casters."""
     faces = mesh.faces
     return faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
 

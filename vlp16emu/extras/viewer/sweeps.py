@@ -1,4 +1,4 @@
-"""Sweeps by time: of a scene, computed on demand, and of a capture, with the faults of its packets."""
+"""Sweeps by time: from a scene, computed on demand, or from a capture, with the faults of its packets."""
 
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -22,13 +22,13 @@ from vlp16emu.run.emulator import Emulator
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import F8, I8, Labels, Scan
 
-_TURNS = 2.2  # span in revolutions: it holds a whole one wherever it begins, also of a motor that is off its speed
+_TURNS = 2.2  # span in revolutions: it always contains a whole one, also with an error of the motor's speed
 _KEPT = 300  # sweeps of a capture in memory, some 300 MB; an earlier one is read again from the beginning of the file
-_MARKED = 10_000  # most findings of a rule that are shown; all are counted
+_MARKED = 10_000  # greatest number of findings of a rule that are shown; all are counted
 _ABOUT_POINTS = (
     *(Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE, Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE),
     *(Rule.FROZEN, Rule.AZIMUTH_STEP, Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
-)  # rules whose findings are shown with a sweep; with the others, such as late packets, points are right
+)  # rules whose findings are shown with a sweep; other faults, such as late packets, leave points correct
 
 
 class Sweep(NamedTuple):
@@ -40,12 +40,12 @@ class Sweep(NamedTuple):
 
 
 def species_of(scenario: Scenario) -> dict[int, str]:
-    """Return the names of species by number that a scene's labels have."""
+    """Return the names of species by their number in a scene's labels."""
     return dict(flora(getattr(scenario.world, "species_file", None)).names)
 
 
 def placed(xyz_m: NDArray[np.floating], world_T_sensor: F8) -> F8:
-    """Return points (n, 3) in the world, each by a pose of its own (n, 4, 4)."""
+    """Return points (n, 3) in the world, each transformed by its own pose (n, 4, 4)."""
     world_m: F8 = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
     return world_m + world_T_sensor[:, :3, 3]
 
@@ -58,7 +58,7 @@ def sweeps_of_scene(emulator: Emulator, start_s: float, duration_s: float | None
 
 
 def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
-    """Place a scan by a trajectory that covers it; without one its points stay in the sensor's frame."""
+    """Transform a scan to the world by a trajectory that covers it; without one its points stay in the sensor's frame."""
     if way is None:
         return Sweep(scan, scan.xyz_m.astype(np.float64))
     world_T_sensor = np.tile(np.eye(4), (len(scan.t_ns) + 1, 1, 1))
@@ -70,7 +70,8 @@ def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
 class SceneSweeps:
     """Sweeps of a scene's sensor, with labels; InputError if there is no such unit.
 
-    `last_s` is the start of the last sweep since the first, `step_s` the nominal time between sweeps, in seconds.
+    `last_s` is the time from the start of the first sweep to the start of the last one, `step_s` the nominal time
+    between sweeps, both in seconds.
     """
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
@@ -97,7 +98,7 @@ class CaptureSweeps:
 
     Parameters
     ----------
-    path : capture; faulty packets are passed over
+    path : capture; faulty packets are skipped
     truth : folder written by `record --truth --truth-returns`
     unit : number of the sensor, from 1
     """
@@ -108,7 +109,7 @@ class CaptureSweeps:
         self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
         found = verify_units(path, [self._unit], limit_per_rule=_MARKED)[0]
         self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
-        """Broken rules of `vlp16emu verify` with their counts, and why the file cannot be read to its end."""
+        """Broken rules of `vlp16emu verify` with their counts, and the reason if the file cannot be read to its end."""
         self.species = {} if truth is None else species_of(load(truth / "scenario.json"))
         """Names of species by number."""
         packets, self._starts_ns = list[I8](), list[int]()

@@ -22,19 +22,19 @@ _TIMING = AXES  # lane of the process that varies the step rate; those before it
 
 
 def step_rate_hz(speed_m_s: float) -> float:
-    """Compute how many steps per second people take at a walking speed.
+    """Return the step rate at a walking speed, in steps per second.
 
-    The exponent is that of Grieve and Gear, "The relationships between length of stride, step frequency,
-    time of swing and speed of walking", Ergonomics 9, 1966. The factor is that of 20 adults who took 111
+    Source of the exponent: Grieve and Gear, "The relationships between length of stride, step frequency,
+    time of swing and speed of walking", Ergonomics 9, 1966. The factor fits 20 adults who took 111
     steps per minute at 1.19 m/s (Chung et al., J NeuroEng Rehabil 7:9, 2010, table 1).
     """
     return 111.0 / 60.0 * power(speed_m_s / 1.19, 0.58)
 
 
 class Trunk:
-    """Samples of the trunk's motion at a walking speed, which gives the step rate unless the gait does.
+    """Trunk motion at a walking speed, which sets the step rate unless the gait does.
 
-    The seed decides how strides vary.
+    The seed determines how strides vary.
     """
 
     def __init__(self, gait: Gait, speed_m_s: float, seed: int) -> None:
@@ -45,7 +45,7 @@ class Trunk:
         self._lines = _lines(seed)
 
     def at(self, elapsed_s: F8, effort: F8) -> F8:
-        """Displacements (n, 6), axes as in `AXES`, at times (n,) since the first step.
+        """Return displacements (n, 6), axes as in `AXES`, at times (n,) since the first step.
 
         Effort (n,) is the share of the amplitudes, 0 at rest and 1 at walking speed.
         """
@@ -83,12 +83,12 @@ def _band_noise_integral(lines: F8, t_s: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _fill(elapsed_s: F8, effort: F8, step_hz: float, variation: float, amplitude: F8, lines: F8, out: F8) -> None:
-    """Fill each row alone; positive pitch is nose down and positive roll right side down."""
+    """Fill each row on its own; positive pitch is nose down, positive roll is right side down."""
     for i in range(elapsed_s.size):
         t_s = elapsed_s[i]
         strides = 0.5 * step_hz * (t_s + variation * _band_noise_integral(lines[_TIMING], t_s))
         stride = 2.0 * math.pi * (strides - math.floor(strides))
-        # A step's lowest point and heel strike are at 3/4 of its phase; over the standing leg at 1/4.
+        # The lowest point of a step and its heel strike are at 3/4 of its phase; the trunk is over the standing leg at 1/4.
         step_cos, step_sin = cos_sin(2.0 * stride)
         lean_cos, lean_sin = cos_sin(stride + 0.25 * math.pi)
         sway = (step_cos, lean_sin, step_sin, -lean_sin, -step_sin, lean_cos)

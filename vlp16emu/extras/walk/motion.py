@@ -19,21 +19,21 @@ from vlp16emu.units import S_NS
 _log = logging.getLogger(__name__)
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
-_TOGETHER = 128  # instants of a millisecond whose poses are found together: what is between fits into the nearest cache
-_TABLES_KEPT = 16  # seconds of motion held ready, 0.3 MB each: more than the workers of a run are ever apart
+_TOGETHER = 128  # instants whose poses are computed together: intermediate results fit into the first-level cache
+_TABLES_KEPT = 16  # seconds of motion kept, 0.3 MB each: workers of a run are never farther apart
 
 
 class WalkMotion:
     """A pack on the back of a person who walks along a route.
 
-    Route, gait and harness are evaluated on a grid of 1 ms that begins with the walk. The pose is by
-    definition the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on it: twice continuously
-    differentiable, so its derivatives belong to it exactly, and within a nanometre of what it interpolates.
+    Route, gait and harness are evaluated on a grid of 1 ms that begins with the walk. The pose is defined as
+    the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on this grid. It is twice continuously
+    differentiable, so its derivatives are exact, and it is within a nanometre of the interpolated function.
 
-    At the cruise speed of the route the gait has its full amplitudes, and they fade as the person slows down. The pack hangs
-    on what `under` samples, and by what it says: by default on the trunk, by the harness of the walk.
+    At the cruise speed of the route the gait has its full amplitudes; they fade as the person slows down. `under` gives
+    the motion that carries the pack and the suspension: by default the trunk and the harness of the walk.
 
-    Raises TrajectoryError if the straps would swing without end.
+    Raises TrajectoryError if the straps would never stop swinging.
     """
 
     moves = True
@@ -50,12 +50,12 @@ class WalkMotion:
         self._walk, self._seed = walk, seed
         self._route, self._start_ns, self._height_m = route, start_ns, walk.sensor_height_m
         self._trunk = Trunk(walk.gait, route.speed_m_s, seed)
-        self._pack = Pack(*(under or (self._sway, walk.harness))) if walk.gait.moves else None
+        self._pack = Pack(*(under or (self._trunk_samples, walk.harness))) if walk.gait.moves else None
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
         self.run_time_s = route.run_time_s
 
     def poses_at(self, t_ns: I8) -> Poses:
-        """Poses at UTC instants (n,); before the start and after the end the person is at rest at the ends."""
+        """Return poses at UTC instants (n,); before the start and after the end the person rests at the ends of the path."""
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         room = np.empty((1 + 2 * AXES, _TOGETHER))
         for second, which in self._seconds(t_ns):
@@ -64,7 +64,7 @@ class WalkMotion:
         return poses
 
     def kinematics_at(self, t_ns: I8) -> Kinematics:
-        """Poses at UTC instants (n,) with the derivatives of the same function."""
+        """Return poses at UTC instants (n,) with the derivatives of the same function."""
         n = len(t_ns)
         out = Kinematics(t_ns, np.empty((n, 3, 3)), *(np.empty((n, 3)) for _ in range(5)))
         for second, which in self._seconds(t_ns):
@@ -77,10 +77,10 @@ class WalkMotion:
         """Return the motion of the top of a mast on the pack, which swings as the pack pushes it."""
         if self._pack is None:
             return self
-        under = self._pushes, mast
+        under = self._pack_samples, mast
         return WalkMotion(self._walk, self._route, start_ns=self._start_ns, seed=self._seed, under=under)
 
-    def _pushes(self, first: int, count: int) -> F8:
+    def _pack_samples(self, first: int, count: int) -> F8:
         """Sample the pack's motion (count, 6) at knots from `first` on."""
         assert self._pack is not None
         seconds = range(first // KNOTS_PER_S, (first + count - 1) // KNOTS_PER_S + 1)
@@ -89,16 +89,16 @@ class WalkMotion:
         return np.concatenate(samples)[begin : begin + count]
 
     def _seconds(self, t_ns: I8) -> list[tuple[int, I8]]:
-        """Seconds of the walk that instants (n,) fall into, and the numbers of those instants."""
+        """Return the seconds of the walk that contain instants (n,), and the indices of these instants."""
         if len(t_ns) and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS:
-            return [(low, np.arange(len(t_ns)))]  # as nine blocks in ten
+            return [(low, np.arange(len(t_ns)))]  # nine blocks in ten
         seconds = (t_ns - self._start_ns) // S_NS
         order = np.argsort(seconds, kind="stable")
         parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
         return [(int(seconds[part[0]]), part) for part in parts if len(part)]
 
-    def _sway(self, first: int, count: int) -> F8:
-        """Sample the trunk's motion (count, 6) as `_pushes` does."""
+    def _trunk_samples(self, first: int, count: int) -> F8:
+        """Sample the trunk's motion (count, 6) as `_pack_samples` does."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
         share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
         return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))  # smooth: starts and stops jerk no pack
@@ -114,7 +114,7 @@ class WalkMotion:
 
 
 def check_gait(gait: Gait, sensor_height_m: float) -> None:
-    """Warn of a gait that lowers the sensor below the ground, from where nothing of the world is seen."""
+    """Warn of a gait that lowers the sensor below the ground, where it sees nothing of the world."""
     # The lowest point of a step that is one sigma deeper than others.
     dip_m = (1.0 + gait.variation) * (gait.vertical_m + gait.second_harmonic_m + gait.heel_strike_m)
     if dip_m >= sensor_height_m:
@@ -156,9 +156,9 @@ def _hermite(nodes: F8) -> F8:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _poses(table: F8, t_ns: I8, begin_ns: int, which: I8, room: F8, world_R_body: F8, world_p_body_m: F8) -> None:
-    """Fill the poses at some of the instants, all within the second that begins at `begin_ns`.
+    """Fill the poses at the instants `which`, all within the second that begins at `begin_ns`.
 
-    Those of a piece are done together, as many as there is `room` (13, n) for, so that loops over them do four at once.
+    Instants are done in groups that fit into `room` (13, n), so that the compiler vectorizes the loops over them.
     """
     x, q, cosine, sine = room[0], room[1:7], room[7:10], room[10:13]
     done = ZERO

@@ -1,10 +1,10 @@
-"""A pack that hangs on the trunk by its straps, solved exactly for what drives it.
+"""A pack that hangs on the trunk by its straps: exact response to the trunk's motion.
 
 The trunk's motion u is by definition the quintic spline through its samples at knots 5 ms apart. Each axis
 of the pack swings about it: x'' + 2 z w (x' - u') + w^2 (x - u) = 0. In the stretch y = x - u of the straps
 this is y'' + 2 z w y' + w^2 y = -u'', and -u'' is a cubic between knots. Its exact response is a linear map
-of the state at the knot and the cubic's four coefficients, computed once, so no step size exists and a strap
-of 1 GHz costs no more and is as exact as one of 1 Hz.
+of the state at the knot and the cubic's four coefficients, computed once. So there is no step size, and a
+strap of 1 GHz costs as much and is as exact as a strap of 1 Hz.
 """
 
 import math
@@ -21,14 +21,14 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F8
 
 KNOTS_PER_S = 200  # heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre
-NODES_PER_KNOT = 5  # instants per knot at which the pack's motion is handed out: one per millisecond
+NODES_PER_KNOT = 5  # instants per knot at which the pack's motion is returned: one per millisecond
 _REACH = 4  # samples needed before the first knot and after the last one of a second
 _FORGOTTEN = 39.14394658089878
-"""Logarithm of 1e17. A swing that has decayed by this is under the last bit of what it was."""
+"""Logarithm of 1e17. A swing that has decayed by this factor is below its last bit."""
 _LONGEST_S = 600
-"""Straps that swing longer than this after a push are refused: the gait would shake them up without bound."""
+"""Straps that swing longer than this after a push are refused: the gait would drive them without bound."""
 _QUASI = np.array([13.0, -112.0, 438.0, -112.0, 13.0]) / 240.0
-"""Samples to spline coefficients: the five numbers with which the spline reproduces every quintic."""
+"""Filter from samples to spline coefficients, with which the spline reproduces every quintic."""
 _QUINTIC = (
     np.array(
         [
@@ -48,14 +48,14 @@ _SHORT, _TERMS = 3, 14  # in an eighth of a radian the fourteenth term is below 
 
 
 class Pack:
-    """Motion of the pack about the smooth path: the trunk's, or what the straps make of it.
+    """Motion of the pack about the smooth path: the trunk's motion, filtered by the straps if there are any.
 
-    Raises TrajectoryError if a push would go on swinging for more than ten minutes.
+    Raises TrajectoryError if the pack would swing for more than ten minutes after a push.
 
     Parameters
     ----------
     trunk : samples (n, 6) of the trunk's motion at knots first .. first + n - 1, knot 0 at the first step
-    harness : None where the pack is strapped tight
+    harness : None if the pack is strapped tight
     """
 
     def __init__(self, trunk: Callable[[int, int], F8], harness: Harness | Mast | None) -> None:
@@ -69,18 +69,18 @@ class Pack:
             raise TrajectoryError("harness", swing, f"at most {_LONGEST_S} s: more damping or stiffer straps")
         self._memory_s = math.ceil(_FORGOTTEN / slowest)
         offsets_s = np.arange(1, NODES_PER_KNOT + 1) / (NODES_PER_KNOT * KNOTS_PER_S)
-        # (6, 5, 2, 6): by axis and node, stretch and its rate from their values at the knot and the forcing.
+        # (6, 5, 2, 6): by axis and node, the map from stretch and rate at the knot, and the forcing, to stretch and rate.
         self._steps = np.array([[response(hz, z, s) for s in offsets_s] for hz in frequency_hz])
-        # (6, 2, 2): the free swing over a second.
+        # (6, 2, 2): free swing over a second.
         self._second = np.array([response(hz, z, 1.0)[:, :2] for hz in frequency_hz])
         omega = 2.0 * math.pi * np.array(frequency_hz)
         self._stiffness, self._drag = omega * omega, 2.0 * z * omega
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
     def nodes(self, second: int) -> F8:
-        """Displacement, velocity and acceleration (1001, 6, 3) at the nodes of a second, both ends included.
+        """Return displacement, velocity and acceleration (1001, 6, 3) at the nodes of a second, both ends included.
 
-        The second of the first step is 0. The same for whatever was asked before.
+        The second of the first step is 0. The result does not depend on earlier calls.
         """
         pieces = self._pieces(second)
         node = np.arange(NODES_PER_KNOT * KNOTS_PER_S + 1)
@@ -95,19 +95,19 @@ class Pack:
         return out
 
     def _pieces(self, second: int) -> F8:
-        """Trunk as polynomials (200, 6, 6) of the seconds since each knot of a second, lowest power first."""
+        """Polynomials (200, 6, 6) of the trunk's motion in seconds since each knot of a second, lowest power first."""
         samples, n = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1), KNOTS_PER_S
         spline = sum(share * samples[j : j + n + 5] for j, share in enumerate(_QUASI))
         powers = [sum(share * spline[j : j + n] for j, share in enumerate(row)) for row in _QUINTIC]
         return np.stack([KNOTS_PER_S**power * each for power, each in enumerate(powers)], axis=-1)
 
     def _state(self, second: int) -> F8:
-        """Stretch and its rate (6, 2) when a second begins, at rest until the first step.
+        """Stretch and its rate (6, 2) at the start of a second, at rest until the first step.
 
-        Summed from what each second within memory did by itself, so it does not matter where one starts.
+        It is the sum of the responses to each second within memory, so it does not depend on where a run begins.
         """
         state = np.zeros((AXES, 2))
-        for past in range(max(0, second - self._memory_s), second):  # older swings are below the last bit
+        for past in range(max(0, second - self._memory_s), second):  # older swings have decayed below the last bit
             state = matvec(self._second, state) + self._pushed(past)
         return state
 
@@ -145,7 +145,7 @@ def _swing(pieces: F8, steps: F8, state: F8, stiffness: F8, drag: F8, out: F8) -
 
 
 def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
-    """Rate at which the slowest part of a free swing dies away."""
+    """Return the rate, per second, at which the slowest part of a free swing decays."""
     omega, z = 2.0 * math.pi * frequency_hz, damping_ratio
     return z * omega if z < 1.0 else omega / (z + math.sqrt((z - 1.0) * (z + 1.0)))
 
@@ -153,12 +153,13 @@ def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
 def response(frequency_hz: float, damping_ratio: float, s: float) -> F8:
     """Return the linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
 
-    It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled until it is s
-    (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review 45, 2003, method 3).
+    It is the matrix exponential of the oscillator and its forcing: a power series over a short time, doubled until the
+    time is s (Moler and Van Loan, "Nineteen dubious ways to compute the exponential of a matrix", SIAM Review 45, 2003,
+    method 3).
     """
     omega = 2.0 * math.pi * frequency_hz
     system = np.zeros((6, 6))
-    system[0, 1] = omega  # rates are in units of omega, so that stiff straps lose no digits
+    system[0, 1] = omega  # rates in units of omega, so that stiff straps lose no digits
     system[1, :3] = -omega, -2.0 * damping_ratio * omega, 1.0 / omega
     for i in range(3):
         system[2 + i, 3 + i] = 1.0 + i

@@ -12,18 +12,18 @@ from vlp16emu.kernels.compiler import numba
 from vlp16emu.store import recalled
 from vlp16emu.types import F8, I8, HeightField
 
-_APART_M = 0.01  # waypoints nearer than this are one
-_LONGEST_M = 100_000.0  # what a person walks in a day; a longer path is a mistake of units
-_FARTHEST_M = 1e6  # from the origin of the scene; so far the ground is good to a nanometre
+_APART_M = 0.01  # waypoints nearer to each other than this are one waypoint
+_LONGEST_M = 100_000.0  # more than a person walks in a day: a longer path is a mistake of units
+_FARTHEST_M = 1e6  # from the origin of the scene; up to there the ground is exact to a nanometre
 _SMALLEST_RADIUS_M = 0.1
-"""Smallest radius of a turn: a body that is 0.4 m wide turns on the spot rather than along a smaller arc (assumption)."""
+"""Smallest turning radius: a person 0.4 m wide turns on the spot instead of on a smaller arc (assumption)."""
 _STEEPEST_DEG, _STEEPEST = 60.0, 1.7320508075688772
-"""Slope of the ground along the path, and its tangent; steeper is climbed by hand (assumption)."""
+"""Greatest slope of the ground along the path, and its tangent; people climb steeper ground with their hands (assumption)."""
 _KNOT_M = 0.25  # greatest distance between knots: resolves the ground under a walker, smoothed over a pace
 _KNOT_RAD = 0.125  # greatest turn between knots: keeps the parameter an arc length within 1e-4
 _KNOT_GROWTH = 0.2  # growth of the distance between knots per metre: neighbours stay within a factor of about 1.2
 _SAMPLE_M = 0.05
-_FEWEST_SAMPLES = 16  # between two waypoints: fine enough that no turn below the smallest radius hides between samples
+_FEWEST_SAMPLES = 16  # between two waypoints: fine enough to see each turn below the smallest radius
 _PACE_M = 0.7  # length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
 _HEIGHT_M = 0.1  # distance between the heights that are taken from the ground
 _GAUSS = (
@@ -38,25 +38,25 @@ _GAUSS = (
 class Path:
     """A curve through waypoints that follows the ground: four times continuously differentiable.
 
-    It is a quintic spline whose parameter is its length, up and down included; a walker's
-    hip smooths the ground, so the curve takes the mean of the heights from a pace behind to one ahead.
-    The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
-    quintic, since the second time derivative of the heading takes three derivatives of the position.
+    It is a quintic spline whose parameter is its length, height included. A walker's hip smooths the
+    ground, so the height is the mean of the ground from one pace behind to one pace ahead.
+    The horizontal curve is the natural (if closed: periodic) cubic spline, resampled by arc length as a
+    quintic, because the second time derivative of the heading needs three derivatives of the position.
 
-    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, where the curve turns with a
-    radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km.
+    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, and if the curve turns with
+    a radius below 0.1 m, climbs by more than 60 degrees or is longer than 100 km.
 
     Parameters
     ----------
-    way_points_m : (n, 2) float64, x and y in the world, n >= 2; where the last is the first (within
-        1 cm), the path is a loop that closes smoothly
+    way_points_m : (n, 2) float64, x and y in the world, n >= 2; if the last is the first (within
+    1 cm), the path is a loop that closes smoothly
     height_m : ground height
     """
 
     def __init__(self, way_points_m: F8, height_m: HeightField) -> None:
         _check_way_points(way_points_m)
         closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)
-        self.closed = closed  # whether the path goes on at its start; then arc lengths may go on beyond the length
+        self.closed = closed  # True for a loop, where arc lengths may exceed the length
         origin_m = np.append(way_points_m[0], 0.0)
         points_m = way_points_m - way_points_m[0]
         if closed:
@@ -72,7 +72,7 @@ class Path:
         _check_slope(solid, along_m, origin_m)
         self._curve, knots_m = _by_length(solid, along_m, closed)
         self.xy_m = np.ascontiguousarray((self._curve(knots_m) + origin_m)[:, :2])
-        """(m, 2) points of the path 0.25 m apart at most."""
+        """(m, 2) points of the path, at most 0.25 m apart."""
         self._curve.powers[0] += origin_m
         east, north, _ = self._curve(knots_m, 1).T
         self._heading_rad = np.unwrap(atan2(north, east))  # (m,) at the knots, continuous
@@ -82,15 +82,15 @@ class Path:
     def derivatives_at(self, s_m: F8) -> tuple[F8, F8]:
         """Return ground points (n, 3, 3) and headings (n, 3) at arc lengths (n,), each with its first and second derivative.
 
-        The middle axis of the points is the order of the derivative. Headings are continuous, in radians from east. Beyond its
-        ends the path stays where it ends, unless it is closed.
+        The middle axis of the points is the order of the derivative. Headings are continuous, in radians from east. Arc
+        lengths beyond an end of an open path give its end.
         """
         lap, s_m = self._on_lap(s_m)
         powers, since_m = self._curve.within(s_m)
         *point_m, third = (polynomial(powers, since_m, order) for order in range(4))
         (x0, y0, _), (x1, y1, _), (x2, y2, _), (x3, y3, _) = powers[1], *point_m[1:], third
         piece, heading_rad = self._curve.piece(s_m), np.empty((len(s_m), 3))
-        # From the knot's own heading, so that it stays continuous where atan2 does not.
+        # Relative to the heading at the knot, which is continuous where atan2 is not.
         turn = atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
         heading_rad[:, 0] = self._heading_rad[piece] + turn + lap * (self._heading_rad[-1] - self._heading_rad[0])
         run2 = x1 * x1 + y1 * y1
@@ -99,7 +99,7 @@ class Path:
         return np.ascontiguousarray(np.stack(point_m).transpose(2, 0, 1)), heading_rad
 
     def turn_rad_m(self, s_m: F8) -> F8:
-        """Return the turn of the heading per metre (n,), the first derivative of `derivatives_at` alone."""
+        """Return the change of heading per metre (n,): only the first derivative of `derivatives_at`."""
         _, s_m = self._on_lap(s_m)
         powers, since_m = self._curve.within(s_m)
         (x1, y1), (x2, y2) = (polynomial(powers[:, :2], since_m, order) for order in (1, 2))
@@ -111,7 +111,7 @@ class Path:
 
 
 def path_over(way_points_m: F8, height_m: HeightField, ground: str) -> Path:
-    """Return the path over a ground of that name, laid once and then read from the user's store; empty if none is kept."""
+    """Return the path over the ground named `ground`, computed once and then read from the user's store; an empty name stores nothing."""
     name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
     return recalled(name, lambda: Path(way_points_m, height_m))
 
@@ -144,7 +144,7 @@ def _check_way_points(way_points_m: F8) -> None:
 
 
 def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8]:
-    """Parameters of the knots, dense in turns, and which of them are the waypoints."""
+    """Return the parameters of the knots, dense in turns, and the indices of the waypoints among them."""
     chords_m = norm(np.diff(way_points_m, axis=0))
     counts = np.maximum(_FEWEST_SAMPLES, np.ceil(chords_m / _SAMPLE_M)).astype(np.int64)
     at = np.concatenate([[0], np.cumsum(counts)])
@@ -153,7 +153,7 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
     lengths_m = norm(steps)
     curvature = _curvature(steps, closed)
     _check_radius(curvature, cubic(fine) + way_points_m[0], np.searchsorted(at, np.arange(len(fine))))
-    # The curve bends most suddenly where waypoints are near each other, and a spline is least sure at its ends.
+    # Curvature changes fastest where waypoints are near each other, and a spline is least determined at its ends.
     limit_m = np.minimum(_KNOT_M, lengths_m.sum() / 8.0)
     near_m = np.minimum(np.append(chords_m[0], chords_m), np.append(chords_m, chords_m[-1]))
     spacing_m = np.minimum(limit_m, _KNOT_RAD / np.maximum(curvature, 1e-9))
@@ -165,7 +165,7 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
         spacing_m[0] = spacing_m[-1] = min(spacing_m[0], spacing_m[-1])
         limit_slope(spacing_m, _KNOT_GROWTH * lengths_m)
     measure = np.concatenate([[0.0], np.cumsum(lengths_m * 2 / (spacing_m[1:] + spacing_m[:-1]))])
-    # Whole numbers of knot intervals between waypoints, so that the curve passes them to the last bit.
+    # A whole number of knot intervals between waypoints, so that the curve passes through them to the last bit.
     pieces = np.ceil(np.diff(measure[at])).astype(np.int64)
     at_way_points = np.concatenate([[0], np.cumsum(pieces)])
     wanted = np.interp(np.arange(at_way_points[-1] + 1), at_way_points, measure[at])
@@ -173,7 +173,7 @@ def _knots(cubic: Spline, u: F8, way_points_m: F8, closed: bool) -> tuple[F8, I8
 
 
 def _curvature(steps: F8, closed: bool) -> F8:
-    """Curvature (n,) at n samples, from the angles between the n - 1 steps; infinite where they halt."""
+    """Curvature (n,) at n samples, from the angles between the n - 1 steps; infinite at steps without length."""
     before, after = (np.roll(steps, 1, axis=0), steps) if closed else (steps[:-1], steps[1:])
     ahead, aside = (before * after).sum(axis=1), before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     before_m, after_m = norm(before), norm(after)
@@ -201,7 +201,7 @@ def _spline(at: F8, points_m: F8, closed: bool) -> Spline:
 
 
 def _by_length(curve: Spline, knots: F8, closed: bool) -> tuple[Spline, F8]:
-    """Draw a curve again with its own length as the parameter: the spline and its knots."""
+    """Return the curve with its arc length as the parameter: the spline and its knots."""
     half, mean_speed = np.diff(knots) / 2, np.zeros(len(knots) - 1)
     for place, weight in _GAUSS:
         mean_speed += weight * norm(curve((knots[1:] - half) + half * place, 1))
@@ -210,10 +210,10 @@ def _by_length(curve: Spline, knots: F8, closed: bool) -> tuple[Spline, F8]:
 
 
 def _heights(plan: Spline, along_m: F8, origin_m: F8, height_m: HeightField, closed: bool) -> Spline:
-    """Heights along the plan as the hip takes them: the mean of the ground from a pace behind to one ahead.
+    """Return heights along the horizontal curve: means of the ground from one pace behind to one pace ahead.
 
-    The weight falls linearly to nothing over a pace, since two feet in turn carry the hip (assumption).
-    Beyond the ends the ground goes on point-symmetrically, so even slopes stay as they are.
+    The weight falls linearly to zero over a pace, because the two feet carry the hip in turn (assumption).
+    Beyond the ends the ground is continued point-symmetrically, so even slopes do not change.
     """
     count = max(8, math.ceil(along_m[-1] / _HEIGHT_M))
     at_m = np.linspace(0.0, along_m[-1], count + 1)
@@ -228,7 +228,7 @@ def _heights(plan: Spline, along_m: F8, origin_m: F8, height_m: HeightField, clo
 
 
 def _smoothed(padded: F8, reach: int) -> F8:
-    """Mean (n,) of values (n + 2 reach - 2,) with weights that fall linearly to nothing over `reach` steps."""
+    """Mean (n,) of values (n + 2 reach - 2,) with weights that fall linearly to zero over `reach` steps."""
     out = np.zeros(len(padded) - 2 * reach + 2)
     for k in range(1 - reach, reach):
         out += (reach - abs(k)) / (reach * reach) * padded[reach - 1 + k : reach - 1 + k + len(out)]

@@ -1,4 +1,4 @@
-"""A path with its timing: where a person is on it, at any time."""
+"""A path with its timing: the place of a person on it at any time."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,34 +14,34 @@ from vlp16emu.extras.walk.settings import Walk
 from vlp16emu.types import F8
 
 Stops = Sequence[tuple[float, float]]
-_PLACED = [0, 1, 2, 5]  # of x, y, z, roll, pitch and yaw those that a path gives
+_PLACED = [0, 1, 2, 5]  # x, y, z and yaw among x, y, z, roll, pitch, yaw: a path has no roll or pitch
 _MAX_SPEED_M_S = 10.0  # a sprint
-_KNOT_S = 0.1  # between knots in time: starts and stops take their shape over half a second, a pace (assumption)
+_KNOT_S = 0.1  # between knots: a start or a stop takes half a second, a pace (assumption)
 _DEGREE = 5
-_REACH = 3  # knots to either side over which a quintic B-spline takes its mean
+_REACH = 3  # knots to either side that a quintic B-spline averages
 _CELL_M = 0.02
 _LOOKS = 4  # length over which acceleration is constant before smoothing, and how often turns are looked up in it
 _BLOCK = 16_384
 _LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together
-_HALVINGS = 24  # of the range of cruise speeds, when the run time is given
+_HALVINGS = 24  # of the range of cruise speeds, if the run time is given
 
 
 class Route:
-    """A path with the times at which a person is on it, `laps` times round where it is closed.
+    """A path with the times at which a person is on it, `laps` times round if it is closed.
 
-    Arc length over time is a quintic B-spline with equal steps, four times continuously differentiable. The person goes
-    as fast as cruise speed, turn rate and acceleration allow, each as the largest function of arc length that keeps all
-    three. Its arc length at equal times are the control points of the spline, so speed and acceleration are weighted
-    means of those before smoothing, keep the same limits, and never run backwards. At both ends and at stops the person
-    is at rest.
+    Arc length over time is a quintic B-spline with equal steps, four times continuously differentiable. The person
+    walks as fast as the limits of cruise speed, turn rate and acceleration allow together. The arc lengths at equal
+    times are the control points of the spline, so speed and acceleration are weighted means of the values before
+    smoothing: they keep the same limits, and the person never walks backwards. At both ends and at stops the person is
+    at rest.
 
-    Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, the run time is too
-    short, or the walk would take more than two weeks.
+    Raises TrajectoryError if an open path is to be walked more than once, a stop is not on the path, the run time is
+    too short, or the walk would take more than two weeks.
 
     Parameters
     ----------
     path : over the ground
-    walk : laps, limits, the cruise speed or the run time to which it is adapted, and the stops along the path
+    walk : laps, limits, cruise speed or run time, and the stops along the path
     pause_s : (n,) how long the person stops at each waypoint of the path
     """
 
@@ -54,7 +54,7 @@ class Route:
         stops = list(zip(path.way_points_at_m.tolist(), pause_s.tolist(), strict=True))
         stops = [stop for stop in stops if stop[1] > 0.0]
         stops += [(stop.at_m, stop.pause_s) for stop in walk.stops if stop.at_m is not None]
-        # So that the end of one lap and the start of the next are one to the last bit.
+        # The end of one lap and the start of the next are equal to the last bit.
         laps = [
             ((lap + at_m / path.length_m) * path.length_m, stop_s) for lap in range(walk.laps) for at_m, stop_s in stops
         ]
@@ -67,7 +67,7 @@ class Route:
         at_s, control_m = _sampled(legs, pauses_s, self.speed_m_s)
         self._moves_s = float(at_s + _PADDING_S)
         if run_time_s is not None:
-            # The search ends a hair below the time given; stretched, no limit is passed.
+            # The search ends slightly below the given time; stretching to it breaks no limit.
             self._step_s *= run_time_s / self._moves_s
             self._moves_s = run_time_s
         self._stand_s = walk.stand_s
@@ -77,7 +77,7 @@ class Route:
         self._along_m = Spline(at, powers(at, knots, control_m[:, None], _DEGREE))
 
     def at(self, elapsed_s: F8) -> tuple[F8, F8]:
-        """Foot point at times (n,) since the start, before any gait; before the first step and after the run time at rest.
+        """Return the foot point, without gait, at times (n,) since the start; it rests before the first step and after the run time.
 
         Returns
         -------
@@ -86,7 +86,7 @@ class Route:
         """
         steps = np.clip(elapsed_s - self._stand_s, 0.0, self._moves_s) / self._step_s
         along_m, rate, second = (self._along_m(steps, order)[:, 0] for order in range(3))
-        speed_m_s = np.maximum(rate, 0.0) / self._step_s  # rounding at rest must not walk backwards
+        speed_m_s = np.maximum(rate, 0.0) / self._step_s  # rounding at rest must not give a negative speed
         acceleration_m_s2 = second / (self._step_s * self._step_s)
         point_m, heading_rad = self._path.derivatives_at(along_m)
         curve, speed = np.concatenate([point_m, heading_rad[..., None]], axis=2), speed_m_s[:, None]
@@ -98,11 +98,11 @@ class Route:
 
 
 _PADDING_S = (2 * _REACH - 1) * _KNOT_S
-"""Time by which smoothing makes the run longer: the first control point that moves comes two steps after the start."""
+"""Time that smoothing adds to the run: the first control point that moves comes two steps after the start."""
 
 
 class _Leg:
-    """The part of the path from one rest to the next, in equal cells."""
+    """Part of the path from one rest to the next, in equal cells."""
 
     def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[F8], F8], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
@@ -118,7 +118,7 @@ class _Leg:
     def speeds_m_s(self, cruise_m_s: float) -> F8:
         """Return the speeds (n,) at the cells' edges before smoothing.
 
-        Smoothing mixes speeds from `2 * _REACH` steps of time, so the limits reach as far as the person then gets.
+        Smoothing mixes speeds over `2 * _REACH` time steps, so each limit holds as far as the person gets in them.
         """
         reach = min(len(self.at_m), math.ceil(2 * _REACH * _KNOT_S * cruise_m_s / self._cell_m))
         limit = _least_within(self._turn_limit_m_s, reach)
@@ -131,14 +131,14 @@ class _Leg:
 
     def times_s(self, speeds_m_s: F8) -> F8:
         """Return the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
-        with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
+        with np.errstate(divide="ignore", over="ignore"):  # at zero speed the time is infinite
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
 
 
 def _least_within(values: F8, reach: int) -> F8:
-    """Find the least value (n,) within `reach` neighbours to either side, in windows that double in width.
+    """Return the least value (n,) within `reach` neighbours to either side, in windows that double in width.
 
-    As `minimum_filter1d` of scipy.ndimage does, whose import would take 40 ms of each start.
+    `scipy.ndimage.minimum_filter1d` does the same, but its import takes 40 ms of each start.
     """
     least, width = np.pad(values, reach, mode="edge"), 1
     while 2 * width <= 2 * reach + 1:
@@ -148,7 +148,7 @@ def _least_within(values: F8, reach: int) -> F8:
 
 
 def _rests(stops: Stops, length_m: float) -> tuple[F8, F8]:
-    """Arc lengths (r,) at which the person rests, both ends among them, and for how long before smoothing."""
+    """Return the arc lengths (r,) at which the person rests, both ends included, and the durations before smoothing."""
     for stop_m, _ in stops:
         if not 0.0 <= stop_m <= length_m:
             found = f"found {stop_m:g} m along the path"
@@ -157,13 +157,13 @@ def _rests(stops: Stops, length_m: float) -> tuple[F8, F8]:
     pauses_s = np.zeros(len(at_m))
     for stop_m, pause_s in stops:
         pauses_s[np.searchsorted(at_m, stop_m)] += pause_s
-    # Smoothing takes from a rest between two legs what it reaches into it from both.
+    # Smoothing shortens a rest between two legs from both sides.
     pauses_s[1:-1] += 2 * _REACH * _KNOT_S
     return at_m, pauses_s
 
 
 def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_m: float) -> float:
-    """Find the cruise speed with which the run takes a given time, or a hair less."""
+    """Find the cruise speed with which the run takes a given time, or slightly less."""
 
     def takes_s(speed_m_s: float) -> float:
         return pauses_s + _PADDING_S + sum(leg.times_s(leg.speeds_m_s(speed_m_s))[-1] for leg in legs)
@@ -180,7 +180,7 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
 
 
 def _sampled(legs: Sequence[_Leg], pauses_s: F8, cruise_m_s: float) -> tuple[float, F8]:
-    """Duration before smoothing, and the control points (c,): arc lengths at equal times."""
+    """Return the duration before smoothing and the control points (c,): arc lengths at equal times."""
     begin_s, begins, runs = pauses_s[0], [], []
     for leg, pause_s in zip(legs, pauses_s[1:], strict=True):
         speeds = leg.speeds_m_s(cruise_m_s)

@@ -24,14 +24,14 @@ _Swing = Annotated[float, Field(ge=0, le=45)]
 
 
 class LawnMower(Section):
-    """Parallel lines to and fro over a rectangle, joined by rounded turns inside it."""
+    """Parallel lines back and forth over a rectangle, joined by rounded turns inside it."""
 
     corner_m: _Point = (0.0, 0.0)
     """x and y of the corner at which both edges begin."""
     length_m: Size
     """Length of the edge along the lines."""
     width_m: Annotated[float, Field(ge=0, le=1e4)]
-    """Length of the edge across them, to the left of the first."""
+    """Length of the edge across the lines, to the left of the first line."""
     azimuth_deg: Angle = 0.0
     """Direction of the lines, counter-clockwise from east."""
     line_spacing_m: Annotated[float, Field(ge=0.1, le=1e4)] = 10.0
@@ -57,7 +57,7 @@ class Stop(Section):
         return self
 
 
-_STRONG_GAIT = {  # a heavy pack on rough ground: about twice the natural, an assumption
+_STRONG_GAIT = {  # a heavy pack on rough ground: about twice `natural` (assumption)
     "vertical_m": 0.04,
     "second_harmonic_m": 0.006,
     "heel_strike_m": 0.003,
@@ -73,7 +73,7 @@ _STRONG_GAIT = {  # a heavy pack on rough ground: about twice the natural, an as
 class Gait(Preset):
     """Amplitudes of the trunk's motion at walking speed; they fade as the person slows down.
 
-    Defaults are those of `natural`.
+    The defaults are the values of `natural`.
     """
 
     presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
@@ -85,9 +85,9 @@ class Gait(Preset):
     }
 
     preset: Literal["none", "paper", "natural", "strong"] = "natural"
-    """Values of the keys that are not given beside it; `natural` is their defaults."""
+    """Sets the keys that are not given beside it; the defaults are `natural`."""
     step_hz: Annotated[float, Field(gt=0, le=5)] | None = None
-    """Steps per second; from the walking speed where it is left out."""
+    """Steps per second; from the walking speed if not given."""
     vertical_m: _Amplitude = 0.023
     """Rise and fall, once per step; 4.6 cm from end to end (assumption)."""
     second_harmonic_m: _Amplitude = 0.0015
@@ -105,7 +105,7 @@ class Gait(Preset):
     yaw_deg: _Swing = 3.45
     """Once per stride; range 6.9 degrees (Chung et al., 2010, global rotation)."""
     variation: Fraction = 0.04
-    """Standard deviation of stride times, and of amplitudes, as a share of them; a healthy walker's stride times
+    """Standard deviation of stride times and of amplitudes, relative to them; a healthy walker's stride times
     varied by 4 % in nine minutes (PhysioNet, Fractal mechanisms in neural control, figure 9)."""
 
     @property
@@ -117,22 +117,22 @@ class Gait(Preset):
 class Harness(Section):
     """Straps; without this table the pack is strapped tight.
 
-    The defaults are those of a loose pack (assumption): the suspended packs that people have measured swing
+    The defaults describe a loose pack (assumption): suspended packs in measurements swing
     at 1.9 to 2.3 Hz under 5 kg (690 to 1050 N/m; J Biomech Eng 144, 051001, 2022).
     """
 
     fore_aft_hz: _Frequency = 3.0
     """Undamped natural frequency, forwards and backwards."""
     sideways_hz: _Frequency = 3.0
-    """The same to the sides."""
+    """Undamped natural frequency, sideways."""
     vertical_hz: _Frequency = 2.1
-    """The same up and down."""
+    """Undamped natural frequency, up and down."""
     roll_hz: _Frequency = 3.0
-    """The same about the forward axis."""
+    """Undamped natural frequency about the forward axis."""
     pitch_hz: _Frequency = 3.0
-    """The same about the axis to the left."""
+    """Undamped natural frequency about the axis to the left."""
     yaw_hz: _Frequency = 3.0
-    """The same about the vertical axis."""
+    """Undamped natural frequency about the vertical axis."""
     damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.25
     """Share of critical damping, on all axes."""
 
@@ -143,10 +143,10 @@ class Harness(Section):
 
 
 class Mast(Section):
-    """Mast that carries the sensors over the pack and the inertial unit, and bends with each step.
+    """Mast that carries the sensors above the pack and the inertial unit, and bends with each step.
 
-    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at some 8 Hz and hardly along itself; at
-    walking pace it then leans by a tenth of a degree (assumption).
+    A pole of aluminium with a sensor of 0.83 kg (63-9243 Rev D, appendix C) swings at about 8 Hz and hardly along
+    itself; at walking pace it leans by a tenth of a degree (assumption).
     """
 
     bending_hz: _Frequency = 8.0
@@ -172,38 +172,38 @@ class Walk(MotionSection):
     way_points_file: SceneFile | None = None
     """CSV with the columns x_m, y_m (or x, y) and, if wanted, stop_s; or GPX with one track or route."""
     lawn_mower: LawnMower | None = None
-    """A pattern over a plot."""
+    """Parallel lines over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of laps, where the last waypoint is the first: such a path closes smoothly. Of another one with
-    `back_and_forth`."""
+    """Number of laps of a closed path, whose last waypoint is the first, or of any path with `back_and_forth`. A closed
+    path closes smoothly."""
     back_and_forth: bool = False
-    """Whether a lap is the way there and back, with a small loop behind each end: the person turns round, and goes on."""
+    """True if a lap is the way there and back, with a small loop behind each end where the person turns round."""
     speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
-    """Speed along the path, where nothing slows the person down."""
+    """Speed along the path where nothing slows the person down."""
     run_time_s: Annotated[float, Field(gt=0, le=7 * 86400)] | None = None
     """Time from first motion to last, instead of a speed."""
     acceleration_m_s2: Annotated[float, Field(gt=0, le=10)] = 1.0
     """Greatest change of speed; at 1 m/s^2 a person is at walking speed after two paces (assumption)."""
     yaw_rate_deg_s: Annotated[float, Field(gt=0, le=720)] = 60.0
-    """Greatest turn rate: a right angle takes 1.5 s (assumption). In tighter turns the person slows down."""
+    """Greatest turn rate: a right angle takes 1.5 s (assumption). The person slows down in tight turns."""
     stops: list[Stop] = Field(default_factory=list)
     """Halts on each lap."""
     stand_s: Annotated[float, Field(ge=0, le=86_400)] = 0.0
-    """How long the person stands still before the first step, as programs that begin with gravity and biases want; not
-    part of `run_time_s`."""
+    """Time that the person stands still before the first step, as programs need that estimate gravity and biases first;
+    not part of `run_time_s`."""
     kind: Literal["walk"]
     """Selects a walking person."""
     seed: Seed | None = None
-    """Seed of how the steps vary: scenes that share it, and the ground, walk one walk; the scene's seed if not set."""
+    """Seed of the variation of steps: scenes with the same seed and ground have the same walk; the scene's seed if not set."""
     sensor_height_m: Size = 2.0
     """Height of the pack's origin over the ground under it; the origin is the sensor's centre unless it is mounted
     elsewhere."""
     gait: Gait = Gait()
-    """How the trunk of the person moves."""
+    """Motion of the person's trunk."""
     harness: Harness | None = None
-    """How the pack hangs on the person; strapped tight without it."""
+    """Straps of the pack; without this table the pack is strapped tight."""
     mast: Mast | None = None
-    """How the sensors bend on the pack, whose inertial unit does not; rigid without it."""
+    """Mast that carries the sensors but not the inertial unit; without this table the sensors are rigid on the pack."""
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
@@ -216,9 +216,9 @@ class Walk(MotionSection):
         return self
 
     def carrier(self, site: "Site", *, gps: Gps, start_ns: int, seed: int, **_: object) -> "tuple[WalkMotion, F8]":
-        """Return the motion of the pack, and points (n, 2) of its path, which leads around what is in the way.
+        """Return the motion of the pack, and points (n, 2) of its path, which leads around obstacles.
 
-        Raises TrajectoryError if a person cannot walk so.
+        Raises TrajectoryError if a person cannot walk it.
         """
         from vlp16emu.extras.walk.motion import WalkMotion, check_gait
         from vlp16emu.extras.walk.path import path_over
@@ -233,7 +233,7 @@ class Walk(MotionSection):
         return WalkMotion(self, Route(path, self, points.pause_s), start_ns=start_ns, seed=seed), path.xy_m
 
     def under_sensors(self, carrier: "Motion") -> "Motion":
-        """Return the motion of the top of the mast; the carrier's without one."""
+        """Return the motion of the top of the mast, or `carrier` without a mast."""
         if self.mast is None:
             return carrier
         bent: Motion = carrier.bent(self.mast)  # type: ignore[attr-defined]  # `WalkMotion`, which this file does not load

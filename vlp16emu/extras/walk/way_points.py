@@ -1,4 +1,4 @@
-"""Waypoints of a walk: in the scene, in CSV and GPX files, or of a pattern over a plot; and around what is in the way."""
+"""Waypoints of a walk: from the scene, from CSV and GPX files or from a pattern over a plot; detours around obstacles."""
 
 import math
 from collections import Counter
@@ -18,18 +18,18 @@ from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import F8
 
 _POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
-_LOOP_RADIUS_M = 0.5  # of the turn behind each end of a way back and forth: a step to the side, and round (assumption)
-_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from end to end is no way to go back on
-_FARTHEST_M = 100_000.0  # farther from the scene's origin the plane of the map is no picture of the earth
+_LOOP_RADIUS_M = 0.5  # of the loop behind each end of a way back and forth (assumption)
+_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # least distance from end to end of a way back and forth
+_FARTHEST_M = 100_000.0  # from the scene's origin; farther away a plane map does not represent the earth
 _GEODETIC = {"lat": Column({"lat": 1.0}, -90.0, 90.0), "lon": Column({"lon": 1.0}, -180.0, 180.0)}
 _CSV = {
     "x_m": Column({"x_m": 1.0, "x": 1.0}),
     "y_m": Column({"y_m": 1.0, "y": 1.0}),
     "stop_s": Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False),
 }
-_TRIES = 300  # waypoints that are put beside something, or moved farther away from it
+_TRIES = 300  # waypoints that are put beside an obstacle, or moved farther away from it
 _SPARE_M, _WIDER_M = 0.05, 0.05
-"""Beyond what is asked for, at first and more with each try at the same thing: the curve between waypoints cuts corners."""
+"""Added to the required distance, and its growth with each try at the same obstacle: the curve between waypoints cuts corners."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +37,13 @@ class WayPoints:
     """Places to pass, in order."""
 
     xy_m: F8  # (n, 2) world
-    pause_s: F8  # (n,) how long the person stops there, 0 where the walk goes on
+    pause_s: F8  # (n,) time that the person stops there, 0 for no stop
 
 
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
     """Return the waypoints of a walk, with the stops at them.
 
-    Raises TrajectoryError if a file has none, a pattern does not fit, or a stop is at none of them.
+    Raises TrajectoryError if a file has no waypoint, a pattern does not fit, or a stop is at no waypoint.
 
     Parameters
     ----------
@@ -66,10 +66,10 @@ def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints
 def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
     """Read waypoints from a file whose name ends in .csv or .gpx.
 
-    A CSV has the columns x_m and y_m, and stop_s where the person is to stop. Of a GPX file the one track
-    is read, or the one route if it has no track; its times and heights are left aside.
+    A CSV has the columns x_m and y_m, and optionally stop_s, the duration of a stop. From a GPX file the one track
+    is read, or the one route if it has no track; its times and heights are ignored.
 
-    Raises TrajectoryError if the file is no such file, or lies more than 100 km from the scene's origin.
+    Raises TrajectoryError if the file is not of this form, or lies more than 100 km from the scene's origin.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
 
 
 def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
-    """Points of a GPX file by their element, as a table, and how many there are of each element."""
+    """Return the points of a GPX file as a table by element, and the number of elements of each kind."""
     parser, count = expat.ParserCreate(), Counter[str]()
     names = {axis: axis for axis in _GEODETIC}
     points = {
@@ -106,7 +106,7 @@ def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
         for name in ("trkpt", "rtept")
     }
 
-    def refuse(*_: object) -> None:  # entities are what small files grow vast by
+    def refuse(*_: object) -> None:  # entities can make a small file expand without bound
         where = f"{path}, line {parser.CurrentLineNumber}"
         raise TrajectoryError(where, "a document type declaration", "none in a GPX file")
 
@@ -124,13 +124,13 @@ def _gpx_points(path: Path) -> tuple[dict[str, Table], Counter[str]]:
     except expat.ExpatError as error:
         found = f"no XML: {expat.ErrorString(error.code)}"
         raise TrajectoryError(f"{path}, line {error.lineno}", found, "a GPX file") from None
-    except (LookupError, ValueError) as error:  # of the codec that the XML declaration names
+    except (LookupError, ValueError) as error:  # from the codec that the XML declaration names
         raise TrajectoryError(f"{path}, line 1", str(error), "a GPX file in UTF-8") from None
     return points, count
 
 
 def _there_and_back(points: WayPoints) -> WayPoints:
-    """Go back on the same way, round a small loop behind each end; stops are made there and back, at the ends once."""
+    """Return the way there and back, with a small loop behind each end; stops are made both ways, at the ends once."""
     xy_m, pause_s = points.xy_m, points.pause_s
     if len(xy_m) < 2 or norm(xy_m[-1] - xy_m[0]) < _LOOP_LENGTH_M:
         found = f"found {len(xy_m)} waypoints, the last {norm(xy_m[-1] - xy_m[0]):.2f} m from the first"
@@ -145,22 +145,22 @@ def _there_and_back(points: WayPoints) -> WayPoints:
 
 
 def _turning_loop(before_m: F8, end_m: F8) -> F8:
-    """Waypoints (n, 2) of a loop that leads back to the end of a way, straight against how one came there.
+    """Waypoints (n, 2) of a loop that leads back to the end of a way in the opposite direction.
 
-    A sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth to the right, all
-    of one radius, with a waypoint at each sixth.
+    It is a sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth to the
+    right, all with one radius, and has a waypoint at each sixth.
     """
     turns = math.pi / 3 * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
     ahead_m = end_m - before_m
     headings = atan2(float(ahead_m[1]), float(ahead_m[0])) + np.cumsum(turns) - turns / 2
-    chords_m = _LOOP_RADIUS_M * np.column_stack([cos(headings), sin(headings)])  # as long as the radius
+    chords_m = _LOOP_RADIUS_M * np.column_stack([cos(headings), sin(headings)])  # chord = radius
     return np.asarray(end_m + np.cumsum(chords_m, axis=0)[:-1])
 
 
 def lawn_mower(plot: LawnMower) -> F8:
-    """Waypoints (n, 2) along parallel lines to and fro over a rectangle, joined by rounded turns inside it.
+    """Return waypoints (n, 2) along parallel lines back and forth over a rectangle, joined by rounded turns inside it.
 
-    The lines are as many as fit, in the middle of the width.
+    As many lines as fit are centred on the width.
 
     Raises TrajectoryError if the turns do not fit between two lines or along the plot.
     """
@@ -200,13 +200,13 @@ def _rounded(corners_m: F8, radius_m: float, spacing_m: float) -> F8:
 
 
 def _straight(start_m: F8, end_m: F8, spacing_m: float) -> F8:
-    """Points (n, 2) from a start until before an end; none where both are one."""
+    """Points (n, 2) from a start to just before an end; none if both are equal."""
     count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)
 
 
 def around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
-    """Put waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), the nearest first; the user's stay.
+    """Add waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), nearest first; the user's waypoints stay.
 
     Raises TrajectoryError if no way around is found.
     """
@@ -221,7 +221,7 @@ def around(points: WayPoints, places_m: F8, gaps_m: F8) -> WayPoints:
         tries, before = beside.get(worst, (0, None))
         nearest = int(apart_m[worst].argmin())
         aside = path.xy_m[nearest] - places_m[worst] if before is None else before - places_m[worst]
-        if norm(aside) < _SPARE_M:  # through its middle: to the left
+        if norm(aside) < _SPARE_M:  # the path goes through its centre: pass on the left
             ahead = path.xy_m[min(nearest + 1, len(path.xy_m) - 1)] - path.xy_m[max(nearest - 1, 0)]
             aside = np.array([-ahead[1], ahead[0]])
         to_m = places_m[worst] + aside / norm(aside) * (gaps_m[worst] + _SPARE_M + tries * _WIDER_M)

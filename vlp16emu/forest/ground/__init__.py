@@ -1,1 +1,1 @@
-"""The ground: with relief of its own, or with heights from a file."""
+"""The ground: generated relief, or heights from a file."""

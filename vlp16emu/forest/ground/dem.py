@@ -1,8 +1,8 @@
-"""Ground from a digital elevation model: ESRI ASCII grids, numpy arrays, and GeoTIFF by rasterio if that is installed.
+"""Ground from a digital elevation model: ESRI ASCII grids, numpy arrays, and GeoTIFF if rasterio is installed.
 
-Between the centres of the cells run monotone cubics along x, and through their heights along y (Steffen, "A simple method for
-monotonic interpolation in one dimension", Astronomy and Astrophysics 239, 1990): through every height of the grid, and never
-above or below the four around. Where the ground bends little they are the bicubic convolution of Keys (1981) with a = -1/2.
+Monotone cubics interpolate between cell centres along x, and then along y (Steffen, "A simple method for monotonic
+interpolation in one dimension", Astronomy and Astrophysics 239, 1990): the surface passes through every height and stays
+within the four around. Where the ground bends little it equals the bicubic convolution of Keys (1981) with a = -1/2.
 """
 
 import logging
@@ -21,9 +21,9 @@ from vlp16emu.forest.settings import Dem
 from vlp16emu.kernels.compiler import numba
 from vlp16emu.types import F8, HeightField
 
-_MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read, whatever a compressed file promises
+_MOST_CELLS = 50_000_000  # 7 km by 7 km at 1 m: a gigabyte while it is read; limits compressed files too
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0
-"""The shore of the Dead Sea lies at -440 m, Mount Everest at 8849 m; numbers for "no height" lie beyond."""
+"""Limits of heights: the shore of the Dead Sea is at -440 m, Mount Everest at 8849 m; no-data values lie beyond."""
 _METRES = (None, "", "m", "metre", "meter")
 _SIZE = ("ncols",), ("nrows",), ("cellsize",)
 _CORNER = ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")
@@ -34,7 +34,7 @@ _KEYS = {_NODATA, *(key for keys in (*_SIZE, *_CORNER) for key in keys)}
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Heights over equal squares, as the file has them."""
+    """Heights over equal square cells, as in the file."""
 
     path: Path
     heights_m: F8  # (rows, columns), northernmost row first, NaN where the file has no height.
@@ -44,11 +44,11 @@ class Grid:
 
 
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
-    """Read a grid, of the format that the suffix names; a cell that is not finite, or is the file's number for none, has no height.
+    """Read a grid in the format of its suffix; cells with a non-finite value or the file's no-data value have no height.
 
-    The edge of a cell, and easting and northing of the outer corner of the south-western cell, are needed for .npy, which does not
-    hold them, and None for the others. Raises GeometryError if the file is no such grid, and MissingExtraError for a GeoTIFF
-    without rasterio.
+    The edge of a cell, and easting and northing of the outer corner of the south-western cell, are required for .npy, which
+    does not hold them, and None for the others. Raises GeometryError if the file is not such a grid, and MissingExtraError
+    for a GeoTIFF without rasterio.
     """
     kind = path.suffix.lower()
     if kind not in {".asc", ".npy", ".tif", ".tiff"}:
@@ -63,9 +63,9 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
 
 
 def write_ascii(file: BinaryIO, height_m: HeightField, low_m: F8, high_m: F8, cell_m: float) -> None:
-    """Write ground as an ESRI ASCII grid, in millimetres; each height is that at the centre of its cell.
+    """Write ground as an ESRI ASCII grid with millimetre resolution; each height is taken at the centre of its cell.
 
-    The grid holds the rectangle from `low_m` to `high_m` (2,), its edges at whole multiples of a cell.
+    The grid covers the rectangle from `low_m` to `high_m` (2,), with edges at whole multiples of a cell.
     """
     first, end = np.floor(low_m / cell_m), np.ceil(high_m / cell_m)
     columns, rows = (end - first).astype(np.int64).tolist()
@@ -105,7 +105,7 @@ def _read_npy(path: Path) -> F8:
             heights = np.lib.format.read_array(file, allow_pickle=False)
         except OSError:
             raise
-        except Exception:  # noqa: BLE001  # numpy raises whatever a broken header leads it to
+        except Exception:  # noqa: BLE001  # numpy raises various errors for a broken header
             raise GeometryError(str(path), "no .npy file", "a numpy array of numbers") from None
     if heights.ndim != 2 or heights.dtype.kind not in "iuf" or heights.size > _MOST_CELLS:
         expected = f"numbers in rows and columns, {_MOST_CELLS} at most"
@@ -114,7 +114,7 @@ def _read_npy(path: Path) -> F8:
 
 
 def _read_ascii(path: Path) -> Grid:
-    # GDAL reads words as 0 and goes on in the next line where a row is short.
+    # GDAL would read words as 0 and continue a short row in the next line.
     header, line = dict[str, float](), (0, "")
     opened = readable(path, "an ESRI ASCII grid", GeometryError, most_bytes=LARGEST_BYTES)
     with opened, path.open(encoding="utf-8-sig") as file:
@@ -134,7 +134,7 @@ def _read_ascii(path: Path) -> Grid:
             header[key] = value
         for keys in (*_SIZE, *_CORNER):
             if not any(key in header for key in keys):
-                found = f"found {line[1]!r}" if header else "no header"  # of another file nothing is shown
+                found = f"found {line[1]!r}" if header else "no header"  # a file of another kind is not quoted
                 raise GeometryError(f"{path}, line {line[0]}", found, f"{' or '.join(keys)} and a number")
 
         def cells(first: str) -> Iterator[str]:
@@ -165,7 +165,7 @@ def _read_geotiff(path: Path) -> Grid:
         raise MissingExtraError("rasterio", "dem", f"reading {path.name}") from None
     with (
         readable(path, "a GeoTIFF of heights", GeometryError, most_bytes=LARGEST_BYTES),
-        # Files beside it decide nothing: what is made of a ground is kept by the content of its file.
+        # Sidecar files are ignored: results are cached by the content of this file alone.
         rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"),
         warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
     ):
@@ -202,11 +202,11 @@ def _check_map(path: Path, file: Any) -> None:
 
 
 _log = logging.getLogger(__name__)
-_SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to two cells away in either direction
+_SUPPORT_CELLS = 2 * np.sqrt(2.0)  # a height affects the surface up to two cells away in either direction
 
 
 class DemHeights:
-    """Ground height from a file, whose errors are those of `read_grid`; the nearest height goes on where there is none.
+    """Ground height from a file; beyond the grid the nearest height continues. Raises the errors of `read_grid`.
 
     Easting, northing and height of the origin become (0, 0, 0) in the scene.
     """
@@ -229,7 +229,7 @@ class DemHeights:
         self._nodes_m = np.pad(level_m, 1, mode="reflect", reflect_type="odd")
 
     def height_m(self, x_m: F8, y_m: F8) -> F8:
-        """Ground height at points of any common shape; a point's height depends on that point alone."""
+        """Ground height at points of any common shape; each height depends on its point alone."""
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
         flat = height.reshape(-1), x.reshape(-1), y.reshape(-1)
@@ -237,7 +237,7 @@ class DemHeights:
         return height
 
     def check(self, path_xy_m: F8, reach_m: float) -> None:
-        """Raise GeometryError where a path (n, 2) leaves the grid, or a cell within reach has no height; warn of edges in sight."""
+        """Raise GeometryError if a path (n, 2) leaves the grid or a cell within reach has no height; warn of edges in sight."""
         rows, columns = self._grid.heights_m.shape
         x, y = path_xy_m.T
         sides = {
@@ -274,7 +274,7 @@ class DemHeights:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _slope(before: float, after: float) -> float:
-    """Slope at a height between two rises: their mean, at most twice the lesser; level on tops and in hollows."""
+    """Slope at a node between two rises: their mean, at most twice the smaller; 0 at tops and hollows."""
     if before * after <= 0.0:
         return 0.0
     return math.copysign(min(abs(before + after) / 2, 2 * min(abs(before), abs(after))), before)
@@ -282,7 +282,7 @@ def _slope(before: float, after: float) -> float:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _between(a: float, b: float, c: float, d: float, t: float) -> float:
-    """Height at share `t` of the way from b to c, of four at equal distances."""
+    """Height at share `t` of the way from b to c, for four heights at equal distances."""
     rise = c - b
     start, end = _slope(b - a, rise), _slope(rise, d - c)
     return b + t * (start + t * (3 * rise - 2 * start - end + t * (start + end - 2 * rise)))

@@ -1,10 +1,10 @@
-"""Ground with relief: a sum of plane waves and scattered mounds and pits, so that it has no edge and no period.
+"""Ground with relief: a sum of plane waves and scattered mounds and pits, without edge and period.
 
-Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
-with the third power of the wave number (assumption; natural ground is found between 2.5 and 4).
-Mounds and hollows represent what waves cannot show: old stumps, stones under moss; pits with a mound beside each
-are what uprooted trees leave, and ruts what machines leave: smooth troughs under the wheels of either side, between low
-shoulders of the soil that they were pressed out of, deep and shallow by turns.
+There are two bands of waves: hills, and roughness at the scale of a foot. Within a band the power spectrum falls
+with the third power of the wave number (assumption; natural ground has exponents between 2.5 and 4).
+Mounds and hollows represent features that waves cannot: old stumps, stones under moss. Uprooted trees leave pits with
+a mound beside each, and machines leave ruts: smooth troughs under the wheels of either side, between low shoulders of
+displaced soil, with a depth that varies along the trail.
 """
 
 import math
@@ -21,14 +21,14 @@ from vlp16emu.random import generator, philox4x32
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8
 
-_WAVES = 48  # enough that their sum is near normal; its cost is proportional to it
+_WAVES = 48  # enough for a nearly normal sum; the cost is proportional to it
 
 
 def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: float) -> F8:
-    """Waves of a band: (n, 4) with wave vector x and y in rad/m, amplitude, phase; none if flat.
+    """Waves of a band (n, 4): wave vector x and y in rad/m, amplitude, phase; empty if flat.
 
-    Spread evenly over log wavelength, with a variance in proportion to the wavelength: the power spectrum falls with the
-    third power of the wave number.
+    They are spread evenly over log wavelength, with a variance proportional to the wavelength: the power spectrum falls
+    with the third power of the wave number.
     """
     count = _WAVES if rms > 0 else 0
     shortest, longest = wavelengths_m
@@ -43,7 +43,7 @@ def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: flo
 
 @numba.njit(cache=True, nogil=True)
 def sum_of_waves(out: F8, x: F8, y: F8, band: F8, gradient_x: float, gradient_y: float) -> None:
-    """Fill (n,) sums of a slope and the waves of bands; each point is summed alone, wave by wave, so that its neighbours cannot matter."""
+    """Fill (n,) sums of a slope and waves; each point is summed alone, wave by wave, independent of its neighbours."""
     for i in range(out.shape[0]):
         out[i] = gradient_x * x[i] + gradient_y * y[i]
     for j in range(band.shape[0]):
@@ -53,27 +53,27 @@ def sum_of_waves(out: F8, x: F8, y: F8, band: F8, gradient_x: float, gradient_y:
 
 
 _TRACK_M = (1.8, 2.2)
-"""Between the middles of a trail's ruts, least and most: forwarders are 2.5 m to 3 m wide over all (assumption)."""
+"""Range of the distance between the centres of a trail's ruts: forwarders are 2.5 m to 3 m wide overall (assumption)."""
 _RUT_M = (0.5, 0.7)
-"""Width of a rut at the height of the ground beside it, least and most: that of a tyre (600/55-26.5 and 710/45-26.5 are usual)."""
-# Least and most depth along a rut: 0.17, 0.22 and 0.35 m were measured on dry, moist and wet trails of skidders (Jourgholami and
-# Majnounian, "Effects of wheeled cable skidder on rut formation in skid trail", J. Forestry Research 22, 2011); older ones are less.
+"""Range of a rut's width at the level of the ground beside it: a tyre's width (600/55-26.5 and 710/45-26.5 are usual)."""
+# Range of depth along a rut: 0.17, 0.22 and 0.35 m were measured on dry, moist and wet skidder trails (Jourgholami and
+# Majnounian, "Effects of wheeled cable skidder on rut formation in skid trail", J. Forestry Research 22, 2011).
 _DEPTH_M = (0.05, 0.2)
 _SHOULDER = 1.5
-"""Where the shoulder of a rut ends, over half its width; it is then a seventeenth as high as the rut is deep."""
-_WAVES_M = (7.0, 19.0)  # lengths of the waves by which depth changes along a rut; assumption
-_FREE_M = 2.0  # from the middle of a trail within which no tree stands: trails are 4 m wide (FSC and PEFC in Germany)
+"""Distance of the end of a rut's shoulder over half the rut's width; the shoulder is a seventeenth of the depth high."""
+_WAVES_M = (7.0, 19.0)  # wavelengths of the depth along a rut; assumption
+_FREE_M = 2.0  # distance from the middle of a trail without trees: trails are 4 m wide (FSC and PEFC in Germany)
 _RUT = int(Growth.RUT)
 
 
 class Trails:
-    """Trails over all of the plane, one of them at a place that the seed gives."""
+    """Parallel trails over the whole plane, at an offset drawn from the seed."""
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         self._spacing_m, towards = section.trail_spacing_m, math.radians(section.trail_towards_deg)
         self._along = (cos(towards), sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
-        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # on which trees may stand
+        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # of the ground, for trees
 
     def are_free(self, xy_m: F8) -> NDArray[np.bool_]:
         """Return a mask (n,) of the points (n, 2) off all trails."""
@@ -116,7 +116,7 @@ def _add_ruts(
         off = (abs(aside) - track_m / 2) / reach_m
         square = off * off
         if square < 1.0:
-            # The phases of a rut's waves are one half of the bits each.
+            # The phases of a rut's two waves take one half of the bits each.
             phases, along_m = words[2] if aside > 0 else words[3], along_x * x[i] + along_y * y[i]
             one, other = (phases >> np.uint32(16)) * 2.0**-16, (phases & np.uint32(0xFFFF)) * 2.0**-16
             wave = cos_sin(2 * math.pi * (along_m / _WAVES_M[0] + one))[0]
@@ -130,19 +130,19 @@ _HILL_WAVELENGTHS_M = (30.0, 300.0)
 _ROUGH_WAVELENGTHS_M = (1.0, 12.0)
 _STEEPEST_DEG = 45.0  # rms of slopes; loose soil slides from 30 to 45 degrees on (angle of repose)
 _MOUND_CELL_M = 2.0
-"""Edge of a square that holds one mound at most: the widest mound, so that nine squares hold all that matter."""
+"""Edge of a square that holds at most one mound: the widest mound, so that nine squares hold all relevant ones."""
 _MOUND_WIDTH_M = (1.0, 2.0)
-_MOUND_HEIGHT_M = 0.15  # mounds rise and hollows sink by up to this; assumption, like their width
+_MOUND_HEIGHT_M = 0.15  # greatest height of mounds and depth of hollows; assumption, like their width
 _PIT_CELL_M = 4.0
-"""Edge of a square that holds one pit with its mound at most: more than both together reach from their middle."""
+"""Edge of a square that holds at most one pit with its mound: more than their reach from their common centre."""
 _PIT_WIDTH_M, _PIT_DEPTH_M = (2.0, 3.0), (0.2, 0.4)
-"""From the smallest to the largest; the mound is as wide and as high (assumption)."""
-_PIT_ASIDE = 0.8  # distance of the middles of pit and mound from the middle of both over their radius; assumption
+"""Range of sizes; the mound is as wide and as high as the pit (assumption)."""
+_PIT_ASIDE = 0.8  # distance of pit and mound from their common centre over their radius; assumption
 _MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
 
 
 class TerrainHeights:
-    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin, through which its slope passes.
+    """Ground height at any point of the plane, accurate to 1 nm up to 1e6 m from the origin; the slope has height 0 there.
 
     Raises GeometryError for waves that are steeper than ground can be.
     """
@@ -180,7 +180,7 @@ class TerrainHeights:
 def _add(
     out: F8, x: F8, y: F8, share: float, cell_m: float, purpose: int, seed_low: np.uint32, seed_high: np.uint32
 ) -> None:
-    """Add to (n,) heights the mounds or pits of the squares around each point; `share` of all squares have one."""
+    """Add to heights (n,) the mounds or pits of the squares around each point; `share` of all squares have one."""
     for i in range(out.shape[0]):
         column, row = math.floor(x[i] / cell_m), math.floor(y[i] / cell_m)
         for ix in range(column - 1, column + 2):
@@ -191,12 +191,12 @@ def _add(
                     continue
                 east_m = x[i] - (ix + words[1] * 2.0**-32) * cell_m
                 north_m = y[i] - (iy + words[2] * 2.0**-32) * cell_m
-                # Two numbers from one half of the last word each: 65536 values are plenty.
+                # Two numbers from one half of the last word each: 65536 values are enough.
                 one, other = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
                 if purpose == _PIT:
                     out[i] += _pit_m(east_m, north_m, one, other)
                     continue
-                # A mound of a width and a height in [0, 1) is (1 - (r / R)^2)^3, smooth to its rim.
+                # A mound with a width and a height in [0, 1) is (1 - (r / R)^2)^3, smooth to its rim.
                 radius = (_MOUND_WIDTH_M[0] + one * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
                 inside = _dome(east_m, north_m, radius)
                 out[i] += (2.0 * other - 1.0) * _MOUND_HEIGHT_M * (inside * inside * inside)
@@ -204,7 +204,7 @@ def _add(
 
 @numba.njit(cache=True, nogil=True)
 def _pit_m(east_m: float, north_m: float, size: float, turn: float) -> float:
-    """Height of a pit and its mound, of a size and a direction in [0, 1): (1 - (r / R)^2)^2 of either, smooth to its rim."""
+    """Height of a pit and its mound for a size and a direction in [0, 1): each is (1 - (r / R)^2)^2, smooth to its rim."""
     radius = (_PIT_WIDTH_M[0] + size * (_PIT_WIDTH_M[1] - _PIT_WIDTH_M[0])) / 2
     depth = _PIT_DEPTH_M[0] + size * (_PIT_DEPTH_M[1] - _PIT_DEPTH_M[0])
     east = _PIT_ASIDE * radius * cos(2 * math.pi * turn)
@@ -216,5 +216,5 @@ def _pit_m(east_m: float, north_m: float, size: float, turn: float) -> float:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _dome(east_m: float, north_m: float, radius: float) -> float:
-    """Height of a paraboloid of height 1 at a place from its middle; 0 beyond its radius."""
+    """Height of a paraboloid of height 1 at an offset from its centre; 0 beyond its radius."""
     return max(1.0 - (east_m * east_m + north_m * north_m) / (radius * radius), 0.0)

@@ -1,1 +1,1 @@
-"""How plants grow: the species table, stems, branches and leaves."""
+"""Growth of plants: the species table, stems, branches and leaves."""

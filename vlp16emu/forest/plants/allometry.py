@@ -1,6 +1,6 @@
-"""Published equations of tree form, each under its name in the species table.
+"""Published equations of tree form, by their names in the species table.
 
-Inside the equations diameters are in cm and heights in m, or inches and feet, as their authors wrote them.
+Units inside the equations are the authors': cm and m, or inches and feet.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ US_BREAST_HEIGHT_M = 1.37  # the same in North America: 4.5 ft
 _INCH_CM, _FOOT_M = 2.54, 0.3048
 _TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
 _LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
-_STUMP_SHARE = 0.01  # height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it
+_STUMP_SHARE = 0.01  # stump height over tree height, as in Vonderach and Kaendler (2021)
 _COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
@@ -35,7 +35,7 @@ def truncated_weibull_cm(coefficients: Coefficients, probability: F8, mean_dbh_c
 
 
 def _uniform_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float, mean_height_m: float) -> F8:
-    """Uniform height curve through (mean_dbh_cm, mean_height_m), Nagel (1999); a, b."""
+    """Uniform height curve through (mean_dbh_cm, mean_height_m), Nagel (1999); coefficients a, b."""
     a, b = coefficients
     exponent = a * (1 - mean_dbh_cm / dbh_cm) + b * (1 / mean_dbh_cm - 1 / dbh_cm)
     return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * exp(exponent)
@@ -44,7 +44,7 @@ def _uniform_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float
 def _curtis_arney_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: float, mean_height_m: float) -> F8:
     """Curtis-Arney curve (Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet), stretched to the mean tree.
 
-    Below 3 inches, where the equation does not hold, a straight line leads to breast height.
+    Below 3 inches, where the equation is not valid, a straight line leads to breast height.
     """
     p2, p3, p4 = coefficients
     dbh_in = np.append(dbh_cm, mean_dbh_cm) / _INCH_CM
@@ -53,9 +53,9 @@ def _curtis_arney_height_m(coefficients: Coefficients, dbh_cm: F8, mean_dbh_cm: 
 
 
 def _bechtold_crown_width_m(coefficients: Coefficients, dbh_cm: F8) -> F8:
-    """Forest-grown crowns, Bechtold (2003), for inches and feet; a1, a2, a3, a4 and the crown ratio in percent.
+    """Crown width of forest-grown trees, Bechtold (2003), in inches and feet; a1, a2, a3, a4, crown ratio in percent.
 
-    Below 5 inches in proportion to diameter, above 50 inches constant, as the Forest Vegetation Simulator does.
+    It is proportional to diameter below 5 inches and constant above 50 inches, as in the Forest Vegetation Simulator.
     """
     a1, a2, a3, a4, crown_ratio_percent = coefficients
     dbh_in = np.clip(dbh_cm / _INCH_CM, 5.0, 50.0)
@@ -75,7 +75,8 @@ def _logistic_crown_base(
 def _component_biomass_kg(coefficients: Coefficients, dbh_cm: F8, height_m: F8, upper_cm: F8, base_m: F8) -> F8:
     """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h; u is the diameter at 0.3 h, s the stump, k the crown base.
 
-    A component that comes out negative, as coarse wood of saplings does, weighs nothing. Source: Vonderach et al. (2018), 10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
+    A negative component, such as coarse wood of saplings, counts as 0. Source: Vonderach et al. (2018),
+    10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
     """
     total = np.zeros_like(dbh_cm)
     for a, b, c, d, e, f, g, h in np.reshape(coefficients, (-1, _COMPONENT_TERMS)):
@@ -89,7 +90,7 @@ class Equation(Section):
     """An equation by name, with its coefficients."""
 
     known: ClassVar[Mapping[str, tuple[int, Any]]]
-    """Number of coefficients, and function of them and of what the equation is called with, of each."""
+    """Number of coefficients, and function of the coefficients and the arguments, by equation."""
 
     model: str
     coefficients: Annotated[Coefficients, Field(strict=False)]
@@ -97,7 +98,7 @@ class Equation(Section):
     @field_validator("coefficients")
     @classmethod
     def _complete(cls, coefficients: Coefficients, info: ValidationInfo) -> Coefficients:
-        model = info.data.get("model")  # absent where it is itself in error
+        model = info.data.get("model")  # absent if it is itself in error
         if model is not None and len(coefficients) != cls.known[model][0]:
             raise ValueError(f"{cls.known[model][0]} numbers for {model!r}")
         return coefficients
@@ -108,17 +109,17 @@ class Equation(Section):
 
 
 class HeightCurve(Equation):
-    """Height of trees over their diameter in cm, through a stand's mean diameter and mean height."""
+    """Tree height as a function of diameter in cm, through a stand's mean diameter and mean height."""
 
     known: ClassVar = {"uniform": (2, _uniform_height_m), "curtis_arney": (3, _curtis_arney_height_m)}
     model: Literal["uniform", "curtis_arney"]
 
 
 class CrownWidth(Equation):
-    """Crown width of forest-grown trees over their diameter in cm."""
+    """Crown width of forest-grown trees as a function of diameter in cm."""
 
     known: ClassVar = {
-        # c0, c1 and c0, c1, c2, c3 of Doebbeler et al. (2002): a straight line, and one that thin trees fall short of.
+        # c0, c1 and c0, c1, c2, c3 of Doebbeler et al. (2002): a straight line, and a line with less width for thin trees.
         "linear": (2, lambda c, dbh_cm: c[0] + c[1] * dbh_cm),
         "saturating": (4, lambda c, dbh_cm: (c[0] + c[1] * dbh_cm) * -expm1(-power(dbh_cm / c[2], c[3]))),
         "bechtold": (5, _bechtold_crown_width_m),
@@ -129,20 +130,20 @@ class CrownWidth(Equation):
 class CrownBase(Equation):
     """Logit of the relative height of the lowest living branch.
 
-    Of diameters in cm, heights, the basal area of larger trees in m2 per ha, and the crown competition factor in percent: crown
-    projections that all trees would have if open-grown, over the ground.
+    Arguments are diameters in cm, heights, the basal area of larger trees in m2 per ha, and the crown competition factor in
+    percent: the sum of the crown projections that all trees would have if open-grown, over the ground area.
     """
 
     known: ClassVar = {
         "logistic": (6, _logistic_crown_base),
-        # The crown ratio, if crowns have the same share of every tree's height.
+        # The crown ratio, if it is the same for all trees.
         "ratio": (1, lambda c, dbh_cm, *_: np.broadcast_to(log(1 / c[0] - 1), np.shape(dbh_cm))),
     }
     model: Literal["logistic", "ratio"]
 
 
 class Biomass(Equation):
-    """Dry mass above ground, of diameters in cm, heights, diameters at 0.3 of the height, and heights of crown bases."""
+    """Dry mass above ground from diameters in cm, heights, diameters at 0.3 of the height, and crown base heights."""
 
     known: ClassVar = {
         # b0, b1: Jenkins et al. (2003), Forest Science 49(1), table 4; b0, b1, b2: the form of Smith et al. (2014).
@@ -159,13 +160,13 @@ class Taper(Equation):
     known: ClassVar = {"laasasenaho": (8, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
-    """Extra radius at the ground over the radius there, and the height in m over which it dies away by e."""
+    """Butt swell: relative extra radius at the ground, and the height in m over which it falls by a factor of e."""
     top_share: Annotated[float, Field(ge=0.1, le=1)] = 1.0
-    """Height of the stem over that of the whole stem it was: 1, or less where the top has broken off."""
+    """Height of the stem over its unbroken height: 1, or less if the top has broken off."""
 
     @property
     def row(self) -> F8:
-        """(13,) as `taper_radius_m` wants it; the last is 0, no tree's own."""
+        """Row (13,) for `taper_radius_m`; the last number, a tree's own, is 0."""
         row = np.zeros(13)
         row[:4] = self.model == "brink", self.top_share, *self.flare
         row[4 : 4 + len(self.coefficients)] = self.coefficients
@@ -174,23 +175,23 @@ class Taper(Equation):
 
 @numba.njit(cache=True, nogil=True)
 def _form(row: F8, height_m: float, above_ground_m: float) -> float:
-    """Stem radius in units that breast height sets; 0 at the tip of the unbroken stem."""
+    """Relative stem radius, to be scaled to the DBH; 0 at the tip of the unbroken stem."""
     whole_m = height_m / row[1]
     z = min(max(above_ground_m, 0.0), whole_m)
     if row[0] == 0:
         # Laasasenaho (1982): exponents 1, 2, 3, 5, 8, 13, 21, 34 of the relative distance from the tip.
-        # Each exponent is the sum of the two before it, so each power is the product of theirs.
+        # Each exponent is the sum of the two before, so each power is the product of the two before.
         before = now = 1.0 - z / whole_m
         form = row[4] * now
         for i in range(5, 12):
             before, now = now, before * now
             form += row[i] * now
     else:
-        # Brink's function as Schmidt (2001) uses it, with a radius of 1 at breast height.
+        # Brink's function as in Schmidt (2001), with a radius of 1 at breast height.
         i_share, p, q = row[4], row[5], row[6]
         top = 1.0 - exp(q * (1.3 - whole_m))
         butt = 1.0 - exp(p * (1.3 - whole_m))
-        # In two terms that are exactly 1 at breast height and 0 at the tip.
+        # Two terms, exactly 1 at breast height and 0 at the tip.
         form = i_share * ((1.0 - exp(q * (z - whole_m))) / top)
         form += (1.0 - i_share) * (1.0 - (1.0 - exp(p * (1.3 - z))) / butt)
     if row[2] > 0:
@@ -212,11 +213,11 @@ def _radii(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
 
 
 def taper_radius_m(taper: F8, dbh_m: F8, height_m: F8, above_ground_m: F8) -> F8:
-    """Radius (n, r) over bark of stems (n,) at heights (n, r), such that it is half the DBH at breast height.
+    """Radius (n, r) over bark of stems (n,) at heights (n, r), half the DBH at breast height.
 
-    `taper` (n, 13) is the `Taper.row` of each, its last number a tree's own: the radius over that at breast height is that of
-    the curve to the power of one more than it, so more is more tapered. Below ground the radius stays that at the ground; at the
-    tip it is 0 unless that has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
+    `taper` (n, 13) is the `Taper.row` of each stem. Its last number t is the tree's own: the curve's ratio of the radius to
+    the radius at breast height is raised to the power 1 + t, so a greater t tapers more. Below ground the radius is constant;
+    at the tip it is 0 unless the top has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
     """
     dbh_m, height_m = np.ascontiguousarray(dbh_m), np.ascontiguousarray(height_m)
     return _radii(taper, dbh_m, height_m, np.ascontiguousarray(above_ground_m))

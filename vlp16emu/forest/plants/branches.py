@@ -1,8 +1,8 @@
-"""Branches of a crown and on the bole below it: their curves in space, and tubes around them.
+"""Branches of a crown and of the bole below it: their curves in space, and tubes around them.
 
-A crown's own frame has its origin on the stem's axis at the crown base and z along the axis. The crown base of inventories is
-the lowest whorl with three living branches (conifers) or the lowest branch that is no epicormic shoot (broadleaves), so single
-living branches below it are no contradiction.
+The crown frame has its origin on the stem's axis at the crown base and z along the axis. The crown base of inventories is
+the lowest whorl with three living branches (conifers) or the lowest branch that is not an epicormic shoot (broadleaves),
+so single living branches can be below it.
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from vlp16emu.world.vectors import unit
 
 
 def quads(corners: F8) -> Mesh:
-    """Quads of corners (..., 4, 3), each with vertices of its own."""
+    """Mesh of quads with corners (..., 4, 3), without shared vertices."""
     vertices = corners.reshape(-1, 3).astype(np.float32)
     return Mesh(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4))
 
 
-NO_LEAVES = quads(np.zeros((0, 4, 3)))  # in the place of leaves that have fallen
+NO_LEAVES = quads(np.zeros((0, 4, 3)))  # in place of fallen leaves
 
 
 def merged(*parts: Mesh) -> Mesh:
-    """Triangle meshes as one, in order."""
+    """Concatenation of triangle meshes."""
     if len(parts) == 1:
         return parts[0]
     first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
@@ -38,7 +38,7 @@ def merged(*parts: Mesh) -> Mesh:
 
 @cache
 def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True) -> NDArray[np.uint32]:
-    """Triangles, not to be written to, of a pipe whose first vertex is the middle of its bottom and whose last is its tip, if it has them."""
+    """Triangles (read-only) of a pipe; its first vertex is the bottom's centre and its last the tip, if it has them."""
     here = np.arange(sides)
     after = np.roll(here, -1)
     low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
@@ -54,12 +54,12 @@ def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True)
     return faces
 
 
-_NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that saplings can do with every other
+_NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that saplings can use every second node
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-"""Between successive branches or whorls, so that none stands right above another."""
+"""Angle between successive branches or whorls, so that none is directly above another."""
 _STEEPEST = np.radians(85.0)  # branches hang or rise no steeper; keeps the azimuth of a branch defined
-THINNEST_M = 0.001  # least radius of a branch at its base; assumption
-_TIP_SHARE = 0.2  # radius just before the tip over that at the base; assumption
+THINNEST_M = 0.001  # smallest radius of a branch at its base; assumption
+_TIP_SHARE = 0.2  # radius just before the tip over the radius at the base; assumption
 _BISECTIONS = 16  # enough to find the length of a branch to a millimetre
 
 
@@ -84,7 +84,7 @@ class Branches:
 
 
 def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: F8) -> Branches:
-    """Branches that leave the stem, of a crown of a length and width; its radii (s,) are evenly spaced from base to top."""
+    """First-order branches of a crown of a length and width; stem radii (s,) are evenly spaced from base to top."""
     length_m, _ = size_m
     whorls = max(1, round(length_m / habit.whorl_spacing_m))
     whorl = np.repeat(np.arange(whorls), habit.branches_per_whorl)
@@ -95,7 +95,7 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     azimuth += rng.normal(0.0, 0.2, n)
 
     def between(pair_deg: Sequence[float]) -> F8:
-        """Angles between those of the lowest and of the highest branches, in radians."""
+        """Angles in radians, interpolated from the lowest to the highest branches."""
         return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
 
     way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
@@ -106,15 +106,15 @@ def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, flo
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
     branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
     nodes = base[:, None] + unit * branch_m[:, None, None]
-    # Pipe model: the sections of all branches are a multiple of that of the stem that feeds them (Shinozaki et al. 1964),
-    # each as thick as it is long; none is thicker than most of the stem it sits on.
+    # Pipe model: the total section of all branches is a multiple of the section of the stem that feeds them (Shinozaki et
+    # al. 1964). Thickness is proportional to length, and limited by the stem at the branch's base.
     radius = stem_m[0] * np.sqrt(habit.branch_area) * branch_m / np.sqrt(np.square(branch_m).sum())
     here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
     return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
 
 
 def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, order: int) -> Branches:
-    """Branches that leave those of the order before on both sides; the last of each continues its bearer."""
+    """Branches on both sides of the branches of the previous order; the last one continues its bearer."""
     leafy = bearers.length_m * (1 - twigs.start)
     count = np.maximum(2, np.round(leafy * twigs.per_m).astype(np.int64))
     bearer = np.repeat(np.arange(len(count)), count)
@@ -144,7 +144,7 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
 
 
 def ground_stems(rng: np.random.Generator, shrub: Shrub, height_m: float, width_m: float) -> Branches:
-    """Stems of a shrub of a height and width, that come out of the ground close together."""
+    """Stems of a shrub of a height and width, close together at the ground."""
     stems, rise_deg = shrub.stems, shrub.rise_deg
     inward = (np.arange(stems) + rng.random(stems)) / stems
     azimuth = GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
@@ -155,25 +155,25 @@ def ground_stems(rng: np.random.Generator, shrub: Shrub, height_m: float, width_
     rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
     elevation = np.radians(rise[:, None] - shrub.droop_deg * way)
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), shrub.crook_deg)
-    # As long as height or width allow, whichever binds first.
+    # As long as height and width allow.
     up = unit[:, :, 2].max(axis=1) / height_m
     out = hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
     length_m = rng.uniform(0.75, 1.0, stems) / np.maximum(up, out)
-    # Below the ground as far as a slope may fall away under the foot.
+    # Starts below the ground, as a slope may fall away under the foot.
     base[:, 2] = -0.03 * width_m
     nodes = base[:, None] + unit * length_m[:, None, None]
     return Branches(nodes, azimuth, length_m, length_m / shrub.slenderness / 2 + THINNEST_M)
 
 
 def volume_m3(branches: Branches) -> float:
-    """Volume of round branches of these curves and radii, tip by tip a row of frusta."""
+    """Volume of round branches with these curves and radii, as frusta between nodes."""
     step_m = norm(np.diff(branches.nodes_m, axis=1))
     low, high = branches.node_radius_m[:, :-1], branches.node_radius_m[:, 1:]
     return float((np.pi / 3 * step_m * (np.square(low) + low * high + np.square(high))).sum())
 
 
 def joined(*parts: Branches) -> Branches:
-    """Branches of one order, in order."""
+    """Concatenation of branches of one order."""
     return Branches(*(np.concatenate([getattr(part, name) for part in parts]) for name in Branches.__slots__))
 
 
@@ -187,10 +187,10 @@ def points_along(nodes_m: F8, branch: I8, way: F8) -> tuple[F8, F8]:
 
 
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
-    """Tapering tubes, open at the base inside the bearer, pointed at the tip, through every so-many-th node of the curves.
+    """Tapering tubes through every `every`-th node of the curves, open at the base inside the bearer, pointed at the tip.
 
-    The girth of a section is that of the round branch, so that its silhouette, averaged over all directions, is as wide as the
-    branch is thick (Cauchy), however few the sides.
+    A section has the perimeter of the round branch, so that the width of its silhouette, averaged over all directions, equals
+    the branch's diameter for any number of sides (Cauchy).
     """
     nodes = branches.nodes_m[:, ::every]
     n, rings = nodes.shape[0], nodes.shape[1] - 1
@@ -248,48 +248,49 @@ def _taper(way: F8) -> F8:
 
 
 _FREE_M = 0.3
-"""Foot of the stem without branches: 0.3 m on average in 4368 unpruned spruces of 45 stands (Forestry Studies 66, 2017,
-10.1515/fsmu-2017-0005)."""
+"""Height of the branchless foot of the stem: 0.3 m on average in 4368 unpruned spruces of 45 stands (Forestry Studies 66,
+2017, 10.1515/fsmu-2017-0005)."""
 _LEAST_REACH_M = 4.0
-"""Down to which dead branches have not all fallen, at least: those that died in the last ten years, where the crown base rises by 0.4 m
-a year; estimate. In silver birch of 11 to 22 years high density makes branches die early and slows the shedding of dry ones
-(Niemisto 1995, Scandinavian Journal of Forest Research 10(3))."""
+"""Least depth below the crown base down to which dead branches remain: branches of the last ten years, if the crown base
+rises by 0.4 m a year; estimate. In silver birch of 11 to 22 years high density makes branches die early and slows the
+shedding of dry ones (Niemisto 1995, Scandinavian Journal of Forest Research 10(3))."""
 _KEPT_AT_FOOT = 0.5
-"""Share of branches that has not fallen yet where the dead ones end, over that at the crown base; assumption. Whorls lose from none
-to twice the mean, so that of those with four branches one in five is bare there."""
+"""Share of remaining branches at the lower end of the dead ones, over the share at the crown base; assumption. Whorls
+lose from none to twice the mean, so that one in five whorls of four branches is bare there."""
 _LENGTH_AT_FOOT = 0.55
-"""Length of a branch near the ground over that at the crown base, as of the crown's width when each died: of spruces 2.1 m at a DBH of 8 cm
-and 3.8 m at 24 cm (Doebbeler et al. 2002); 8 cm is an estimate of the DBH at which crowns close."""
+"""Branch length near the ground over the length at the crown base, from the crown's width when the branch died: for spruce
+2.1 m at a DBH of 8 cm and 3.8 m at 24 cm (Doebbeler et al. 2002); 8 cm is an estimate of the DBH at canopy closure."""
 _LENGTHS = (0.4, 1.0)
-"""Unbroken lengths within a whorl over the longest; assumption. Branches of a whorl of spruces get thinner by rank (Hein et al. 2007, Forest
-Ecology and Management 242), and length goes with thickness."""
+"""Unbroken lengths within a whorl over the longest; assumption. Branches in a whorl of spruces get thinner by rank (Hein
+et al. 2007, Forest Ecology and Management 242), and length follows thickness."""
 _STUB_M = 0.16
-"""Most frequent length outside the bark of what is left of a branch where dead ones end, so that 90 % have 0.05 to 0.39 m; estimate, no
-published distribution was found. The chance to break grows with the distance from the stem, as a branch is thinner there, and with the
-square of the time since its death, as it decays: lengths have a Rayleigh distribution, whose mode falls with that time to the power 1.5."""
+"""Mode of the length of branch stubs outside the bark at the lower end of the dead branches, so that 90 % have 0.05 to
+0.39 m; estimate, no published distribution was found. The probability of breaking grows with the distance from the stem,
+where a branch is thinner, and with the square of the time since its death: lengths have a Rayleigh distribution, whose
+mode falls with that time to the power 1.5."""
 _LIVING_DEPTH = 0.3
-"""Over the height of the crown base, the most that `living_depth_m` can be: light falls faster below the short crowns of young trees;
-assumption."""
+"""Upper limit of `living_depth_m` over the height of the crown base: light falls faster below the short crowns of young
+trees; assumption."""
 _SLENDERNESS = 75.0
 """Length of an unbroken branch over its diameter, which follows from its length (Karkkainen 1972, Silva Fennica 6(2),
 2118 spruce branches); the number is an assumption."""
 _TWIGS_KEPT, _TWIG_AGE = 0.9, 0.4
-"""Share of a dead branch's twigs still on it at the crown base; and the time in which that falls by e, over that in which branches fall;
-assumptions."""
+"""Share of a dead branch's twigs that remain at the crown base; and the decay time of twigs over the decay time of
+branches (to 1/e each); assumptions."""
 _BOLE_NODES, _DEAD_TWIG_ORDER = 9, 3
-"""Nodes of the curves, as of other branches of the first order; and what order dead twigs are as fine as."""
+"""Nodes of the curves, as for other first-order branches; and the order whose fineness dead twigs have."""
 
 
 def bole_branches(
     rng: np.random.Generator, habit: Habit, crown_base_m: float, longest_m: float, stem_m: F8
 ) -> tuple[Branches, Branches, Branches]:
-    """Branches below the crown, in the crown's own frame.
+    """Branches below the crown, in the crown frame.
 
-    The chance that one still lives falls with the light: by e for each `living_depth_m` below the crown base. Dead ones are former
-    living ones: the crown base has risen past them at an even pace, so the time since their death is as their depth below it.
+    The probability that a branch lives falls with the light, by a factor of e for each `living_depth_m` below the crown base.
+    The crown base has risen at a constant rate past the dead branches, so the time since their death is proportional to their
 
-    `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from there to the ground, evenly spaced.
-    Returns living branches of the first order; dead ones; and the dead ones' twigs.
+    depth below it. `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from there to the
+    ground, evenly spaced. Returns living first-order branches, dead ones, and the twigs of the dead ones.
     """
     below_m = max(crown_base_m - _FREE_M, 0.0)
     reach_m = max(habit.dead_reach * below_m, _LEAST_REACH_M)
@@ -310,7 +311,7 @@ def bole_branches(
     elevation = np.radians(rise - habit.droop_deg[0] * at + upturn * (at * at * at))
     base = np.column_stack([np.zeros((n, 2)), -depth_m])
     whole = curves(rng, base, azimuth, elevation, whole_m, habit.crook_deg)
-    # What is left of a branch is its inner part.
+    # The inner part of a broken branch remains.
     way = np.outer(length_m / whole_m, np.linspace(0, 1, _BOLE_NODES))
     nodes = points_along(whole, np.repeat(np.arange(n), _BOLE_NODES), way.ravel())[0].reshape(n, _BOLE_NODES, 3)
     radius_m = np.maximum(whole_m / _SLENDERNESS / 2, THINNEST_M)
@@ -323,7 +324,7 @@ def bole_branches(
 
 
 def _depths_m(rng: np.random.Generator, habit: Habit, span_m: float, reach_m: float) -> F8:
-    """Depths below the crown base of the branches that have not fallen, those of whorls close together."""
+    """Depths below the crown base of the remaining branches; the branches of a whorl are close together."""
     n = round(span_m * habit.dead_per_m)
     depth_m = span_m * (np.arange(n) + rng.random(n)) / max(n, 1)
     whorl = (depth_m / habit.whorl_spacing_m).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Leaves and shoots as planar quads: along the twigs of a crown with a given total area, and of ivy that covers the bark of stems."""
+"""Leaves and shoots as planar quads: along the twigs of a crown with a given total area, and of ivy on stems."""
 
 from dataclasses import dataclass
 
@@ -14,17 +14,17 @@ from vlp16emu.random import generator, uniform
 from vlp16emu.types import F8, Mesh
 from vlp16emu.world.vectors import places_m, unit
 
-_WIDEST_AT = 0.4  # where a blade is widest, from its base; assumption
-_SIZE_SIGMA = 0.15  # spread of the logarithm of leaf length about its mean; assumption
+_WIDEST_AT = 0.4  # position of a blade's greatest width, from its base; assumption
+_SIZE_SIGMA = 0.15  # standard deviation of the logarithm of leaf length; assumption
 _MOST_LEAVES = 120_000
-"""Beyond that many leaves quads grow larger instead: memory of a very large crown, seen from far below."""
+"""Greatest number of quads; beyond, quads become larger instead: limits the memory of very large crowns."""
 _HANG_SIGMA = np.radians(40.0)
 """One sigma of a blade's tip about the direction of steepest descent in its plane; assumption."""
 _SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))  # range of angles between a shoot and its twig; assumption
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
-    """Quads that sit evenly along the leafy part of twigs, and have the one-sided leaf area over the species' clumping."""
+    """Quads spread evenly along the leafy part of twigs, with a total of one-sided leaf area over the species' clumping."""
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
     n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES)))
@@ -48,7 +48,7 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
 
 
 def _blades(rng: np.random.Generator, base: F8, mu_nu: tuple[float, float], length: F8, width: F8) -> F8:
-    """Kites (n, 4, 3) whose normals are inclined as measured and whose tips hang."""
+    """Kites (n, 4, 3) whose normals have the measured inclinations and whose tips hang."""
     n, (mu, nu) = len(base), mu_nu
     tilt = rng.beta(nu, mu, n) * (np.pi / 2)
     towards = rng.uniform(0, 2 * np.pi, n)
@@ -63,7 +63,7 @@ def _blades(rng: np.random.Generator, base: F8, mu_nu: tuple[float, float], leng
 
 
 def _shoots(rng: np.random.Generator, base: F8, tangent: F8, length: F8, width: F8) -> F8:
-    """Pairs of crossed rectangles (2n, 4, 3) that leave their twig forwards."""
+    """Pairs of crossed rectangles (2n, 4, 3) that point forwards from their twig."""
     n = len(base)
     first = unit(np.cross(tangent, [0.0, 0.0, 1.0]))
     second = np.cross(tangent, first)
@@ -78,14 +78,14 @@ def _shoots(rng: np.random.Generator, base: F8, tangent: F8, length: F8, width: 
     return np.concatenate([np.stack([base - h, base + h, tip + h, tip - h], axis=1) for h in halves])
 
 
-_LEAF_PER_BARK = 2.0  # one-sided leaf area over the area of the bark that it covers; assumption
-_LEAF_M = (0.04, 0.1)  # length of a leaf, least and most (Stace, New Flora of the British Isles: 4 to 10 cm)
-_LEAF_WIDTH = 0.9  # over its length; assumption
-_AWAY_M = (0.02, 0.12)  # how far leaves stand off the bark at their base, least and most; assumption
+_LEAF_PER_BARK = 2.0  # one-sided leaf area over the covered bark area; assumption
+_LEAF_M = (0.04, 0.1)  # range of leaf length (Stace, New Flora of the British Isles: 4 to 10 cm)
+_LEAF_WIDTH = 0.9  # width over length; assumption
+_AWAY_M = (0.02, 0.12)  # range of the distance of a leaf's base from the bark; assumption
 _TILT_DEG = (10.0, 60.0)  # range of the angle between a hanging blade and the stem; assumption
-_UPWARDS = 1.3  # power of an even number that gives a leaf's place on the way up: fewer the higher; assumption
+_UPWARDS = 1.3  # power of a uniform number for a leaf's relative height: fewer leaves higher up; assumption
 _TONGUES, _SHORTER = 3, 0.35
-"""Waves of the upper edge around the stem, and by what share of its height it is lower between them; assumptions."""
+"""Number of waves of the upper edge around the stem, and their relative depth; assumptions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +97,9 @@ class IvyKey:
 
 
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> F8:
-    """Height over the foot (n,) up to which ivy covers a share of the stems, no higher than the crown base; 0 where none grows.
+    """Height over the foot (n,) up to which ivy covers a stem, no higher than the crown base; 0 for stems without ivy.
 
-    A tree's depends on its place alone, and is within a range.
+    A `share` of the stems has ivy; the height is within the range `height_m` and depends on the tree's position alone.
     """
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]
@@ -113,7 +113,7 @@ def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, see
 def ivy_meshes(
     trees: Trees, tops_m: F8, origin_m: F8, *, seed: int, tile: TileKey, table: Table | None = None
 ) -> list[Mesh]:
-    """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none where that is 0."""
+    """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none for height 0."""
     stems = Stems(trees, table=table)
     small_m, large_m = _LEAF_M
     mean_m2 = _LEAF_WIDTH / 2 * (small_m * small_m + small_m * large_m + large_m * large_m) / 3

@@ -1,4 +1,4 @@
-"""Prototypes of crowns, of saplings and of shrubs: grown once for a species, size and variant, then instanced."""
+"""Prototypes of crowns, saplings and shrubs: grown once per species, size and variant, then instanced."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,16 +29,16 @@ from vlp16emu.random import generator
 from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import closed, places_m
 
-VARIANTS = 3  # different crowns of the same species and diameter class, of short to long ones
+VARIANTS = 3  # crowns of the same species and diameter class, from short to long
 CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
-"""Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
-_SIDES = (6, 4, 3)  # of branches, by order
+"""Parts of the meshes of a crown, in order. A part that a crown lacks is a mesh without faces."""
+_SIDES = (6, 4, 3)  # number of sides of branches, by order
 _NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 
 @dataclass(frozen=True, slots=True)
 class CrownKey:
-    """Name of a crown's shape, and with the seed all that it is grown from."""
+    """Key of a crown's shape; with the seed it determines the shape."""
 
     species: str
     variant: int
@@ -48,7 +48,7 @@ class CrownKey:
     crown_width_m: float
     leaf_area_m2: float  # one-sided
     season: Season = "leaf_on"
-    dead_branches: bool = False  # whether dead branches still sit below the crown
+    dead_branches: bool = False  # True if dead branches remain below the crown
 
     @property
     def crown_length_m(self) -> float:
@@ -57,10 +57,10 @@ class CrownKey:
 
 
 def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Mesh, Mesh, Mesh, Mesh]:
-    """Meshes of `CROWN_PARTS`; a dead tree has all its branches among the dead ones.
+    """Meshes of `CROWN_PARTS`; all branches of a dead tree are dead branches.
 
-    In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. Season
-    and dead branches change nothing else about a crown.
+    The crown frame has its origin on the stem's axis at the crown base and z along the axis. Season
+    and dead branches change nothing else in a crown.
     """
     species = (table or flora().trees)[key.species]
     rng, orders, dead = _orders(seed, key, species)
@@ -76,7 +76,7 @@ def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tup
 
 
 def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Branches, Branches]:
-    """Return the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
+    """Return the living and the dead first-order branches, in the crown frame."""
     species = (table or flora().trees)[key.species]
     (first, *_), dead = _orders(seed, key, species)[1:]
     bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))
@@ -84,20 +84,20 @@ def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> t
 
 
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Table | None = None) -> float:
-    """Volume of all branches of a prototype, dead ones too."""
+    """Volume of all branches of a prototype, including dead ones."""
     orders, dead = _orders(seed, key, (table or flora().trees)[key.species])[1:]
     return sum(volume_m3(branches) for branches in (*orders, *(dead if key.dead_branches else ())))
 
 
 def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[F8, F8]:
-    """Stretch of each tree's crown over its prototype: across (n,), and along the axis (n,), which leans while heights are vertical."""
+    """Scale of each tree's crown relative to its prototype: across (n,), and along the leaning axis (n,)."""
     width_m, length_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2).T
     upright = cos(np.radians(trees["lean_deg"]))
     return trees["crown_width_m"] / width_m, (trees["height_m"] - trees["crown_base_m"]) / upright / length_m
 
 
 def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
-    """`world_T_shape` of the crowns, (n, 3, 4): scaled to the tree's size, turned, and leaning with the stem."""
+    """`world_T_shape` (n, 3, 4) of the crowns: scaled to the tree's size, turned, and leaning with the stem."""
     wide, long = crown_scale(trees, crowns)
     lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
     upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
@@ -113,7 +113,7 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> F8:
 def _orders(
     seed: int, key: CrownKey, species: Species
 ) -> tuple[np.random.Generator, list[Branches], tuple[Branches, Branches]]:
-    """Random numbers; branches of first, second and, on broad crowns, third order; and dead ones below with their twigs."""
+    """Random generator; branches of first, second and, in broad crowns, third order; dead branches below and their twigs."""
     name = species.number, key.variant, round(key.dbh_m * 1e4)
     rng, bole_rng = (generator(seed, purpose, *name) for purpose in (Growth.CROWN, Growth.DEAD_BRANCH))
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
@@ -131,24 +131,24 @@ def _orders(
 
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
-"""Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
-SLENDERNESS = 80.0  # height of a sapling over the diameter of its stem at the ground; the stem is a cone; assumptions
+"""Parts of the meshes of a sapling, in order. A missing part is a mesh without faces."""
+SLENDERNESS = 80.0  # height of a sapling over its stem's diameter at the ground; the stem is a cone; assumptions
 CROWN_BASE_SHARE, CROWN_WIDTH_SHARE = 0.1, 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""
-_LEAF_AREA_INDEX = 2.0  # of a sapling in the shade on the ground under it; assumption
-_FEWEST_WHORLS = 6  # however small it is; assumption
+_LEAF_AREA_INDEX = 2.0  # leaf area index of a shaded sapling on its crown projection; assumption
+_FEWEST_WHORLS = 6  # fewest whorls of a sapling; assumption
 _STEM_SIDES, _BRANCH_SIDES = 6, 4
-_EVERY = 2  # of the nodes of a branch's curve, one in so many is used
+_EVERY = 2  # every second node of a branch's curve is used
 _LEAN, _BOW, _SWAY, _LOPSIDED = 0.15, 0.08, 0.03, 0.5
-"""Of saplings at most: how far the tip is aside, how far the stem bows one way and to and fro, all over the height, and by how
-much the crown reaches further on one side; assumptions."""
-_CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)  # heights of a stem's rings over its own
-_BURIED_SHARE = 0.05  # of the height, how far the stem reaches into the ground
+"""Upper limits for saplings: offset of the tip, simple and S-shaped bow of the stem, all over the height, and extra reach
+of the crown on one side; assumptions."""
+_CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)  # relative heights of a stem's rings
+_BURIED_SHARE = 0.05  # depth of the stem in the ground over its height
 
 
 @dataclass(frozen=True, slots=True)
 class SaplingKey:
-    """Name of a sapling's shape, and with the seed all that it is grown from."""
+    """Key of a sapling's shape; with the seed it determines the shape."""
 
     species: str
     variant: int
@@ -183,7 +183,7 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
 
 
 def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
-    """Return a sapling that leans, bows and reaches further to the light; its stem has the same sections and height."""
+    """Return a sapling that leans, bows and extends towards the light; its stem keeps its sections and height."""
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m
     if len(vertices_m) == 4 * len(mesh.faces):  # leaves are moved, not stretched
@@ -193,7 +193,7 @@ def _crooked(height_m: float, drawn: F8, mesh: Mesh) -> Mesh:
     u = np.clip(z / height_m, 0.0, 1.0)
     lean, bow, sway, light = 2 * np.pi * drawn[:4]
     away_m, lopsided = hypot(x, y), _LOPSIDED * drawn[4]
-    # Nothing at the stem, which stays as round as it is.
+    # 0 at the stem, which stays round.
     reach = 1 + lopsided * cos(atan2(y, x) - light) * np.clip(away_m / (0.05 * height_m) - 0.3, 0, 1)
     shift_m = height_m * np.stack(
         [
@@ -226,13 +226,13 @@ def _cone(foot_m: float, height_m: float) -> Mesh:
 
 
 SHRUB_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)
-"""Of the meshes of a shrub, in order. A mesh without faces stands where it has no such part."""
+"""Parts of the meshes of a shrub, in order. A missing part is a mesh without faces."""
 _TWIG_SIDES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class ShrubKey:
-    """Name of a shrub's shape, and with the seed all that it is grown from."""
+    """Key of a shrub's shape; with the seed it determines the shape."""
 
     species: str
     variant: int
@@ -242,7 +242,7 @@ class ShrubKey:
 
 
 def shrub_meshes(seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None) -> tuple[Mesh, Mesh, Mesh]:
-    """Meshes of `SHRUB_PARTS`, its origin on the ground and z up, with its kind's leaf area index on the ground that it covers."""
+    """Meshes of `SHRUB_PARTS`, origin on the ground and z up, with its kind's leaf area index on the covered ground."""
     shrub = (table or flora().shrubs)[key.species]
     size = round(key.height_m * 1e3), round(key.width_m * 1e3)
     rng = generator(seed, Growth.SHRUB, shrub.number, key.variant, *size)

@@ -1,4 +1,4 @@
-"""Kinds of trees and shrubs, what is known of each, and the species table that holds them all."""
+"""Kinds of trees and shrubs with their properties, and the species table."""
 
 import difflib
 from collections.abc import Mapping, Sequence
@@ -29,32 +29,32 @@ _BIOMASS_AT = 0.3  # relative height of the upper diameter in component biomass 
 
 
 _VOLUME_PER_TAPER = 0.45
-"""Fall of the logarithm of a stem's volume for each unit of `taper`: 0.4 to 0.5 for the taper curves of the species."""
+"""Decrease of the logarithm of a stem's volume per unit of `taper`: 0.4 to 0.5 for the species' taper curves."""
 
 
 class Foliage(Section):
     """One leaf, or one shoot of needles."""
 
     kind: Literal["leaf", "shoot"]
-    """A kite-shaped blade that falls in autumn, or two crossed rectangles that stay."""
+    """A kite-shaped deciduous blade, or two crossed evergreen rectangles."""
     length_m: Length
     width_m: Annotated[float, Field(ge=0.0005, le=5)]
     clumping: Annotated[float, Field(ge=0.5, le=10)]
-    """One-sided leaf area over the area that is modelled."""
+    """One-sided leaf area over the modelled area."""
     spread_m: Annotated[float, Field(ge=0, le=2)]
     """Greatest distance of a leaf from its twig."""
     bare_share: Annotated[float, Field(ge=0, le=0.95)] = 0.0
-    """Share of a twig, from its base, whose leaves have fallen: those that are left sit in a tuft."""
+    """Share of a twig, from its base, without leaves: the remaining leaves form a tuft."""
     inclination: Annotated[tuple[float, ...], Field(strict=False, validate_default=True)] = ()
-    """mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their twig."""
+    """Parameters mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their twig."""
 
     def is_borne(self, season: Season) -> bool:
-        """Return True if it is on the plant in a season: blades fall, shoots stay."""
+        """Return whether the foliage is present in a season: blades fall, shoots stay."""
         return season == "leaf_on" or self.kind == "shoot"
 
     @field_validator("inclination")
     @classmethod
-    def _of_leaves(cls, inclination: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    def _check_inclination(cls, inclination: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         if len(inclination) != 2 * (info.data.get("kind") == "leaf"):
             raise ValueError("mu and nu for leaves, nothing for shoots")
         return inclination
@@ -64,109 +64,108 @@ class Twigs(Section):
     """Branches of the second or third order on their bearers."""
 
     start: Annotated[float, Field(ge=0, le=0.95)]
-    """Share of the bearer that is bare."""
+    """Share of the bearer, from its base, without branches."""
     per_m: Annotated[float, Field(ge=0.1, le=200)]
     angle_deg: float
-    """Between a branch and the one that bears it."""
+    """Angle between a branch and its bearer."""
     roll_spread_deg: float
-    """Half-range about the horizontal on either side: 90 is all around, small is a comb."""
+    """Half-range about the horizontal on either side: 90 is the full circle, a small angle gives a comb."""
     length_share: Annotated[float, Field(ge=0.01, le=2)]
-    """Length over that of the bearer."""
+    """Length over the bearer's length."""
     length_m: Annotated[tuple[Length, Length], Field(strict=False)]
-    """Least and greatest length."""
+    """Minimum and maximum length."""
     droop_deg: float
 
 
 class Habit(Section):
-    """Branching of a crown. Pairs are [crown base, crown top], straight between them."""
+    """Branching of a crown. Pairs are [crown base, crown top], with linear interpolation."""
 
     base_fraction: Fraction
     """Crown radius at the crown base over the largest."""
     widest_at: Annotated[float, Field(ge=0.01, le=0.99)]
-    """Relative height in the crown where it is widest."""
+    """Relative height of the crown's greatest width."""
     top_power: Annotated[float, Field(ge=0.2, le=10)]
-    """Above that the radius falls as 1 - s^top_power: 1 is a cone, 2 a paraboloid's half-width."""
+    """Exponent of the radius above the widest point, 1 - s^top_power: 1 is a cone, 2 a parabola."""
     whorl_spacing_m: Annotated[float, Field(ge=0.02, le=5)]
     branches_per_whorl: Annotated[int, Field(ge=1, le=20)]
-    """1 makes a spiral."""
+    """Branches per whorl; 1 makes a spiral."""
     branch_area: Annotated[float, Field(ge=0.1, le=10)] = 2.0
-    """Sections of all branches of the first order together over that of the stem at the crown base."""
+    """Total section of all first-order branches over the stem's section at the crown base."""
     rise_deg: Pair
-    """Elevation of a first-order branch where it leaves the stem."""
+    """Elevation of a first-order branch at the stem."""
     droop_deg: Pair
-    """How much its elevation falls towards the tip, in proportion to the distance along it."""
+    """Decrease of its elevation towards the tip, linear in the distance along it."""
     upturn_deg: Pair
-    """How much it rises again, with the cube of the distance along it."""
+    """Increase of its elevation towards the tip, cubic in the distance along it."""
     crook_deg: Crook
-    """One sigma of the bend from one stretch of a branch to the next."""
+    """One sigma of the bend between consecutive segments of a branch."""
     dead_per_m: Annotated[float, Field(ge=0, le=50)]
-    """Branches on each metre of stem right below the crown, nearly all dead; further down some have fallen."""
+    """Branches per metre of stem directly below the crown, nearly all dead; further down some have fallen."""
     dead_reach: Fraction = 0.35
-    """Share of the way from the crown base to the ground down to which dead branches have not all fallen; 4 m at least."""
+    """Share of the bole, from the crown base downwards, with remaining dead branches; at least 4 m."""
     living_depth_m: Annotated[float, Field(gt=0, le=50)] = 1.0
-    """Each so much further down, of the branches below the crown a share of 1/e of those above lives; 0.3 of the height of the
-    crown base at most."""
+    """Depth below the crown over which the share of living branches falls to 1/e; at most 0.3 of the height of the crown
+    base."""
     twigs: Twigs
     twiglets: Twigs | None = None
-    """Third order, for broad crowns."""
+    """Third-order branches, for broad crowns."""
 
 
 class StemForm(Section):
-    """Deviations of stems from straight and round ones: means over trees, nothing where all are 0."""
+    """Deviations of stems from a straight and round form: means over trees; all 0 for straight, round stems."""
 
     bow: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    """Distance of the bole from the line between its foot and the crown base, where that is greatest, over its length; half
-    the DBH at most."""
+    """Greatest distance of the bole from the line between foot and crown base, over its length; at most half the DBH."""
     butt_sweep_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
-    """How much more a stem leans at the ground than above the butt."""
+    """Extra lean of the stem at the ground compared to above the butt."""
     fork_share: Fraction = 0.0
     """Share of trees with two leaders."""
     fork_height: Annotated[tuple[Fraction, Fraction], Field(strict=False)] = (0.25, 0.6)
-    """Lowest and highest fork over the height of the tree."""
+    """Range of the height of the fork over the height of the tree."""
     ovality: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """Longest diameter of a section less the one across it, over the latter; without lobes and bark."""
+    """Longest diameter of a section minus the perpendicular one, over the latter; without lobes and bark."""
     lobes: Annotated[float, Field(ge=0, le=0.3)] = 0.0
-    """Amplitude of the lobes that roots make of the butt, at the ground, over the radius there."""
+    """Amplitude of the root lobes of the butt at the ground, over the radius there."""
     surface_roots: Fraction = 0.0
-    """Share of the lobes from which a root runs over the ground, of trees with a DBH over 0.3 m."""
+    """Share of lobes from which a root runs over the ground, for trees with a DBH over 0.3 m."""
     bark_mm_per_cm: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Depth of furrows, from ridge to bottom at breast height, for each cm of DBH: bark grows rougher with age."""
+    """Depth of furrows, from ridge to bottom at breast height, per cm of DBH: bark becomes rougher with age."""
     bark_period_mm: Annotated[float, Field(ge=5, le=1000)] = 50.0
-    """From ridge to ridge around the stem; coarser where the mesh has fewer than three vertices to a ridge."""
+    """Distance between bark ridges around the stem; coarser if the mesh has fewer than three vertices per ridge."""
 
     @property
     def row(self) -> F8:
-        """(10,) of all numbers in order."""
+        """Row (10,) of all numbers in order."""
         return np.hstack([getattr(self, name) for name in type(self).model_fields])
 
 
 class Spread(Section):
-    """Residual spread of trees of one diameter about the curves of their species, one sigma."""
+    """Residual spread of trees of one diameter about their species' curves, one sigma."""
 
     height: Fraction = 0.06
-    """Of the logarithm of the height."""
+    """Spread of the logarithm of the height."""
     crown_ratio: Annotated[float, Field(ge=0, le=2)] = 0.3
-    """Of the logit of the crown length over the height."""
+    """Spread of the logit of crown length over height."""
     crown_width: Fraction = 0.16
-    """Of the logarithm of the crown width."""
+    """Spread of the logarithm of the crown width."""
     form: Annotated[float, Field(ge=0, le=0.3)] = 0.08
-    """Of the logarithm of the stem's volume at a given diameter and height."""
+    """Spread of the logarithm of the stem's volume at a given diameter and height."""
 
 
 class Plant(Section):
     """Common keys of trees and shrubs. Sources are in `species.toml`, value by value."""
 
     number: Annotated[int, Field(ge=1, le=65535)]
-    """In labels; never changes, and no other plant has it."""
+    """Number in labels; unique and never changed."""
     scientific_name: Text
     leaf_area_index: Annotated[float, Field(ge=0, le=20)]
-    """Of a closed stand, or of the ground that a shrub covers."""
+    """Leaf area index of a closed stand, or of the ground that a shrub covers."""
     bark_reflectance: Fraction
     leaf_reflectance: Fraction
     _name: str = PrivateAttr()
 
     def model_post_init(self, context: Any, /) -> None:
-        """Take the name, which is the table's own in the file."""
+        """Take the name from the table's key in the file."""
         self._name = context["name"]
 
     @property
@@ -176,7 +175,7 @@ class Plant(Section):
 
     @field_validator("number")
     @classmethod
-    def _is_free(cls, number: int, info: ValidationInfo) -> int:
+    def _check_number(cls, number: int, info: ValidationInfo) -> int:
         first = info.context["first_number"] if info.context else 1
         if number < first:
             raise ValueError(f"{first} or more")
@@ -191,7 +190,7 @@ class Species(Plant):
     crown_width: CrownWidth
     crown_base: CrownBase
     open_crown: Pair = (0.1783, 0.5665)
-    """ln a and b of the crown width a dbh_cm^b of open-grown trees, Hasenauer (1997); those of other broadleaves if not given."""
+    """Coefficients ln a and b of the open-grown crown width a dbh_cm^b, Hasenauer (1997); by default other broadleaves'."""
     diameters: Annotated[tuple[float, float, float, float, float], Field(strict=False)]
     """Coefficients of `truncated_weibull_cm`."""
     taper: Taper
@@ -201,7 +200,7 @@ class Species(Plant):
     biomass: Biomass | None = None
 
     def crown_width_m(self, dbh_cm: F8, residual: F8 | None = None) -> F8:
-        """Crown width of forest-grown trees; residuals (n,) are in sigmas, and without them it is the mean."""
+        """Crown width of forest-grown trees; residuals (n,) are in sigmas, and without them the mean is returned."""
         if residual is None:
             return self.crown_width(dbh_cm)
         sigma = self.spread.crown_width
@@ -213,17 +212,17 @@ class Species(Plant):
         return height_m / (1 + exp(-logit))
 
     def rival_m2(self, dbh_cm: F8) -> F8:
-        """Return what trees compete with, (n, 2) in m2: section at breast height, crown projection if open-grown; 0 of dead ones."""
+        """Return competition areas (n, 2) in m2: section at breast height, open-grown crown projection; 0 for dead trees."""
         log_a, b = self.open_crown
         sizes_m = np.column_stack([dbh_cm / 100, exp(log_a + b * log(dbh_cm))])
         return np.pi / 4 * np.square(sizes_m) * (self.foliage is not None)
 
     def taper_of(self, residual: F8) -> F8:
-        """`taper` (n,) of stems whose volume has residuals (n,), in sigmas: more taper is less volume."""
+        """Taper numbers (n,) of stems from volume residuals (n,) in sigmas: more taper is less volume."""
         return -self.spread.form / _VOLUME_PER_TAPER * residual
 
     def biomass_kg(self, dbh_m: F8, height_m: F8, crown_base_m: F8, taper: F8 | float = 0.0) -> F8:
-        """Dry mass above ground (n,), NaN where no equation is known; `taper` (n,) is each tree's own."""
+        """Dry mass above ground (n,), NaN without a known equation; `taper` (n,) is each tree's own."""
         if self.biomass is None:
             return np.full(len(dbh_m), np.nan)
         rows = np.tile(self.taper.row, (len(dbh_m), 1))
@@ -236,11 +235,11 @@ class Shrub(Plant):
     """A kind of shrub."""
 
     height_m: Pair  # from small to large
-    width_share: float  # width over height, as it grows by itself
-    stems: Annotated[int, Field(ge=1, le=100)]  # that come out of the ground
+    width_share: float  # width over height, free-standing
+    stems: Annotated[int, Field(ge=1, le=100)]  # number of stems at the ground
     slenderness: float  # length of a stem over its diameter at the ground
     rise_deg: Pair  # elevation of the outermost and of the innermost stem at the ground
-    droop_deg: float  # how much a stem's elevation falls towards its tip
+    droop_deg: float  # decrease of a stem's elevation towards its tip
     crook_deg: Crook
     twigs: Twigs
     foliage: Foliage
@@ -249,12 +248,12 @@ class Shrub(Plant):
 Trees = NDArray[np.void]
 Table = Mapping[str, Species]
 _Kind = TypeVar("_Kind", bound=Plant)
-_FIRST_OWN_NUMBER = 1000  # smaller numbers belong to the table that comes with the program
+_FIRST_OWN_NUMBER = 1000  # smaller numbers belong to the program's own table
 
 
 @dataclass(frozen=True, eq=False)
 class Flora:
-    """All plants that a world may hold, by name, in the order of the table; a user's own come last."""
+    """All plants that a world may hold, by name, in the order of the table; the user's plants come last."""
 
     trees: Mapping[str, Species]
     shrubs: Mapping[str, Shrub]
@@ -266,12 +265,12 @@ class Flora:
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
+        """All materials by number: ground materials, then bark and leaf of each tree and shrub."""
         return (*GROUND_MATERIALS, *(f"{name} {part}" for name in self.names.values() for part in ("bark", "leaf")))
 
     @cached_property
     def bark(self) -> I8:
-        """Material number of the bark by species number; that of the leaf is the next."""
+        """Material number of the bark by species number; the leaf has the next number."""
         numbers = list(self.names)
         material = np.zeros(max(numbers) + 1, np.int64)
         material[numbers] = len(GROUND_MATERIALS) + 2 * np.arange(len(numbers))
@@ -280,9 +279,9 @@ class Flora:
 
 @cache
 def flora(path: Path | str | None = None) -> Flora:
-    """Read the plants of the program, and those of a user's file of the same form after them, numbered from 1000.
+    """Read the program's plants, followed by a user's file of the same form, numbered from 1000.
 
-    Raises GeometryError, naming file, species and key, where the user's file is wrong.
+    Raises GeometryError, naming file, species and key, if the user's file is wrong.
     """
     with resources.as_file(resources.files("vlp16emu.forest").joinpath("species.toml")) as shipped:
         trees, shrubs = _plants(shipped, 1)
@@ -311,7 +310,7 @@ def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str
     for plant in (*trees.values(), *shrubs.values()):
         if (other := taken.setdefault(plant.number, plant.name)) != plant.name:
             where = f"{path}: {plant.name}.number"
-            raise GeometryError(where, f"found {plant.number}, which is that of {other}", "one of its own")
+            raise GeometryError(where, f"found {plant.number}, the number of {other}", "one of its own")
     return trees, shrubs
 
 
@@ -329,11 +328,11 @@ def _of_kind(section: type[_Kind], path: Path, kind: str, rows: Any, first_numbe
 
 
 def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[_Kind]:
-    """Rows of a species table by name: that of the table, with any case and any space, or the scientific one.
+    """Rows of a species table by common or scientific name, regardless of case and white space.
 
     Raises GeometryError for a name that is not in the table.
     """
-    latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}  # without author
+    latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}  # without the author
     rows = latin | {_plain(row.name): row for row in table.values()}
     for name in names:
         if _plain(name) not in rows:
@@ -348,7 +347,7 @@ def _plain(name: str) -> str:
 
 
 def tapers(trees: Trees, *, table: Table | None = None) -> F8:
-    """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` is that of the program if none is given."""
+    """Return the tapers (n, 13) of trees (n,) `TREE` for `taper_radius_m`; `table` defaults to the program's."""
     rows = {one.number: one.taper.row for one in (table or flora().trees).values()}
     own = np.array([rows[number] for number in trees["species"].tolist()]).reshape(-1, 13)
     own[:, -1] = trees["taper"]
@@ -356,6 +355,6 @@ def tapers(trees: Trees, *, table: Table | None = None) -> F8:
 
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
-"""Names of the first numbers."""
+"""Names of the first materials."""
 BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
-"""Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
+"""Half-range of reflectance between plants; assumptions (Juola et al. 2020 find a wide spread in the near infrared)."""

@@ -1,8 +1,8 @@
-"""Stems: two meshes for each tree, root flare and stem, which together are closed and exact at breast height.
+"""Stems: two meshes per tree, root flare and stem, which together are closed and exact at breast height.
 
-Where a stem's axis is 1.3 m above the ground at its foot there is a ring of vertices, and across the axis as it runs
-there the mesh's cross-section has exactly the area of a circle of the recorded diameter. A second leader is a closed
-piece of the stem's mesh that begins within the first, whose tip is the mesh's last vertex.
+A ring of vertices lies where a stem's axis is 1.3 m above the ground at its foot. Perpendicular to the axis, the mesh's
+cross-section there has exactly the area of a circle of the recorded diameter. A second leader is a closed
+part of the stem's mesh that begins within the first leader; its tip is the mesh's last vertex.
 """
 
 from collections.abc import Callable
@@ -23,44 +23,44 @@ from vlp16emu.types import F8, I8, HeightField, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m, unit
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
-"""Of either component of a level vector, over its mean length (Rayleigh's distribution)."""
-_MOST_BOW = 0.5  # bow over the DBH at most: branches start on the straight axis, which must not leave the stem
-_S_SHARE = 0.4  # of the bow, how much the bole bends to and fro besides; assumption
-_SWEEP_M = 0.6  # height over which the sweep of the butt dies away by e; assumption
+"""Standard deviation of each component of a level vector over its mean length (Rayleigh's distribution)."""
+_MOST_BOW = 0.5  # greatest bow over the DBH: branches start on the straight axis, which must stay within the stem
+_S_SHARE = 0.4  # amplitude of the S-shaped bend over the bow; assumption
+_SWEEP_M = 0.6  # height over which the sweep of the butt falls to 1/e; assumption
 _LOBES, _LOBES_M = (3, 6), 0.45
-"""Least and most lobes of a butt, and the height over which they die away by e: deeper flutes at the butt than higher up
-(Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are assumptions."""
-_EGG_SHARE = 0.2  # of the ovality, how much a section is egg-shaped besides; assumption
-_RIDGE_VERTICES = 3  # of the mesh to each ridge of the bark at least
+"""Range of the number of lobes of a butt, and the height over which they fall to 1/e: flutes are deeper at the butt than
+higher up (Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are assumptions."""
+_EGG_SHARE = 0.2  # egg-shaped component of a section over the ovality; assumption
+_RIDGE_VERTICES = 3  # fewest mesh vertices per bark ridge
 _LEADER_SHARE, _LEADER_DEG, _LEADER_GAP = (0.3, 0.5), (15.0, 35.0), (0.1, 0.22)
-"""Of a second leader: share of the section at the fork, angle to the first, and how far from it over the width of the
-crown, least and most; assumptions."""
-_LEADER_TOP = 0.93  # share of the way from fork to tip that it reaches; assumption
-_DIRECTIONS = 720  # in which a section is looked at by a tape: what it shows is then right to 1e-5
+"""Ranges for a second leader: share of the section at the fork, angle to the first leader, and distance from it over the
+crown width; assumptions."""
+_LEADER_TOP = 0.93  # height of its tip, as a share of the way from fork to tip; assumption
+_DIRECTIONS = 720  # directions for a tape measurement of a section: accurate to 1e-5
 
 
 @dataclass(frozen=True, slots=True)
 class StemForms:
     """Forms of n stems.
 
-    A form bends the axis below the crown alone, so that crowns sit straight on the line from foot to tip. It changes the
-    outline of a section and never its area.
+    A form bends the axis only below the crown, so that crowns are straight on the line from foot to tip. It changes the
+    outline of a section but not its area.
     """
 
     bole_m: F8  # (n,) height of the crown base
-    bends: F8  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
-    oval: F8  # (n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad
-    lobes: F8  # (n, 3) number, amplitude at the ground over the radius, phase
-    surface_roots: F8  # (n,) share of the lobes that have one
+    bends: F8  # (n, 3, 2) bow and S-shaped bend in m, and slope of the butt; east and north
+    oval: F8  # (n, 4) ovality, its direction and its twist per metre upwards, phase of the egg shape; rad
+    lobes: F8  # (n, 3) number, amplitude at the ground over the radius, phase of lobes
+    surface_roots: F8  # (n,) share of the lobes that have a surface root
     bark: F8  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
     forks: F8
-    """(n, 6) whether there is one, its height over that of the tree, share of the section that the second leader takes,
-    slope and distance in m of that leader from the first, its direction in rad."""
+    """(n, 6) fork: 1 if there is one, its height over the tree's height, share of the section of the second leader, slope and
+    distance in m of that leader from the first, its direction in rad."""
 
     def aside_m(self, above_m: F8) -> F8:
-        """Distance (n, r, 2), east and north, of axes from straight ones at heights (n, r) over their feet."""
+        """Offset (n, r, 2), east and north, of axes from straight lines at heights (n, r) over their feet."""
         u = np.minimum(above_m / np.maximum(self.bole_m, 1e-6)[:, None], 1.0)
-        bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, level with the line at its end
+        bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, with slope 0 at its end
         to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
         butt = _SWEEP_M * -expm1(-above_m / _SWEEP_M) * np.square(1 - u)
         bends = self.bends[:, None]
@@ -68,9 +68,9 @@ class StemForms:
         return aside + butt[..., None] * bends[:, :, 2]
 
     def outline(self, angle: F8, above_m: F8, radius_m: F8, breast_m: F8) -> F8:
-        """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
+        """Distance (n, r, sides) of vertices from the axis, so that each polygon has the area of its circle.
 
-        Vertices are at angles (n, sides) evenly all around, circles of radii (n, r) at heights (n, r) over the foot; `breast_m`
+        Vertices are at evenly spaced angles (n, sides), circles have radii (n, r) at heights (n, r) over the foot; `breast_m`
         (n,) is the radius at breast height.
         """
         theta, z = angle[:, None], above_m[..., None]
@@ -80,7 +80,7 @@ class StemForms:
         shape += _EGG_SHARE * ovality / 2 * cos(3 * theta - egg)
         number, size, at = (self.lobes[:, i, None, None] for i in range(3))
         shape += size * exp(-up / _LOBES_M) * cos(number * theta - at)
-        # Bark: ridges of two widths that wander upwards, and are shallower the thinner the stem is.
+        # Bark: ridges of two widths that wander upwards, and are shallower on thinner stems.
         depth_m, ridges, a, b, c, d = (self.bark[:, i, None, None] for i in range(6))
         many = np.minimum(np.round(ridges), theta.shape[-1] // _RIDGE_VERTICES)
         few = np.round(0.7 * many)
@@ -93,7 +93,7 @@ class StemForms:
         return shape * size_m[..., None]
 
     def of(self, which: I8 | slice) -> "StemForms":
-        """Return the forms of some of the stems."""
+        """Return the forms of the selected stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
 
 
@@ -137,36 +137,36 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
 
 
 def polygon_m2(away_m: F8, step: float) -> F8:
-    """Area (...) of polygons whose corners (..., sides) are so far from a point, by even steps in rad around it."""
+    """Area (...) of polygons with corners at distances (..., sides) from a point, at even steps in rad around it."""
     return sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
 
 
 def tape_m(away_m: F8) -> F8:
-    """Diameter (n,) that a taut tape shows around polygons (n, sides) as of `polygon_m2`: the mean width of the hull (Cauchy)."""
+    """Diameter (n,) by tape of polygons (n, sides) as in `polygon_m2`: the mean width of the hull (Cauchy)."""
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
     return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])
 
 
-FLARE_TOP_M = 0.5  # where the root flare ends and the stem begins, at a ring that both share; assumption
-_BURIED_M = 0.1  # how far the foot reaches below level ground, or the lowest ground around it
+FLARE_TOP_M = 0.5  # height of the ring between root flare and stem, which both share; assumption
+_BURIED_M = 0.1  # depth of the foot below level ground, or below the lowest ground around it
 _SIDES, _THICKER_M = np.array([16, 24, 32, 40]), np.array([0.16, 0.3, 0.45])
-"""Of a stem's cross-section, and the DBH over which there are more; they are 30 to 40 mm long on most stems."""
+"""Sides of a stem's cross-section, and the DBH above which there are more; sides are 30 to 40 mm long on most stems."""
 _BUTT_M = (0.0, 0.12, 0.28, FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)  # heights of rings from the ground to breast height
 _UPPER = (0.035, 0.1, 0.2, 0.33, 0.48, 0.64, 0.8, 0.93)
-"""Rings above, as shares of the way from breast height to the tip."""
+"""Further rings, as shares of the way from breast height to the tip."""
 _LEADER_CIRCLES = 9
-STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
+STEM_CIRCLE = np.dtype(  # one circle of a stem or of a first-order branch
     [
         ("tree", "<u4"),  # instance
-        ("leader", "u1"),  # 1 of the stem, 2 of its second leader; branches leave the first
+        ("leader", "u1"),  # 1 for the stem, 2 for its second leader; branches belong to 1
         ("part", "u1"),  # `PlantPart`: stem, branch of the first order, or dead branch
-        ("branch", "<u2"),  # its number on the tree, from 1; 0 of a stem
-        ("x_m", "<f8"),  # middle, in the world
+        ("branch", "<u2"),  # number on the tree, from 1; 0 for a stem
+        ("x_m", "<f8"),  # centre, in the world
         ("y_m", "<f8"),
         ("z_m", "<f8"),
         ("above_foot_m", "<f8"),
-        ("radius_m", "<f8"),  # of the circle with the section's area, over bark
+        ("radius_m", "<f8"),  # radius of the circle with the section's area, over bark
     ]
 )
 
@@ -174,7 +174,7 @@ STEM_CIRCLE = np.dtype(  # one circle of a stem, or of a branch that leaves it
 def circles_of(
     trees: Trees, leader: int, part: PlantPart, at_m: F8, radius_m: F8, branch: I8 | int = 0
 ) -> NDArray[np.void]:
-    """Return circles (n, r) `STEM_CIRCLE` of trees (n,): middles (n, r, 3) in the world, radii and numbers of branches (n, r)."""
+    """Return circles (n, r) `STEM_CIRCLE` of trees (n,): centres (n, r, 3) in the world, radii and branch numbers (n, r)."""
     circles = np.zeros(radius_m.shape, STEM_CIRCLE)
     circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], leader, part
     circles["x_m"], circles["y_m"], circles["z_m"] = np.moveaxis(at_m, -1, 0)
@@ -183,17 +183,17 @@ def circles_of(
 
 
 class Stems:
-    """Stems of trees (n,) `TREE`, the rings of vertices of their meshes, and second leaders (m,) of those that fork.
+    """Stems of trees (n,) `TREE`, the vertex rings of their meshes, and second leaders (m,) of forked stems.
 
     Attributes
     ----------
-    above_ground_m : (n, r) height over the foot at which rings meet the axis; the first is buried
-    radius_m : (n, r) of the circle that has the ring's area; the first is as wide as the second, however deep it lies
-    sides : (n,) of the cross-section
-    forked, fork_m : (m,) which stems have a second leader, and where that begins, a ring's height over the foot
+    above_ground_m : (n, r) height over the foot at which rings meet the axis; the first ring is buried
+    radius_m : (n, r) radius of the circle with the ring's area; the first ring is as wide as the second
+    sides : (n,) number of sides of the cross-section
+    forked, fork_m : (m,) indices of stems with a second leader, and the height of its first ring over the foot
     """
 
-    flare_rings = 2 + _BUTT_M.index(FLARE_TOP_M)  # how many of the rings belong to the root flare
+    flare_rings = 2 + _BUTT_M.index(FLARE_TOP_M)  # number of rings of the root flare
 
     def __init__(self, trees: Trees, *, table: Table | None = None) -> None:
         self.trees, self.forms, self._taper = trees, stem_forms(trees, table=table), tapers(trees, table=table)
@@ -202,7 +202,7 @@ class Stems:
         self.above_ground_m = np.concatenate([butt, upper], axis=1)
         self.forked = np.flatnonzero(self.forms.forks[:, 0])
         share, second_share = self.forms.forks[self.forked, 1:3].T
-        # The ring that is nearest to a fork moves there: the first leader thins from it to the next.
+        # The ring nearest to a fork moves there: the first leader thins from it to the next ring.
         self.fork_m = np.maximum(share * trees["height_m"][self.forked], upper[self.forked, 0])
         at = butt.shape[1] + np.abs(upper[self.forked, :-1] - self.fork_m[:, None]).argmin(axis=1)
         self.above_ground_m[self.forked, at] = self.fork_m
@@ -217,11 +217,11 @@ class Stems:
 
     @property
     def tip_radius_m(self) -> F8:
-        """Radius (n,) at the tip: 0 of a whole tree, more of one that has broken off."""
+        """Radius (n,) at the tip: 0 for a whole tree, greater for a broken one."""
         return self._radius_m(slice(None), self.trees["height_m"][:, None])[:, 0]
 
     def axis_m(self, above_m: F8, which: I8 | slice = slice(None)) -> F8:
-        """Points (k, r, 3) of the axes of some stems (k,), all if not given, relative to their feet, at heights (k, r)."""
+        """Points (k, r, 3) of the axes of selected stems (k,), by default all, relative to their feet, at heights (k, r)."""
         own = self.trees[which]
         slope, towards = tan(np.radians(own["lean_deg"])), np.radians(own["lean_towards_deg"])
         lean = (slope * np.array([cos(towards), sin(towards)])).T
@@ -239,7 +239,7 @@ class Stems:
     def leaders(self, shares: F8) -> tuple[F8, F8]:
         """Heights over the foot and radii (m, k) of second leaders at shares (k,) of the way from fork to tip.
 
-        With the first leaders they are as thick as one stem.
+        Together with the first leader they have the section of an unforked stem.
         """
         height_m = self.trees["height_m"][self.forked]
         length_m = (self.fork_m + _LEADER_TOP * (height_m - self.fork_m)) - self.fork_m
@@ -264,37 +264,37 @@ class Stems:
         return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
 
     def angles(self, which: I8 | slice, sides: int) -> F8:
-        """Angles (k, sides) of a ring's vertices around the axes of some stems (k,), from east, counter-clockwise."""
+        """Angles (k, sides) of a ring's vertices around the axes of selected stems (k,), from east, counter-clockwise."""
         return np.radians(self.trees["crown_azimuth_deg"][which])[:, None] + np.arange(sides) * 2 * np.pi / sides
 
     def outlines(self, which: I8 | slice, sides: int) -> F8:
-        """Distances (k, r, sides) of the vertices of rings of some stems (k,) from their axes."""
+        """Distances (k, r, sides) of the ring vertices of selected stems (k,) from their axes."""
         above_m, radius_m = self.above_ground_m[which], self.radius_m[which]
         breast_m = self.trees["dbh_m"][which] / 2
         return self.forms.of(which).outline(self.angles(which, sides), above_m, radius_m, breast_m)
 
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
-ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)  # of a root's mesh, and where its rings are as shares of its length
-_OLD_M = 0.3  # DBH from which trees have them; assumption
-_MOST = 6  # roots of a tree: one to each lobe of its butt at most
-_LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)  # over the DBH, and on the ground, least and most; assumptions
-_RADIUS = (0.09, 0.15)  # at the butt over the DBH, least and most; assumption
+ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)  # sides and rings of a root's mesh
+_OLD_M = 0.3  # least DBH of trees with surface roots; assumption
+_MOST = 6  # most roots of a tree, at most one per lobe of its butt
+_LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)  # ranges of length over the DBH, and of length in m; assumptions
+_RADIUS = (0.09, 0.15)  # range of the radius at the butt over the DBH; assumption
 _THINNER, _RISE, _RISE_M = 0.7, 1.5, 0.2
-"""Share of its radius that a root loses on its way; how much higher than wide it leaves the butt, and over what length that
-dies away by e; assumptions."""
+"""Share of its radius that a root loses along its length; its excess of height over width at the butt, and the length
+over which that falls to 1/e; assumptions."""
 _BURIED, _BEND, _ASIDE_RAD = 0.15, 0.12, 0.3
-"""Of its height how far its middle lies in the ground before it dives; its bends over its length; range of its direction about
-that of its lobe; assumptions."""
+"""Depth of a root's centre in the ground over its height before it dives; bends over its length; range of its direction
+about the lobe's direction; assumptions."""
 _TOP_M = 0.3
-"""Over the foot above which no root reaches, lest it be part of a section at breast height: uphill it dives."""
+"""Greatest height of a root over the foot, so that it is no part of a section at breast height: uphill it dives."""
 
 
 def root_points(stems: Stems, height_m: HeightField) -> tuple[I8, F8]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
-    Of each (k,) the stem, and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
-    rings from there, and the tip.
+    Returns for each root (k,) the stem's index, and vertices (k, 1 + rings * sides + 1, 3) relative to the stem's foot: the
+    centre of the end in the butt, rings from there, and the tip.
     """
     trees, (number, _, lobe_phase) = stems.trees, stems.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]
@@ -325,7 +325,7 @@ def _unit(azimuth: F8) -> F8:
 
 
 def _root_pipes(middle_m: F8, wide_m: F8, high_m: F8) -> F8:
-    """Vertices of roots about middles (k, rings, 3), upright ellipses of half axes (k, rings) across them."""
+    """Vertices of roots: upright ellipses with half axes (k, rings) around centres (k, rings, 3)."""
     ahead = unit(np.gradient(middle_m[..., :2], axis=1))
     angle = (np.arange(ROOT_SIDES) + 0.5) * 2 * np.pi / ROOT_SIDES
     left_m = wide_m[..., None] * cos(angle)
@@ -339,25 +339,25 @@ def _root_pipes(middle_m: F8, wide_m: F8, high_m: F8) -> F8:
     return np.concatenate([middle_m[:, :1], ring_m, tip_m], axis=1)
 
 
-STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)  # of the meshes of a stem, in order
+STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)  # parts of the meshes of a stem, in order
 _SPLINTER_SHARE = 0.8
-"""How far off the axis the tip of a broken stem is, over the radius of the highest ring: a slanting break."""
+"""Offset of a broken stem's tip from the axis over the radius of the highest ring: a slanting break."""
 _WIDEST = 1.3  # reach of a butt's lobes over the radius of its circle
 _LEADER_SIDES, _LEADER_RINGS = 16, (0.0, 0.06, 0.15, 0.3, 0.5, 0.75, 0.92)
-"""Of a second leader: sides, and rings as shares of the way from fork to tip."""
-_STEP_M = 1e-3  # over which the slope of an axis is taken
+"""Sides of a second leader, and its rings as shares of the way from fork to tip."""
+_STEP_M = 1e-3  # height difference for the slope of an axis
 
 
 @dataclass(frozen=True, slots=True)
 class StemKey:
-    """Name of the shape of a single stem, in the frame of its tile."""
+    """Key of the shape of a single stem, in the frame of its tile."""
 
     tile: TileKey
     number: int  # among the trees of the tile
 
 
 def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
-    """Rotations (n, 3, 3) that tip the vertical by `lean_deg` towards an angle from east, without twist."""
+    """Rotations (n, 3, 3) that tilt the vertical by `lean_deg` towards an angle from east, without twist."""
     tilt, towards = np.radians(lean_deg), np.radians(towards_deg)
     c, s = cos(towards), sin(towards)
     v, w = 1 - cos(tilt), sin(tilt)
@@ -366,9 +366,9 @@ def lean_rotation(lean_deg: F8, towards_deg: F8) -> F8:
 
 
 def stem_meshes(trees: Trees, origin_m: F8, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
-    """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
+    """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,), with surface roots."""
     stems = Stems(trees, table=table)
-    # Each foot lies in the ground all around the flare, lobes and all.
+    # Each foot is in the ground all around the flare, including lobes.
     flare_m, around = _WIDEST * stems.radius_m[:, :1], np.arange(8) * (np.pi / 4)
     ground_m = height_m(trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around))
     slope = stem_slopes(stems.axis_m, np.zeros((len(trees), 1)))
@@ -383,14 +383,14 @@ def stem_meshes(trees: Trees, origin_m: F8, height_m: HeightField, *, table: Tab
 
 
 def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh]:
-    """Meshes as `stem_meshes` makes them, but with all feet at the origin, no roots, and nothing buried."""
+    """Meshes as from `stem_meshes`, but with all feet at the origin, without roots and buried parts."""
     stems = Stems(trees, table=table)
     stems.above_ground_m[:, 0] = 0.0
     return _meshes(stems, np.zeros((len(trees), 3)))
 
 
 def stem_slopes(axis: Callable[[F8], F8], above_m: F8) -> F8:
-    """Return the slopes of axes, east and north (n, r, 2), in metres aside per metre up at heights (n, r)."""
+    """Return the slopes of axes, east and north (n, r, 2), in metres per metre of height at heights (n, r)."""
     return (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
 
 
@@ -431,7 +431,7 @@ def _leaders(stems: Stems) -> F8:
 
 
 def _pipes(axis: Callable[[F8], F8], above_m: F8, away_m: F8, angle: F8) -> F8:
-    """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis, vertices `away_m` (n, rings, sides) from it."""
+    """Vertices (n, 1 + rings * sides, 3): centre of the bottom, and rings across the axis at `away_m` (n, rings, sides)."""
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)
     tilt, towards = np.degrees(atan2(hypot(east, north), 1.0)), np.degrees(atan2(north, east))

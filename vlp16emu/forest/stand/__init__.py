@@ -1,1 +1,1 @@
-"""Which plants and things are where, how they are labelled, and how trees sway in the wind."""
+"""Positions and labels of plants and things, and the sway of trees in the wind."""

@@ -1,7 +1,7 @@
-"""Shapes and labels of what lies on the ground: stones, dead wood, tufts of grass and what else covers it, all of unit size.
+"""Shapes and labels of things on the ground: stones, dead wood, tufts of grass and low plants, all of unit size.
 
-They are grown once for each variant, and stretched to size where they are placed. What plants look like are assumptions, after
-pictures in floras; leaves are kites, two triangles each.
+They are grown once per variant and scaled where they are placed. The look of plants is an assumption, after pictures in
+floras; leaves are kites, two triangles each.
 """
 
 from collections.abc import Callable
@@ -51,7 +51,7 @@ def herb(rng: Generator) -> Mesh:
 
 
 def dwarf_shrub(rng: Generator) -> Mesh:
-    """Small leaves all through a dome, more of them near its outside."""
+    """Small leaves throughout a dome, denser near its outside."""
     leaves = 90
     direction = unit(rng.normal(0.0, 1.0, (leaves, 3)))
     direction[:, 2] = np.abs(direction[:, 2])
@@ -61,7 +61,7 @@ def dwarf_shrub(rng: Generator) -> Mesh:
 
 
 def moss_cushion(rng: Generator) -> Mesh:
-    """Make a bumpy dome, open below, whose rim is in the ground."""
+    """Bumpy dome, open below, with its rim in the ground."""
     sides, away, high = 12, np.array([0.22, 0.38, 0.5]), np.array([0.9, 0.6, -0.4])
     angle = 2 * np.pi * np.arange(sides) / sides
     rim = 1 + 0.15 * cos(3 * angle + rng.uniform(0, 2 * np.pi)) * np.ones((3, 1))
@@ -77,7 +77,7 @@ def moss_cushion(rng: Generator) -> Mesh:
 
 
 def litter_heap(rng: Generator) -> Mesh:
-    """Leaves that lie one on the other, and three twigs."""
+    """Leaves on top of each other, and three twigs."""
     leaves, twigs = 16, 3
     at = np.column_stack([_in_disc(rng, leaves + twigs, 0.36), rng.uniform(0.1, 0.9, leaves + twigs)])
     towards = rng.uniform(0, 2 * np.pi, leaves + twigs)
@@ -94,7 +94,7 @@ def _in_disc(rng: Generator, count: int, radius: float) -> F8:
 
 
 def _kites(base: F8, along: F8, wide: F8 | float) -> Mesh:
-    """Leaves from bases (..., 3) along vectors (..., 3), level across, their width over their length given."""
+    """Leaves from bases (..., 3) along vectors (..., 3), level across; `wide` is width over length."""
     base, along = np.broadcast_arrays(base, along)
     base, along = base.reshape(-1, 3), along.reshape(-1, 3)
     across = np.cross(_UP, along)
@@ -106,7 +106,7 @@ def _kites(base: F8, along: F8, wide: F8 | float) -> Mesh:
 
 
 def _unit(vertices: F8, faces: I8) -> Mesh:
-    """Mesh stretched to a height and a greatest diameter of 1."""
+    """Mesh scaled to a height and a greatest diameter of 1."""
     vertices = vertices / [*(2 * [2 * norm(vertices[:, :2]).max()]), vertices[:, 2].max()]
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
 
@@ -114,26 +114,26 @@ def _unit(vertices: F8, faces: I8) -> Mesh:
 Mask = NDArray[np.bool_]
 FLOOR_VARIANTS = 6  # different shapes of each kind
 STUMP_DEPTH = 0.5  # depth of a stump in the ground over its height above it
-_STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3  # times that the faces of an icosahedron are quartered: 320 and 1280 faces
+_STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3  # subdivisions of an icosahedron: 320 and 1280 faces
 _ICOSAHEDRON = (  # faces, counter-clockwise seen from outside; corners as in `_icosphere`
     *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
     *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
     *((10, 7, 1), (5, 7, 10), (11, 7, 5), (5, 2, 11), (3, 7, 11)),
     *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
 )
-_LOBES, _LOBE_HEIGHT = 6, 0.05  # sines that shape a stone, and the amplitude of each over the radius; assumption
-_ROUND_SIDES = 16  # of logs and stumps
+_LOBES, _LOBE_HEIGHT = 6, 0.05  # number of sines that shape a stone, and their amplitude over the radius; assumption
+_ROUND_SIDES = 16  # sides of logs and stumps
 LOG_TAPER = 0.2
-"""Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
+"""Relative difference of a log's end diameters from its mean diameter; assumption: 1 cm per metre and broken tips."""
 _LOG_BOW = 0.5
-"""Of a log to one side and the other, one sigma over its diameter; half of that to and fro besides: assumptions."""
-_PIECE_TAPER, _PIECE_BOW = 0.1, 0.15  # of half a log
+"""Bow of a log, one sigma over its diameter; the S-shaped bend has half of it: assumptions."""
+_PIECE_TAPER, _PIECE_BOW = 0.1, 0.15  # taper and bow of half a log
 _LOG_SPLINTERS, _STUMP_SPLINTERS = 0.05, 0.45
-"""Half-range of the ends' corners over the length of a piece of a log, and over the height of a broken stump; assumptions."""
+"""Half-range of the splinters at ends over the length of a log's piece, and over a broken stump's height; assumptions."""
 _PLATE_SIDES, _PLATE_ROOTS = 20, 10
 _PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0.5))
-"""Along the log over the plate's thickness, and away from its axis over the radius: the side of the roots is a paraboloid, as
-that of birch is (Forests 12(1), 2021, 20: an elliptic paraboloid); the side of the stem, once level ground, is flat."""
+"""Profile of a root plate: position along the log over the plate's thickness, and distance from the axis over the radius.
+The root side is a paraboloid, as for birch (Forests 12(1), 2021, 20: elliptic); the stem side, once level ground, is flat."""
 _PLATE_BUMPS = 0.08  # half-range of the surface over the thickness; assumption
 _REFLECTANCE = {
     "stone": 0.30,
@@ -142,14 +142,14 @@ _REFLECTANCE = {
     "moss": 0.35,
     **dict.fromkeys(("grass", "herb", "fern", "dwarf shrub"), 0.45),
 }
-"""At 903 nm: rock, weathered wood like oak bark, dry leaves like the ground, green ones like those of shrubs; assumptions."""
-_REFLECTANCE_SPREAD = 0.08  # half-range between things, as between the barks of trees; assumption
-_BLADES = 22  # of a tuft
-_BLADE_AREA = 0.012  # one-sided, of a tuft's blade on average, over the square of its height; assumption
+"""Reflectance at 903 nm: rock, weathered wood as oak bark, dry leaves as the ground, green leaves as shrubs; assumptions."""
+_REFLECTANCE_SPREAD = 0.08  # half-range between things, as for the bark of trees; assumption
+_BLADES = 22  # blades of a tuft
+_BLADE_AREA = 0.012  # mean one-sided area of a blade over the square of the tuft's height; assumption
 
 
 class FloorKind(StrEnum):
-    """Kind of thing on the ground that is no shrub and no tree."""
+    """Kind of thing on the ground, other than shrubs and trees."""
 
     STONE = "stone"
     LOG = "log"
@@ -170,20 +170,20 @@ GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})  # kin
 
 @dataclass(frozen=True, slots=True)
 class FloorKey:
-    """Name of a shape, and with the seed all that it is grown from."""
+    """Key of a shape; with the seed it determines the shape."""
 
     kind: FloorKind
     variant: int
-    large: bool = False  # whether it is a stone so large that its faces would be seen
+    large: bool = False  # True for a stone so large that its faces would be visible
 
 
 def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
     """Grow the one mesh of a shape.
 
     A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
-    1. A log lies along x from -0.5 to 0.5 with mean diameter 1, and so does a piece of a broken one. A stump
-    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x, its
-    roots at -x, and the butt of its log ends at the origin. All others are 1 high and have their foot at the origin.
+    1. A log, or a piece of a broken log, lies along x from -0.5 to 0.5 with mean diameter 1. A stump
+    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x, with its
+    roots at -x and the butt of its log at the origin. All others are 1 high and have their foot at the origin.
     """
     rng = generator(seed, Growth.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
     return (_stone(rng, _LARGE_STONE_SPLITS) if key.large else _SHAPES[key.kind].grow(rng),)
@@ -192,7 +192,7 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
 def labelled(
     kind: FloorKind, keep: Mask, world_T: F8, draws: F8, *, species: I8 | None = None, large: Mask | None = None
 ) -> PlacedThings:
-    """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
+    """Label the things (n,) selected by `keep`; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
     larges = [False] * len(variants) if large is None else large[keep].tolist()
     keys = [FloorKey(kind, *how) for how in zip(variants, larges, strict=True)]
@@ -236,7 +236,7 @@ def _outline_m2(points: F8) -> float:
 
 
 def _icosphere(splits: int) -> tuple[F8, NDArray[np.uint32]]:
-    """Quarter the faces of an icosahedron again and again: unit vectors (v, 3) and triangles (f, 3)."""
+    """Subdivide the faces of an icosahedron; return unit vectors (v, 3) and triangles (f, 3)."""
     golden = (1 + np.sqrt(5)) / 2
     corners = [np.roll((0.0, a, b * golden), axis) for axis in range(3) for a in (-1, 1) for b in (-1, 1)]
     vertices, faces = np.array(corners) / hypot(1, golden), np.array(_ICOSAHEDRON)
@@ -253,7 +253,7 @@ def _icosphere(splits: int) -> tuple[F8, NDArray[np.uint32]]:
 
 
 def _log(rng: Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0) -> Mesh:
-    """Tapering trunk with broken ends, its thick end at -x, which lies bowed to one side."""
+    """Tapering trunk with broken ends, bowed to one side, its thick end at -x."""
     along = np.linspace(-0.5, 0.5, 9)
     rings, ends = _drum(rng, along, 0.5 * (1 - 2 * taper * along), slant=0.01)
     if splinters:
@@ -267,7 +267,7 @@ def _log(rng: Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, spl
 
 
 def _stump(rng: Generator, *, splinters: float = 0.0) -> Mesh:
-    """Foot of a felled tree, with its root flare; of one that broke or decays, the top is jagged and hollow."""
+    """Foot of a felled tree, with its root flare; with `splinters`, the top is jagged and hollow."""
     heights = np.array([-STUMP_DEPTH, 0.0, 0.3, 1.0])
     rings, ends = _drum(rng, heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
     if splinters:
@@ -277,7 +277,7 @@ def _stump(rng: Generator, *, splinters: float = 0.0) -> Mesh:
 
 
 def _root_plate(rng: Generator) -> Mesh:
-    """Irregular disc of soil with roots that stick out of it."""
+    """Irregular disc of soil with protruding roots."""
     sides, (along, away) = _PLATE_SIDES, np.array(_PLATE_PROFILE).T
     angle = 2 * np.pi * np.arange(sides) / sides
     rim = 1 + sum(s * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05)))
@@ -296,10 +296,10 @@ def _root_plate(rng: Generator) -> Mesh:
 
 
 def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
-    """Rings (r, sides, 3) about the z axis and middles (2, 3) of the ends, with weathered ribs and ends not quite square."""
+    """Rings (r, sides, 3) about the z axis and centres (2, 3) of the ends, with weathered ribs and slanted ends."""
     sides, angle = _ROUND_SIDES, 2 * np.pi * np.arange(_ROUND_SIDES) / _ROUND_SIDES
     ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
-    # Corners stand out so far that the cross-section has the area of its circle, ribs and all.
+    # Corners are placed so that the cross-section, with ribs, has the area of its circle.
     corner = radius[:, None] * (1 + ribs) * np.sqrt(2 * np.pi / sides / sin(2 * np.pi / sides) / 1.0024)
     x, y = corner * cos(angle), corner * sin(angle)
     z = np.repeat(at[:, None], sides, axis=1)
@@ -311,7 +311,7 @@ def _drum(rng: Generator, at: F8, radius: F8, *, slant: float) -> tuple[F8, F8]:
 
 
 def _tuft(rng: Generator) -> Mesh:
-    """Blades that leave the ground together and bend outwards: a quad from the foot, and one to the tip."""
+    """Blades that start together and bend outwards: a quad from the foot, and one to the tip."""
     n = _BLADES
     towards, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.45, n)
     length, foot = rng.uniform(0.6, 1.0, n), rng.normal(0.0, 0.05, (n, 2))
@@ -322,7 +322,7 @@ def _tuft(rng: Generator) -> Mesh:
     knee = base + length * (0.6 * _UP + 0.6 * lean * outward)
     tip = knee + length * (0.4 * (1 - lean) * _UP + 0.8 * lean * outward)
     tip[:, 2] /= tip[:, 2].max()
-    # As wide as blades with the tuft's leaf area are that narrow to a fifth above the knee.
+    # Width from the tuft's leaf area, for blades that narrow to a fifth above the knee.
     lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
     half_width = _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
     half, narrow = half_width * across, 0.2 * half_width * across
@@ -333,7 +333,7 @@ def _tuft(rng: Generator) -> Mesh:
 
 
 class _Shape(NamedTuple):
-    """Look of a kind; the material of the ground is litter and soil."""
+    """Appearance of a kind; the material of the ground is litter and soil."""
 
     grow: Callable[[Generator], Mesh]
     semantic: Semantic

@@ -1,4 +1,4 @@
-"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and what is kept of it."""
+"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around any path; and its cache."""
 
 import math
 from collections.abc import Callable
@@ -26,36 +26,36 @@ from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_ori
 from vlp16emu.store import recalled
 from vlp16emu.types import F8, FIRST_FREE_INSTANCE, I8, Mesh, PlantPart, ShapeKey
 
-_NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
+_NUMBERS_PER_TILE = 8192  # numbers reserved for the trees and things of a tile
 _DENSEST_PER_HA = 125_000
-"""A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240, and with all patches that
-there may be under 500, far from `_NUMBERS_PER_TILE`."""
+"""Greatest density; a tile then holds 5000 things on average. Even in clusters of ten the number has a sigma below 240, and
+with all possible patches below 500, far from `_NUMBERS_PER_TILE`."""
 _TILES_IN_GROWTH = 16
-"""Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
-_OVERHANG_M = 10.0  # how far crowns reach beyond the tile of their stem at most
-_ASIDE_M = 35.0  # how far a sensor may stray from the path and still see numbered trees only
+"""Number of tiles whose stems are grown together, kept until all are taken: more than grow at the same time."""
+_OVERHANG_M = 10.0  # greatest reach of crowns beyond the tile of their stem
+_ASIDE_M = 35.0  # greatest distance of a sensor from the path at which it sees numbered trees only
 _MARGIN_M = 80.0
-"""Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
-and a tile more, since voxels of a tile are made of the tiles around it too."""
+"""Margin of the numbered tiles beyond the reach of the path: distance of the sensor from the path, overhang of crowns, half
+a tile's diagonal, and one tile, since voxels of a tile also depend on the tiles around it."""
 T = TypeVar("T")
 
 
 def _by_tile(kind: str, name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
-    """Keep what is made of each tile (ix, iy); `name` is that of all that decides it but the tile, empty where nothing is kept."""
+    """Cache the result for each tile (ix, iy); `name` is the digest of all other inputs, empty for no cache."""
     return lambda ix, iy: recalled(name and f"{name} {kind} {ix} {iy}", lambda: make(ix, iy))
 
 
 class ForestWorld:
-    """Trees, and what grows and lies under them, on a terrain; a `World`.
+    """Trees with the plants and things under them on a terrain; a `World`.
 
-    The same tree and the same stone have the same shape and number in every window and from either end of the path. Raises
-    GeometryError for a path with numbers that are not finite, or more things than can be numbered.
+    A tree or a stone has the same shape and number in every window and from either end of the path. Raises
+    GeometryError for a path with numbers that are not finite, or for more things than can be numbered.
 
     Parameters
     ----------
-    reach_m : how far the sensor sees
-    loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
-    name, plants_name : digests of all that decides the forest, seed and path too, and the plants; empty if nothing is kept on disk
+    reach_m : range of the sensor
+    loose_stems : True if each stem has its own shape and so can be moved; else stems belong to the tile's shape
+    name, plants_name : digests of all inputs of the forest, with seed and path, and of the plants; empty if nothing is cached
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class ForestWorld:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
         self._first_tile, self._tiles_across = _numbered_tiles(land.path.xy_m, reach_m)
-        # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
+        # Twice the need of one window: tiles left behind are dropped, tiles in reach never are.
         across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
         kept = 2 * across * across
         self._tile = lru_cache(maxsize=kept)(_by_tile("Tile", name, self._grow_tile))
@@ -100,7 +100,7 @@ class ForestWorld:
         return np.concatenate([np.zeros(0, TREE), *(self._tile(*name).trees for name in self._in_view(track_m))])
 
     def window(self, track_m: F8) -> TiledWindow:
-        """Return everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
+        """Return the window within reach of sensor positions (n, 3); raises GeometryError if they are too far from the path."""
         names = self._in_view(track_m)
         tiles = [self._tile(*name) for name in names]
         index_of = dict[ShapeKey, int]()
@@ -122,23 +122,23 @@ class ForestWorld:
         )
 
     def shape_name(self, key: ShapeKey) -> str:
-        """Return the name of a shape: of tiles by all of the forest, of others by seed and plants alone."""
+        """Return the cache name of a shape: for tiles it depends on the whole forest, for others on seed and plants alone."""
         if not self.name:
             return ""
         own = isinstance(key, TileKey | StemKey | IvyKey)
         return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key!r}"
 
     def _far_tile(self, ix: int, iy: int) -> FarTile:
-        """Describe a tile for the far medium; trees that sway, stems and all, are not in it."""
+        """Describe a tile for the far medium, without swaying trees."""
         tile = self._tile(ix, iy)
         origin_m = tile_origin_m(ix, iy, self.height_m)
         corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
         edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
-        own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
+        own = np.flatnonzero(tile.far)[1:]  # without the first, the tile's own shape
         keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
         begins, rows = np.append(np.unique(tile.first_surface), len(tile.surfaces)), tile.first_surface[own]
-        # Of each shape a placement, whose parts end where those of another begin.
+        # One placement of each shape, for the number of its parts.
         some = rows[np.unique(shape, return_index=True)[1]]
         ends = begins[np.searchsorted(begins, some, side="right")]
         parts = [
@@ -250,7 +250,7 @@ class ForestWorld:
 
 
 def _numbered_tiles(path_xy_m: F8, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First tile and number of tiles, in x and y, of the box around all that the walk can see."""
+    """First tile and number of tiles, in x and y, of the box around everything visible from the path."""
     if not np.isfinite(path_xy_m).all():
         row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
         raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")

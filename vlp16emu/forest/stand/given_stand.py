@@ -1,4 +1,4 @@
-"""Measured trees: a stem list, completed by the curves of the species, in place of a stand that grows itself."""
+"""Measured trees: a stem list, completed by the species' curves, in place of a generated stand."""
 
 import logging
 import math
@@ -23,8 +23,8 @@ from vlp16emu.tables import Column, Table, optional, read_table
 from vlp16emu.types import F8
 from vlp16emu.world.vectors import places_m
 
-_APART_M = 0.05  # two stems nearer to each other are one that was listed twice
-# Limits in metres or degrees: beyond them it is more likely a slip of the unit than a tree.
+_APART_M = 0.05  # two stems nearer to each other count as one tree listed twice
+# Limits in metres or degrees: beyond them a wrong unit is more likely than a tree.
 _COLUMNS = {
     "x_m": Column({"x_m": 1.0, "x": 1.0}),
     "y_m": Column({"y_m": 1.0, "y": 1.0}),
@@ -48,17 +48,17 @@ def read_stem_list(
     The first line names the columns, in any order, between commas, semicolons or tabs: x and y (in m; also
     `x_m`, `y_m`), `species` (a name of the species table, common or scientific), `dbh_cm` or `dbh_m`, `height_m`, and if known
     `crown_base_m`, `crown_width_m`, `taper`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
-    `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is a stem list too. Others
-    are ignored, heights above sea level too: trees stand on the scene's ground.
+    `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is also a stem list. Other columns
+    are ignored, as are heights above sea level: trees stand on the scene's ground.
 
-    Cells from `height_m` on may be empty. Then heights follow the species' height curve through the
+    Cells from `height_m` on may be empty. Heights then follow the species' height curve through the
     quadratic mean diameter of its measured trees and their mean height; crown base and width follow the
-    species' own equations, neighbours and residual spread, drawn by the seed as taper, reflectance and the azimuth of each crown
-    about its stem are; a stem without lean is upright.
+    species' equations, the neighbours, and a residual drawn by the seed, as are taper, reflectance and the azimuth of each
+    crown about its stem; a stem without lean is upright.
 
-    Returns trees (n,) `TREE` in the order of the list, whose id, z and form are still 0; easting, northing and height of the origin
-    become (0, 0, 0) in the scene. Raises GeometryError naming file, line and column of what is missing, no number, out of its
-    limits, no species, or listed twice.
+    Returns trees (n,) `TREE` in the order of the list, with id, z and form still 0; easting, northing and height of the origin
+    become (0, 0, 0) in the scene. Raises GeometryError, naming file, line and column, for a value that is missing, not a
+    number, out of its limits, or no known species, and for a tree listed twice.
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():
@@ -98,7 +98,7 @@ def _with_heights(table: Table, species: list[Species]) -> F8:
 
 
 def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> None:
-    """Set taper, and of crowns what the list gives and else what their species, size and neighbours make of them."""
+    """Set taper and crowns; crown values that the list lacks follow from species, size and neighbours."""
     from scipy.spatial import cKDTree  # here: it takes a while to load
 
     dbh_cm, height_m, xy_m = 100 * trees["dbh_m"], trees["height_m"], places_m(trees, "xy")
@@ -124,7 +124,7 @@ def _set_crowns(trees: Trees, table: Table, kinds: list[Species], seed: int) -> 
 
 
 def _check(table: Table, trees: Trees) -> None:
-    """Refuse a list with its DBH in millimetres, crowns that begin above the tip, and trees listed twice."""
+    """Refuse lists with DBH in millimetres, crowns that begin above the tip, or trees listed twice."""
     from scipy.spatial import cKDTree  # here: it takes a while to load
 
     slenderness = trees["height_m"] / trees["dbh_m"]
@@ -144,20 +144,20 @@ def _check(table: Table, trees: Trees) -> None:
         raise GeometryError(table.where(second), found, f"trees at least {_APART_M:g} m apart")
 
 
-_CROWN_RATIOS = 0.4, 0.6  # between the variants of a class: no crown is stretched much along its stem
+_CROWN_RATIOS = 0.4, 0.6  # limits between the variants of a class, so that no crown is stretched much along its stem
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
-"""Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
-_NAMED = 20  # trees in the way that are named one by one
+"""Base of crown classes: class c has a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
+_NAMED = 20  # most trees in the way that an error names
 _log = logging.getLogger(__name__)
 
 
 class GivenStand:
-    """Trees of a list, tile by tile; the seed gives what the list leaves out, such as the azimuth of a crown about its stem.
+    """Trees of a list, tile by tile; missing values, such as the azimuth of a crown about its stem, are drawn by the seed.
 
-    A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree. Each tree bears the
-    leaf area index of its species on its own crown projection, for the ground that belongs to a tree does not follow from a list.
+    A crown is a prototype for the list's trees of that species and diameter class, scaled to the tree. Each tree has the
+    leaf area index of its species on its own crown projection, as the ground area of a tree does not follow from a list.
 
-    Raises GeometryError for a list that is wrong, and where trees are on the path that are not to be dropped.
+    Raises GeometryError for a faulty list, and for trees on the path unless they are dropped.
     """
 
     def __init__(self, section: Plot, land: Land) -> None:
@@ -173,12 +173,12 @@ class GivenStand:
         tile = np.floor(places_m(trees, "xy") / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         self._tiles = {(ix, iy): trees[of.ravel() == i] for i, (ix, iy) in enumerate(tiles.tolist())}
-        self.per_ha = float(count.max()) / (TILE_M * TILE_M / 10_000)  # where they are densest
+        self.per_ha = float(count.max()) / (TILE_M * TILE_M / 10_000)  # greatest density of a tile
         self._prototypes = _prototypes(trees)
         self._all = trees
 
     def check(self, path: Polyline, reach_m: float) -> None:
-        """Raise GeometryError, naming the tree that is nearest, where no crown is within reach of a path."""
+        """Raise GeometryError, naming the nearest tree, if no crown is within reach of a path."""
         gap_m = path.distance_m(places_m(self._all, "xy"))
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
@@ -188,11 +188,11 @@ class GivenStand:
             raise GeometryError(str(self._source), found, expected)
 
     def trees(self, ix: int, iy: int) -> Trees:
-        """Trees whose foot lies in a tile, `TREE` with id still 0, in the order of the list."""
+        """Trees with their foot in a tile, `TREE` with id still 0, in the order of the list."""
         return self._tiles.get((ix, iy), np.zeros(0, TREE))
 
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
-        """Name the crown prototype of a diameter class with such crown ratios."""
+        """Return the key of the crown prototype of a diameter class and crown ratio."""
         own = self._species[cohort]
         dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class, variant]
         sizes = dbh_m, height_m, base_m, width_m, own.leaf_area_index * math.pi / 4 * width_m * width_m
@@ -215,9 +215,9 @@ def _set_looks(trees: Trees, kinds: list[Species], seed: int) -> None:
 
 
 def stems_in_the_way(section: Plot, seed: int) -> tuple[F8, F8]:
-    """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
+    """Positions (n, 2) of stems at the foot and above head height, and the distances (n,) that the path must keep from them.
 
-    Raises GeometryError for a list that is wrong.
+    Raises GeometryError for a faulty list.
     """
     table = flora(section.species_file).trees
     trees = read_stem_list(Path(section.stem_list), table, section.origin_m, seed)

@@ -1,4 +1,4 @@
-"""Ground truth of standing trees: one row for each, computed from the meshes that are scanned; circles along stems and branches."""
+"""Ground truth of standing trees: one row per tree, computed from the scanned meshes; circles along stems and branches."""
 
 import csv
 from collections.abc import Sequence
@@ -35,43 +35,43 @@ from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import F8, Mesh, PlantPart
 from vlp16emu.world.vectors import determinant, places_m, unit
 
-INVENTORY = np.dtype(  # one tree of the inventory. Tops, volumes and areas are those of its meshes.
+INVENTORY = np.dtype(  # one tree of the inventory; tops, volumes and areas come from its meshes
     [
         ("id", "<u4"),  # instance number in labels
         ("species", "<u2"),  # number in the species table
-        ("x_m", "<f8"),  # foot: where the stem's axis leaves the ground
+        ("x_m", "<f8"),  # foot: point where the stem's axis leaves the ground
         ("y_m", "<f8"),
         ("z_m", "<f8"),
-        ("x_breast_m", "<f8"),  # middle of the section at breast height, 1.3 m above the foot
+        ("x_breast_m", "<f8"),  # centre of the section at breast height, 1.3 m above the foot
         ("y_breast_m", "<f8"),
-        ("dbh_m", "<f8"),  # area-equivalent, across the axis as it runs there
-        ("dbh_us_m", "<f8"),  # the same at 1.37 m, where North America measures it
-        ("girth_over_pi_m", "<f8"),  # what a taut tape around that section shows
-        ("height_m", "<f8"),  # of the stem's tip over the foot, vertical
-        ("top_m", "<f8"),  # of the highest point of all, tip, branch or leaf, over the foot, vertical
-        ("x_min_m", "<f8"),  # box around stem, branches and leaves; from z_m up by top_m
+        ("dbh_m", "<f8"),  # area-equivalent, perpendicular to the axis there
+        ("dbh_us_m", "<f8"),  # the same at 1.37 m, as measured in North America
+        ("girth_over_pi_m", "<f8"),  # diameter by a taut tape around that section
+        ("height_m", "<f8"),  # height of the stem's tip over the foot, vertical
+        ("top_m", "<f8"),  # height of the highest point (tip, branch or leaf) over the foot, vertical
+        ("x_min_m", "<f8"),  # box around stem, branches and leaves; from z_m to z_m + top_m
         ("x_max_m", "<f8"),
         ("y_min_m", "<f8"),
         ("y_max_m", "<f8"),
-        ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
+        ("crown_base_m", "<f8"),  # height of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
-        ("taper", "<f8"),  # how much faster than its species' curve it thins; 0 of a tree of the user's own model
-        ("lean_deg", "<f8"),  # of the line from foot to tip from the vertical
+        ("taper", "<f8"),  # taper in excess of its species' curve; 0 for a user's tree model
+        ("lean_deg", "<f8"),  # angle of the line from foot to tip from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east
         ("stem_m3", "<f8"),  # volume of the stem over bark, from the ground at the axis to the tip
-        ("wood_m3", "<f8"),  # that and all branches; where they start inside the stem they count twice
+        ("wood_m3", "<f8"),  # stem and all branches; parts of branches inside the stem count twice
         ("leaf_m2", "<f8"),  # one-sided
-        ("biomass_kg", "<f8"),  # dry, above ground, by the species' equation; NaN where none is known
-        ("list_line", "<u4"),  # of the stem list that names the tree, 0 where it has grown
+        ("biomass_kg", "<f8"),  # dry, above ground, by the species' equation; NaN without one
+        ("list_line", "<u4"),  # line of the stem list; 0 for a generated tree
     ]
 )
 COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
-"""Fields that rows copy from `TREE`."""
-_DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a litre
+"""Fields copied from `TREE`."""
+_DECIMALS = 4  # decimals of numbers in a file: a tenth of a millimetre, a tenth of a litre
 
 
 def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
-    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
+    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, in order; crowns are prototypes grown from the seed."""
     table = table or flora().trees
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
@@ -95,7 +95,7 @@ def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Tab
 
 
 def write_csv(file: BinaryIO, rows: NDArray[np.void], *, table: Table | None = None) -> None:
-    """Write rows (n,) `INVENTORY` below a header; species by name, and nothing where a number is unknown."""
+    """Write rows (n,) `INVENTORY` below a header, with species by name and unknown numbers empty."""
 
     def text(value: float) -> str:
         return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
@@ -121,7 +121,7 @@ def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Table) -> Non
 
 
 def volume_m3(mesh: Mesh) -> float:
-    """Volume of a mesh, or of the cone from the origin to it where it is open."""
+    """Volume of a closed mesh; an open one is closed by a cone to the origin."""
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     return float((a * np.cross(b, c)).sum() / 6)
 
@@ -129,7 +129,7 @@ def volume_m3(mesh: Mesh) -> float:
 def _measure_crowns(
     rows: NDArray[np.void], span_m: F8, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
 ) -> None:
-    """Fill in wood and leaves, prototype by prototype, each stretched as its trees stretch it; widen spans (n, 2, 3) to them."""
+    """Fill in wood and leaves, prototype by prototype, scaled for each tree; widen the boxes (n, 2, 3) to include them."""
     wide, long = crown_scale(trees, crowns)
     rows["wood_m3"] = rows["stem_m3"]
     foot_T_crown = crown_placements(trees, crowns)
@@ -147,7 +147,7 @@ def _measure_crowns(
             span_m[i, 1] = at_m.max(axis=0, initial=-np.inf).clip(min=span_m[i, 1])
         leaves, foliage = meshes[CROWN_PARTS.index(PlantPart.LEAF)], table[key.species].foliage
         if foliage is not None and len(leaves.faces):
-            # Area of planar quads after each stretch, across and along the axis.
+            # Area of planar quads after scaling across and along the axis.
             a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
             x, y, z = (np.cross(c - a, d - b) / 2).T
             level, steep = np.square(z), np.square(x) + np.square(y)
@@ -172,8 +172,8 @@ def branch_circles(
 ) -> NDArray[np.void]:
     """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree, each from the stem's axis to its tip.
 
-    The crowns of trees (n,) `TREE` are their prototypes, grown from the seed and stretched; a circle has the area of the branch's
-    section as it is stretched.
+    The crowns of trees (n,) `TREE` are prototypes grown from the seed and scaled; a circle has the area of the scaled
+    branch's section.
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]
@@ -184,7 +184,7 @@ def branch_circles(
             world_A, nodes_m = world_T_crown[:, :3], branches.nodes_m
             along = np.gradient(nodes_m, axis=1)
             longer = norm(matvec(world_A, along)) / norm(along)
-            # Area times length is volume, which the determinant stretches.
+            # Area times length is volume, which scales with the determinant.
             radius_m = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
             at_m, numbers = matvec(world_A, nodes_m) + world_T_crown[:, 3], number + np.arange(len(nodes_m))
             circles = circles_of(one, 1, part, at_m, radius_m, numbers[:, None])
@@ -195,7 +195,7 @@ def branch_circles(
 
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
-    """Stems of n trees as `STEM`, circles in place of their polygons, then their second leaders; rows count on from the first."""
+    """Stems of n trees as `STEM`, with circles in place of polygons, then second leaders; rows start at `first_row`."""
     own, foot_m = Stems(trees, table=table), places_m(trees)
     above_m = np.column_stack([own.above_ground_m, trees["height_m"]])
     first = profiles(foot_m, own.axis_m(above_m), np.column_stack([own.radius_m, own.tip_radius_m]), 1)
@@ -208,7 +208,7 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
 
 
 def profiles(foot_m: F8, middle_m: F8, radius_m: F8, begin: int) -> NDArray[np.void]:
-    """Make `STEM`s of circles (n, 16) with middles (n, 16, 3) relative to feet (n, 3); `begin` is that of their lines."""
+    """Return `STEM`s of circles (n, 16) with centres (n, 16, 3) relative to feet (n, 3); `begin` is the first used circle."""
     stems = np.zeros(len(foot_m), STEM)
     from_m = middle_m[:, begin]
     axis = unit(middle_m[:, -1] - from_m)

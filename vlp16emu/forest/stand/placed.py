@@ -1,4 +1,4 @@
-"""Content of a tile: its ground and stems, and things of the same few shapes, placed again and again."""
+"""Content of a tile: its ground and stems, and instances of shared shapes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,20 +22,20 @@ class PlacedThings:
 
     keys: Sequence[ShapeKey]  # (n,) shape of each
     world_T_shape: F8  # (n, 3, 4).
-    surfaces: NDArray[np.void]  # (n, parts) `SURFACE`, of each thing's meshes in order; instance still 0
+    surfaces: NDArray[np.void]  # (n, parts) `SURFACE` of each thing's meshes in order; instance still 0
     trees: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, TREE))
-    """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
-    is_ground: bool = False  # as of their layer
-    is_exact: bool = False  # whether they are cast as they are from any distance, and are no part of the `FarTile`
+    """(n,) `TREE` with id still 0 if the things are trees, else (0,)."""
+    is_ground: bool = False  # True for things that are part of the ground
+    is_exact: bool = False  # True if they are cast as faces at any distance and are not part of the `FarTile`
 
 
 def between(limits: tuple[float, float], draw: F8) -> F8:
-    """Return values evenly from limits[0] to limits[1], by draws in [0, 1)."""
+    """Map draws in [0, 1) to limits[0] .. limits[1]."""
     return limits[0] + (limits[1] - limits[0]) * draw
 
 
 def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], I8]:
-    """Split keys into the different ones, each once, and the index of each into them."""
+    """Return the distinct keys, and the index of each key into them."""
     index_of = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     return tuple(index_of), np.array([index_of[key] for key in keys], np.int64)
 
@@ -60,7 +60,7 @@ def turned(azimuth_deg: F8) -> F8:
 
 
 def laid(towards: F8, slope: F8) -> F8:
-    """Rotations (n, 3, 3) that lay the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
+    """Rotations (n, 3, 3) that turn the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
     flat, c, s, zero = 1 / hypot(1, slope), cos(towards), sin(towards), np.zeros(len(towards))
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
     across = np.stack([-s, c, zero], axis=-1)
@@ -69,20 +69,20 @@ def laid(towards: F8, slope: F8) -> F8:
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A tile as a window takes it: the part that a `Window` is put together from."""
+    """Content of one tile, from which a `Window` is put together."""
 
     trees: Trees  # all trees by number, saplings last
-    keys: tuple[ShapeKey, ...]  # different shapes, the tile's own first
-    shape: I8  # (n,) of each placement, index into `keys`
+    keys: tuple[ShapeKey, ...]  # distinct shapes, the tile's own first
+    shape: I8  # (n,) index into `keys` of each placement
     world_T_shape: F8  # (n, 3, 4).
-    first_surface: I8  # (n,) row of `surfaces`
+    first_surface: I8  # (n,) first row in `surfaces`
     surfaces: NDArray[np.void]  # (m,) `SURFACE`
-    far: NDArray[np.bool_]  # (n,) which of the placements are part of the `FarTile`
-    low: NDArray[np.bool_]  # (n,) which are ground, and too low for the far medium
+    far: NDArray[np.bool_]  # (n,) mask of placements that are part of the `FarTile`
+    low: NDArray[np.bool_]  # (n,) mask of placements that are ground, too low for the far medium
 
 
 def packed(key: TileKey, origin_m: F8, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
-    """Join a tile: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
+    """Put a tile together: first its own shape of ground and the stems of `trees`, then all placed groups."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
     own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)

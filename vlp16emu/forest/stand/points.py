@@ -1,7 +1,7 @@
-"""Places of plants and stones: point patterns that fill the plane tile by tile.
+"""Positions of plants and stones: point patterns that fill the plane tile by tile.
 
-What falls into a tile depends on the seed and on the tile's surroundings only, so no pattern has an
-edge, and tiles can be asked for in any order. Source of the processes: Chiu, Stoyan, Kendall, Mecke,
+The points of a tile depend only on the seed and the tile's surroundings, so no pattern has an
+edge, and tiles can be requested in any order. Source of the processes: Chiu, Stoyan, Kendall, Mecke,
 Stochastic Geometry and its Applications, 3rd ed., sections 5.3 and 5.4.
 """
 
@@ -33,41 +33,41 @@ class Land:
 
     seed: int
     height_m: HeightField  # ground
-    path: Corridor  # of the sensor as a whole, fine enough that its chords are as good as the path
-    plants: Flora = field(default_factory=flora)  # trees and shrubs, those of the program by default
-    trails: Trails | None = None  # where no trees and shrubs grow
+    path: Corridor  # whole path of the sensor, with chords short enough to represent it
+    plants: Flora = field(default_factory=flora)  # trees and shrubs, by default the program's
+    trails: Trails | None = None  # trails without trees and shrubs
 
 
 _SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
 _JITTER_M = 0.15  # half-range of the error of planting along and across a row; assumption
-_LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
-_TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than one window and its border hold
+_LARGEST_DISTANCE_M = 5.0  # upper limit of the hard-core distance; assumption
+_TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than a window with its border has
 _PATCH_WAVELENGTHS_M = (6.0, 20.0)
-"""Herbs under oaks are most uneven at some 10 m (Plant Biosystems 133(3), 1999, 10.1080/11263509909381559), patches of a spring
-flower lie 7.5 to 10 m apart (Huh 2023, Erythronium at Mt. Geumjeong)."""
+"""Scale of patches: herbs under oaks are most uneven at about 10 m (Plant Biosystems 133(3), 1999,
+10.1080/11263509909381559), patches of a spring flower are 7.5 to 10 m apart (Huh 2023, Erythronium at Mt. Geumjeong)."""
 _DENSEST_PATCH = 9.0
-"""Density over its mean, which would be greater on 0.3 % of the ground; so the mean is too low by 0.5 %."""
+"""Limit of the density over its mean; it cuts 0.3 % of the ground and lowers the mean by 0.5 %."""
 
 
 @dataclass(frozen=True, slots=True)
 class PointPattern:
-    """Points in the plane, the same ones however often asked, independent of those for other purposes."""
+    """Reproducible points in the plane, independent of the points for other purposes."""
 
-    per_ha: float  # on average
-    points: TilePoints  # of a tile (ix, iy), (n, 2) x and y in m
+    per_ha: float  # mean density
+    points: TilePoints  # points (n, 2) of a tile (ix, iy), x and y in m
 
 
 def scattered(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Scatter points that know nothing of each other (Poisson process)."""
+    """Scatter independent points (Poisson process)."""
     mean = per_ha * TILE_M * TILE_M / 10_000
     return PointPattern(per_ha, lambda ix, iy: _sown(generator(seed, purpose, ix, iy), ix, iy, mean))
 
 
 def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: float) -> PointPattern:
-    """Scatter points, a part of them in patches (Cox process), as plants stand that spread by runners or find light.
+    """Scatter points, a part of them in patches (Cox process), like plants that spread by runners or follow light.
 
     The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth of the mean, and
-    a twelfth more than three times as much. `even_per_ha` points know nothing of patches, `patchy_per_ha` are in them.
+    a twelfth more than three times the mean. `even_per_ha` points are independent of patches, `patchy_per_ha` are in them.
     """
     band = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
     most_per_ha = even_per_ha + _DENSEST_PATCH * patchy_per_ha
@@ -86,9 +86,9 @@ def patchy(*, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: flo
 
 
 def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Let candidates fall like rain (Poisson), each with a random priority: Matern's second process (Matern 1960).
+    """Thin Poisson candidates with random priorities by a hard-core distance: Matern's second process (Matern 1960).
 
-    A candidate survives if none of higher priority lies within the hard-core distance.
+    A candidate survives if no candidate of higher priority is within the hard-core distance.
     """
     density = per_ha / 10_000
     distance_m = min(_SPACING_SHARE / math.sqrt(density), _LARGEST_DISTANCE_M) if density else 0.0
@@ -112,9 +112,9 @@ def hard_core(*, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
 
 
 def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -> PointPattern:
-    """Let clumps fall like rain, their members normally about the middle (Thomas process).
+    """Scatter clumps by a Poisson process, with members normally distributed about the centre (Thomas process).
 
-    Members that fall beyond the neighbouring tile, one in 1e4 at the very most, are lost.
+    Members beyond the neighbouring tile, at most one in 1e4, are lost.
     """
 
     @lru_cache(maxsize=_TILES_KEPT)
@@ -124,14 +124,14 @@ def clustered(section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -
         each = rng.poisson(section.per_cluster, len(middles))
         return np.repeat(middles, each, axis=0) + rng.normal(0.0, section.sigma_m, (each.sum(), 2))
 
-    # Members of a tile, whatever tile their clump belongs to.
+    # Members in a tile, of clumps in this and other tiles.
     return PointPattern(per_ha, lambda ix, iy: _inside(around(ix, iy, members), ix, iy))
 
 
 def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, free_share: float = 1.0) -> PointPattern:
-    """Plant rows, a random share still there; `free_share` of the ground is off trails.
+    """Plant rows and keep a random share of the trees; `free_share` of the ground is off trails.
 
-    Raises GeometryError where more are to be left, with those on trails gone, than were planted.
+    Raises GeometryError if the density off trails exceeds the planted density.
     """
     row_spacing_m, tree_spacing_m = section.row_spacing_m, section.tree_spacing_m
     whole_per_ha = 10_000 / (row_spacing_m * tree_spacing_m)
@@ -144,7 +144,7 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
     row_R_world = np.array([[cos(towards), sin(towards)], [-sin(towards), cos(towards)]])
 
     def row(number: int, plants: I8) -> F8:
-        """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""
+        """Positions of plants along and across one row; each plant has its own draws."""
         lane = number & 0xFFFFFFFF
         draws = uniform(seed, purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
         places = np.column_stack([plants, np.full(len(plants), number)]) * spacing_m
@@ -162,7 +162,7 @@ def planted(section: Plantation, *, seed: int, purpose: Growth, per_ha: float, f
 
 
 def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) -> PointPattern:
-    """Make a point pattern of some density, counted over all the ground but with points off the trails alone."""
+    """Make a point pattern; the density refers to all the ground, but points are only off the trails."""
     share = land.trails.free_share if land.trails else 1.0
     how: dict[str, Any] = {"seed": land.seed, "purpose": purpose, "per_ha": per_ha / share}
     match section:
@@ -179,7 +179,7 @@ def pattern_of(section: Pattern, land: Land, *, purpose: Growth, per_ha: float) 
 
 
 def _sown(rng: np.random.Generator, ix: int, iy: int, mean: float, columns: int = 2) -> F8:
-    """Random numbers in [0, 1), (n, columns), the first two scaled to places on a tile; n is `mean` on average."""
+    """Random numbers (n, columns) in [0, 1), the first two scaled to positions on a tile; n is `mean` on average."""
     draws = rng.random((rng.poisson(mean), columns))
     draws[:, :2] = (draws[:, :2] + np.array([ix, iy])) * TILE_M
     return draws

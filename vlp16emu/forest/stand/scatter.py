@@ -1,7 +1,7 @@
-"""Plants and things under the trees, scattered over the ground: one layer for each section of a scene.
+"""Plants and things under the trees, scattered over the ground: one layer per section of a scene.
 
-Places come from a point pattern, sizes and looks from random numbers of the tile; what is in the way of the path or of a
-trunk is left out.
+Positions come from a point pattern, sizes and appearance from random numbers of the tile; things in the way of the path
+or of a trunk are left out.
 """
 
 import math
@@ -39,10 +39,11 @@ from vlp16emu.settings import Section
 from vlp16emu.types import F8, I8, HeightField, Semantic
 from vlp16emu.world.vectors import places_m
 
-_CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
+_CLASS_RATIO = 1.4  # ratio of the heights of neighbouring prototypes: none is scaled by more than a fifth
 _ROOM_SHARE, _MOST_ROOM_M = 0.15, 0.5
-"""Of a sapling's height, and at most, from its bark to that of a tree: assumption; none grows up through the foot of another."""
-_FOOT_SHARE = 0.1  # of a shrub's width, the radius within which its stems leave the ground
+"""Distance of a sapling from a tree, bark to bark, over its height, and its upper limit: assumption; none grows through
+the foot of another."""
+_FOOT_SHARE = 0.1  # radius of the foot of a shrub's stems over its width
 
 
 Mask = NDArray[np.bool_]
@@ -53,25 +54,25 @@ class LayerKind:
     """Recipe for the things of a section of a scene."""
 
     name: str  # key of the section
-    purpose: Growth  # what draws them
-    draws: tuple[int, ...]  # how many numbers each thing draws, together
-    lay: Callable[..., PlacedThings]  # from the layer, trunks, places (n, 2) and those numbers (n, draws) to things
-    shape: FloorKind | None = None  # of what covers the ground
-    spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
+    purpose: Growth  # purpose of its random numbers
+    draws: tuple[int, ...]  # numbers drawn for each thing, in groups
+    lay: Callable[..., PlacedThings]  # makes things from the layer, trunks, positions (n, 2) and draws (n, draws)
+    shape: FloorKind | None = None  # shape of ground cover
+    spread: float = 1.0  # width over height, for a tuft already in its shape; assumption
     reach_m: float = math.inf
-    """Greatest distance from the path: farther off the beam is wider than such a plant; assumption."""
+    """Greatest distance from the path: farther away the beam is wider than such a plant; assumption."""
 
     @property
     def is_ground(self) -> bool:
-        """True if it is part of the ground: without numbers, and too low for the far medium."""
+        """True if it is part of the ground: without instance numbers, and too low for the far medium."""
         return self.shape in GROUND_KINDS
 
 
 class Layer:
-    """Things of one section of a scene, which grow or lie on the ground off the trails.
+    """Plants or things of one section of a scene, off the trails.
 
-    A section that names no species has those of the canopy, saplings those of them that live. Raises GeometryError for a species that
-    is not in the table, and for saplings of none.
+    A section without species uses the canopy's species, for saplings the living ones. Raises GeometryError for a species that
+    is not in the table, and for saplings without any species.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Layer:
     ) -> None:
         self.section: Any = section
         self.kind, self.season, self.land = _KINDS[type(section)], season, land
-        self.species: Sequence[Any] = []  # of the plants that they are or were
+        self.species: Sequence[Any] = []  # species of the plants, living or dead
         plants = land.plants
         match section:
             case settings.Regeneration():
@@ -92,10 +93,10 @@ class Layer:
                 self.species = known(section.species, plants.shrubs, "shrubs.species")
             case settings.Logs() | settings.Stumps():
                 self.species = known(section.species or canopy, plants.trees, f"{self.kind.name}.species")
-        self.pattern = _pattern(section, self.kind, land)  # before those on the path and in trunks are left out
+        self.pattern = _pattern(section, self.kind, land)  # before things on the path and in trunks are left out
 
     def place(self, ix: int, iy: int, trunks: F8) -> PlacedThings:
-        """Lay out the things of a tile, clear of trunks (m, 3): x, y and radius at the ground of stems on it and its neighbours."""
+        """Place the things of a tile clear of trunks (m, 3): x, y and radius at the ground of stems on it and its neighbours."""
         near = tile_distance_m((ix, iy), self.land.path) < self.kind.reach_m
         xy_m = self.pattern.points(ix, iy) if near else np.zeros((0, 2))
         rng = generator(self.land.seed, self.kind.purpose, ix, iy, 1)
@@ -111,14 +112,14 @@ class Layer:
 
 
 def layers_of(section: settings.Woods, land: Land, canopy: Sequence[str]) -> list[Layer]:
-    """Return all that grows and lies under the trees, in the order of its numbers."""
+    """Return the layers of all plants and things under the trees, in the order of their numbers."""
     sections = (getattr(section, kind.name) for kind in _KINDS.values())
     layers = [Layer(own, land, season=section.season, canopy=canopy) for own in sections]
     return [layer for layer in layers if layer.pattern.per_ha]
 
 
 def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
-    """Lay out young trees, or bushes of several stems."""
+    """Place young trees, or bushes of several stems."""
     own, kind = layer.section, (len(layer.species) * draws[:, 1]).astype(int)
     is_shrub = isinstance(own, settings.Shrubs)
     if is_shrub:
@@ -157,50 +158,50 @@ def _lay_plants(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
 
 
 _STATIONS = np.linspace(-0.5, 0.5, 9)
-"""Along a log, where the ground under it and the distance from the path are looked at."""
+"""Stations along a log at which the ground and the distance from the path are sampled."""
 _SUNK = 0.25  # share of its half height that a sound log has sunk into the ground; assumption
 _DECAY = (0.3, 1.0)
-"""Range of the decay of a log that decays: from round to oval at the third of five classes to one that lies wholly on the
+"""Range of decay of a rotten log: from round to oval, the third of five classes, to lying wholly on the
 ground (decay class system for coarse woody debris in Ann. For. Sci. 67(8), 2010, f09374, table I)."""
 _DECAYED_LOWER, _DECAYED_WIDER, _DECAYED_SUNK = 0.5, 0.2, 0.5
-"""Of a log of decay 1: by how much its section is lower and wider, and sunk besides; assumptions."""
+"""Decrease of height and increase of width of a log's section at decay 1, and its extra sinking; assumptions."""
 _BREAK_AT, _BREAK_GAP, _BREAK_TURN = (0.35, 0.65), (0.02, 0.1), np.radians(12.0)
-"""Range of the place of a break and of the gap there, over the length, and half-range of the angle between the pieces;
+"""Range of the position of a break and of its gap, over the length, and half-range of the angle between the pieces;
 assumptions."""
 _PLATE_M, _PLATE_PER_DIAMETER = 1.0, 4.0
-"""Diameter of a root plate: that of a log without thickness, and its growth with the mean diameter of the log; assumption."""
+"""Diameter of a root plate: intercept, and slope over the mean diameter of the log; assumption."""
 _PLATE_THICKNESS = 0.25  # over its diameter; assumption
 _PLATE_AXIS = 0.3
-"""Height of the butt over the ground, over the diameter of its plate, whose lower part stands in its pit; assumption."""
+"""Height of the butt over the ground over the plate's diameter; the plate's lower part is in its pit; assumption."""
 _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
-"""Across a plate, where the distance from the path and from trunks is looked at."""
+"""Stations across a plate at which the distance from the path and from trunks is sampled."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Pieces:
     """Whole logs and pieces of broken ones, (n,) each."""
 
-    log: I8  # which log it is of
-    is_top: Mask  # whether it is the upper piece of a broken one
-    xy_m: F8  # (n, 2) middle
-    towards: F8  # from butt to top, rad from east
+    log: I8  # index of the log
+    is_top: Mask  # True for the upper piece of a broken log
+    xy_m: F8  # (n, 2) centre
+    towards: F8  # direction from butt to top, rad from east
     length_m: F8
     wide_m: F8
     high_m: F8
     sunk: F8  # share of the half height
-    plate_m: F8  # diameter of the root plate at the butt; 0 where there is none
+    plate_m: F8  # diameter of the root plate at the butt; 0 for none
 
     def along_m(self) -> F8:
-        """Places (n, 9, 2) along them."""
+        """Positions (n, 9, 2) along the pieces."""
         return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
 
 
 def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> PlacedThings:
-    """Lay trunks along the ground under them, some with their root plate, some broken in two, some rotten."""
+    """Place trunks along the ground, some with their root plate, some broken in two, some rotten."""
     own = layer.section
     diameter_m = between(own.diameter_m, draws[:, 0])
     is_uprooted, is_broken = fate[:, 0] < own.uprooted, fate[:, 1] < own.broken
-    # Where a root plate still stands, the log is young.
+    # A log with a standing root plate is young.
     decay = np.where((fate[:, 2] < own.decayed) & ~is_uprooted, between(_DECAY, fate[:, 3]), 0.0)
     whole = _Pieces(
         log=np.arange(len(xy_m)),
@@ -238,7 +239,7 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
 
 
 def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
-    """Lay out what is left of trees that were felled or broke."""
+    """Place stumps of felled or broken trees."""
     own, species = layer.section, _sampled_species(layer, draws)
     diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
     keep = layer.are_clear(trunks, xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
@@ -256,7 +257,7 @@ def _sampled_species(layer: Layer, draws: F8) -> I8:
 
 
 def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
-    """Break some of the logs (n,) in two; draws (n, 3) say where, how far apart, and at what angle."""
+    """Break some of the logs (n,) in two; draws (n, 3) give position, gap and angle."""
     log = np.append(whole.log, np.flatnonzero(is_broken))
     is_top, towards, whole_m = np.arange(len(log)) >= len(whole.log), whole.towards[log], whole.length_m[log]
     at, gap = between(_BREAK_AT, draws[log, 0]), between(_BREAK_GAP, draws[log, 1])
@@ -274,10 +275,10 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: F8) -> _Pieces:
 
 
 def _laid_down(pieces: _Pieces, height_m: HeightField) -> F8:
-    """`world_T_shape` (n, 3, 4) of pieces on the ground; the butts of those with root plates are raised."""
+    """`world_T_shape` (n, 3, 4) of pieces on the ground; butts with root plates are raised."""
     station_m = pieces.length_m[:, None] * _STATIONS
     ground_m = height_m(*np.moveaxis(pieces.along_m(), -1, 0))
-    # Straight line of least squares through the ground at evenly spaced stations.
+    # Least-squares line through the ground at evenly spaced stations.
     slope = (ground_m * station_m).sum(axis=1) / (np.square(station_m)).sum(axis=1)
     rest_m = (1 - pieces.sunk) * pieces.high_m / 2
     lift_m = np.maximum(_PLATE_AXIS * pieces.plate_m - rest_m, 0.0)
@@ -288,20 +289,20 @@ def _laid_down(pieces: _Pieces, height_m: HeightField) -> F8:
 
 
 def _are_clear(layer: Layer, trunks: F8, line_m: F8, radius_m: F8) -> Mask:
-    """Return which of lines of places (n, k, 2) keep a radius (n,) clear of the path and of trunks all along."""
+    """Return a mask of lines of positions (n, k, 2) that keep a radius (n,) clear of the path and of trunks."""
     reach_m = np.repeat(radius_m, line_m.shape[1])
     clear = layer.are_clear(trunks, line_m.reshape(-1, 2), reach_m, reach_m).reshape(line_m.shape[:2])
     return np.asarray(clear.all(axis=1))
 
 
 def _line_m(xy_m: F8, towards: F8, along_m: F8) -> F8:
-    """Places (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
+    """Positions (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
     away = np.stack([cos(towards), sin(towards)], axis=-1)
     return xy_m[:, None] + along_m[..., None] * away[:, None]
 
 
 _SQRT_2_PI = 2.50662827463100050242
-_TAIL = 0.13533528323661269189  # exp(-2): where the approximation of the tails takes over from that of the middle
+_TAIL = 0.13533528323661269189  # exp(-2): limit between the approximations of the middle and the tails
 _MIDDLE = (
     (-5.99633501014107895267e1, 9.80010754185999661536e1, -5.66762857469070293439e1, 1.39312609387279679503e1, -1.23916583867381258016e0),
     (1.0, 1.95448858338141759834e0, 4.67627912898881538453e0, 8.63602421390890590575e1, -2.25462687854119370527e2, 2.00260212380060660359e2, -8.20372256168333339912e1, 1.59056225126211695515e1, -1.18331621121330003142e0),
@@ -314,7 +315,7 @@ _TAILS = (
 
 
 def normal_quantile(probability: F8) -> F8:
-    """Return the standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, within 1e-15 of their size."""
+    """Return standard normal quantiles of probabilities (n,) from 1e-13 to 1 - 1e-13, with a relative error of 1e-15."""
     off = probability - 0.5
     square = off * off
     above, below = (np.polyval(np.array(coefficients), square) for coefficients in _MIDDLE)
@@ -326,24 +327,24 @@ def normal_quantile(probability: F8) -> F8:
     return np.where(tail < _TAIL, np.copysign(far, off), middle)
 
 
-_STONE_M = (0.1, 1.5)  # least and greatest length of a stone; assumption
+_STONE_M = (0.1, 1.5)  # range of the length of a stone; assumption
 _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
-"""Of the log-normal distribution of lengths, before it is cut at both ends; assumptions."""
+"""Parameters of the log-normal distribution of lengths, before truncation at both ends; assumptions."""
 _STONE_SHARES = (0.0944070172326103, 0.999311242465033)
-"""Of the uncut distribution, the shares below the least and the greatest length."""
-_STONE_BURIED = (0.3, 0.6)  # range of the share of a stone's height that is in the ground; assumption
-_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6  # over its length; assumptions
-_LARGE_STONE_M = 0.4  # stones that long have four times the faces; those of shorter ones are off by less than 3 mm
-_MOST_IN_PATCHES_PER_M2 = 4.0  # on average; of smaller plants in patches a tile might have more than it has numbers for
-_SLOPE_M = 0.2  # over which the slope under a cushion or heap is taken, either way
+"""Shares of the untruncated distribution below the least and the greatest length."""
+_STONE_BURIED = (0.3, 0.6)  # range of the buried share of a stone's height; assumption
+_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6  # width and height over length; assumptions
+_LARGE_STONE_M = 0.4  # longer stones have four times the faces; the faces of shorter ones are off by less than 3 mm
+_MOST_IN_PATCHES_PER_M2 = 4.0  # mean density; with more plants in patches a tile could run out of numbers
+_SLOPE_M = 0.2  # distance to either side for the slope under a cushion or heap
 
 
 def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> tuple[float, float]:
-    """Plants per hectare whose outlines cover a share c of the ground, overlaps counted once as of stones: even ones, those in patches.
+    """Plants per hectare, even ones and ones in patches, to cover a share c of the ground, overlaps counted once.
 
-    Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of exp(-a d n^2) over normal
-    noise n. That this is 1 / (1 + c (1 - c)) is an assumption: most plants are in patches where cover is low, and few where it is
-    closed. Even ones cover the rest. Heights are evenly between least and greatest, `spread` is width over height.
+    Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of exp(-a d n^2) over
+    normal noise n. It is assumed to be 1 / (1 + c (1 - c)): most plants are in patches at low cover, and few at closed cover.
+    Even ones cover the rest. Heights are uniform between least and greatest, `spread` is width over height.
     """
     (low, high), cover = section.height_m, section.cover
     area_m2 = math.pi / 4 * spread * spread * (low * low + low * high + high * high) / 3
@@ -354,7 +355,7 @@ def plants_per_ha(section: settings.Cover, spread: float, *, patches: bool) -> t
 
 
 def _pattern(section: Section, kind: LayerKind, land: Land) -> PointPattern:
-    """Make the places of things: herbs, ferns and dwarf shrubs come in patches, stones, wood, tufts, moss and litter anywhere."""
+    """Make the point pattern of a layer: herbs, ferns and dwarf shrubs grow in patches, other things anywhere."""
     match section:
         case settings.Regeneration() | settings.Shrubs():
             per_ha = section.per_ha if isinstance(section, settings.Shrubs) else section.stems_per_ha
@@ -376,7 +377,7 @@ def _pattern(section: Section, kind: LayerKind, land: Land) -> PointPattern:
 
 @cache
 def _stone_area_m2() -> float:
-    """Mean area of a stone from above: its section at the ground, or its outline where its widest part is above."""
+    """Mean area of a stone from above: its section at the ground, or its outline if its widest part is above."""
     low, high = _STONE_BURIED
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
     seen = 1 - np.square(np.clip(2 * buried - 1, 0, None))  # section of an ellipsoid at a relative height
@@ -385,7 +386,7 @@ def _stone_area_m2() -> float:
 
 
 def _stone_length_m(probability: F8) -> F8:
-    """Quantiles of the log-normal distribution cut at `_STONE_M`."""
+    """Quantiles of the log-normal distribution truncated to `_STONE_M`."""
     low, high = _STONE_SHARES
     return _STONE_MEDIAN_M * exp(_STONE_SIGMA * normal_quantile(low + (high - low) * probability))
 
@@ -400,7 +401,7 @@ def _lay_stones(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
 
 
 def _lay_low(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
-    """Lay out what is lower than a person and covers the ground beside the path; what is ground lies on it too, along its slope."""
+    """Place low ground cover beside the path; moss and litter, which are ground, follow the slope."""
     height_m, kind = between(layer.section.height_m, draws[:, 0]), layer.kind
     keep = layer.land.path.distance_m(xy_m) < kind.reach_m
     world_R_thing = turned(360 * draws[:, 1])

@@ -1,4 +1,4 @@
-"""A stand of trees: where they are, and how large. Tile by tile, from (seed, tile) alone."""
+"""A stand of trees: positions and sizes, tile by tile, from (seed, tile) alone."""
 
 import fractions
 import math
@@ -25,49 +25,50 @@ TREE = np.dtype(  # one tree
     [
         ("id", "<u4"),  # unique in the forest
         ("species", "<u2"),  # number in the species table
-        ("x_m", "<f8"),  # foot: where the stem's axis leaves the ground
+        ("x_m", "<f8"),  # foot: point where the stem's axis leaves the ground
         ("y_m", "<f8"),
         ("z_m", "<f8"),
-        ("dbh_m", "<f8"),  # area-equivalent, across the axis where that is 1.3 m above the foot
-        ("height_m", "<f8"),  # of the tip over the foot, vertical
-        ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
+        ("dbh_m", "<f8"),  # area-equivalent, perpendicular to the axis 1.3 m above the foot
+        ("height_m", "<f8"),  # height of the tip over the foot, vertical
+        ("crown_base_m", "<f8"),  # height of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
-        ("taper", "<f8"),  # the radius over that at breast height is its species' curve to the power of 1 + taper
-        ("lean_deg", "<f8"),  # of the axis from the vertical
+        ("taper", "<f8"),  # relative radius (1 at breast height) is the species' curve to the power 1 + taper
+        ("lean_deg", "<f8"),  # angle of the axis from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east
-        ("crown_azimuth_deg", "<f8"),  # of the crown about the axis
-        ("cohort", "u1"),  # which line of the mixture it belongs to
+        ("crown_azimuth_deg", "<f8"),  # rotation of the crown about the axis
+        ("cohort", "u1"),  # index in the species mixture
         ("crown_class", "<i2"),  # diameter class of the crown's prototype
-        ("crown_variant", "u1"),  # which of the prototypes of that class
+        ("crown_variant", "u1"),  # index of the prototype in that class
         ("bark_reflectance", "<f4"),  # at 903 nm
         ("leaf_reflectance", "<f4"),
         ("storey", "u1"),  # 0 canopy, 1 and 2 the storeys under it, REGENERATION saplings
-        ("list_line", "<u4"),  # of the stem list that names it, 0 where it has grown
+        ("list_line", "<u4"),  # line of the stem list; 0 for a generated tree
         ("form", "<u8"),  # seed of the stem's form; 0 is straight and round
     ]
 )
-REGENERATION = 255  # storey of saplings: stems under 5 cm, those under breast height with a DBH of 0
-_CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
-_OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
+REGENERATION = 255  # storey of saplings: DBH below 5 cm, or 0 if lower than breast height
+_CLASS_RATIO = 1.5  # ratio of diameters of neighbouring crown classes: no crown is scaled by more than a quarter
+_OPEN_GROWN = 1.5  # upper limit of the ground area whose leaves one crown carries, over its projection; assumption
 RIVALS_M = 10.0
-"""Distance to which trees compete. Hasenauer and Monserud (1996) have basal areas of angle counts, which reach as far for stems of 40 cm."""
+"""Distance to which trees compete. Hasenauer and Monserud (1996) use angle counts, which reach as far for 40 cm stems."""
 _WIDTH_BY_HEIGHT, _WIDTH_BY_RATIO = -0.2, 0.23
-"""Correlation of the residuals of crown width with those of height and of crown ratio: pooled from trees of [B] in the species table."""
+"""Correlation of crown width residuals with height and crown ratio residuals: pooled from [B] in the species table."""
 _LEVELS = np.linspace(-1.2, 1.2, VARIANTS)
-"""Residuals of the crown ratio of the prototypes of a class, in sigmas: so no crown is stretched much along its stem."""
-_MOST_SIGMAS = 2.5  # residuals beyond are rare slips of the tape as likely as trees; keeps crowns near their prototypes
+"""Crown ratio residuals of the prototypes of a class, in sigmas, so that no crown is stretched much along its stem."""
+_MOST_SIGMAS = 2.5  # limit of residuals: larger ones are likely measuring errors; keeps crowns near their prototypes
 _LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
-_HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the path: above a walker's head
-_STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; assumption
-_TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
+_HEAD_ROOM_M = 2.5  # height up to which a leaning stem must stay clear of the path: above a walker's head
+_STEM_GAP_M = 0.05  # least gap between two stems at the ground; assumption
+_TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than a window with its border has
 _MOST_BASAL_M2_PER_HA = 350.0
-"""Of all storeys. Coast redwoods, the densest known, are said to have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59, which
-could not be read; Busing and Fujimori 2005, 10.1007/s11258-005-2322-8, give that stand 3000 to 5200 t of stems per ha)."""
+"""Greatest basal area of all storeys. Coast redwoods, the densest known, reportedly have 343 (Fujimori 1977, Journal of the
+Japanese Forestry Society 59, not accessible; Busing and Fujimori 2005, 10.1007/s11258-005-2322-8, give that stand 3000 to
+5200 t of stems per ha)."""
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
 class _Cohort:
-    """The trees of one species in a stand: their diameters, and what follows from a diameter."""
+    """The trees of one species in a stand: diameters, and the sizes that follow from a diameter."""
 
     def __init__(self, share: SpeciesShare, plants: Flora) -> None:
         self.share, self.species = share, known([share.species], plants.trees, "species")[0]
@@ -100,15 +101,15 @@ class _Cohort:
 def competition(rivals: F8, area_m2: float, larger: NDArray[np.bool_], near: NDArray[np.bool_]) -> tuple[F8, F8]:
     """Basal area of larger trees in m2 per ha, and crown competition factor in percent, each (n,).
 
-    Of rivals (m, 2), the section at breast height and the crown projection if open-grown, in m2, on an area around each of n
-    trees; `larger` and `near` (n, m) are true where a rival is thicker, and on that area.
+    `rivals` (m, 2) are sections at breast height and open-grown crown projections in m2; `area_m2` is the area around each of
+    n trees; `larger` and `near` (n, m) are true if a rival is thicker, and within that area.
     """
     basal_m2, crown_m2 = rivals.T
     return 1e4 / area_m2 * (larger * near * basal_m2).sum(axis=1), 100 / area_m2 * (near * crown_m2).sum(axis=1)
 
 
 def residuals(normal: F8) -> F8:
-    """Residuals (n, 4) of height, crown ratio, crown width and stem volume, in sigmas, from as many normal numbers, correlated as measured."""
+    """Residuals (n, 4) of height, crown ratio, crown width and volume in sigmas, correlated as measured; from normals."""
     z = np.clip(normal, -_MOST_SIGMAS, _MOST_SIGMAS)
     own = math.sqrt(1 - _WIDTH_BY_HEIGHT * _WIDTH_BY_HEIGHT - _WIDTH_BY_RATIO * _WIDTH_BY_RATIO)
     z[:, 2] = _WIDTH_BY_HEIGHT * z[:, 0] + _WIDTH_BY_RATIO * z[:, 1] + own * z[:, 2]
@@ -116,19 +117,19 @@ def residuals(normal: F8) -> F8:
 
 
 def class_scale(ratio: float, number: int) -> float:
-    """Return the size of a class over that of class 0, the whole power of a ratio, correctly rounded."""
+    """Return the size of a class relative to class 0, an integer power of a ratio, correctly rounded."""
     return float(pow(fractions.Fraction(ratio), number))
 
 
 def foot_discs(trees: Trees, *, table: Table | None = None) -> F8:
-    """Sections of stems with the ground: (n, 3) x, y, radius."""
+    """Sections of stems at the ground (n, 3): x, y, radius."""
     foot = np.zeros((len(trees), 1))
     radius_m = taper_radius_m(tapers(trees, table=table), trees["dbh_m"], trees["height_m"], foot)
     return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
 
 
 def in_the_way_m(trees: Trees) -> tuple[F8, F8]:
-    """Return the places of stems in a walker's way, (n, 2) each: at the foot, and above the head."""
+    """Return the positions (n, 2) of stems at the foot, and above a walker's head."""
     foot = places_m(trees, "xy")
     towards = np.radians(trees["lean_towards_deg"])
     shift = _HEAD_ROOM_M * tan(np.radians(trees["lean_deg"]))
@@ -142,9 +143,9 @@ def path_gap_m(trees: Trees, radius_m: F8, path: Corridor) -> F8:
 
 
 def density_per_ha(storey: Storey) -> float:
-    """Stems per hectare; of a basal area, those whose cross-sections at breast height add up to it.
+    """Stems per hectare; for a basal area, the number whose cross-sections at breast height sum to it.
 
-    Raises GeometryError where the stems of a basal area are too many.
+    Raises GeometryError if a basal area gives too many stems.
     """
     if storey.stems_per_ha:
         return storey.stems_per_ha
@@ -162,10 +163,10 @@ def _stem_m2(storey: Storey) -> float:
 
 
 class Stand:
-    """A mixed stand on a terrain, without edge, that keeps path and trails free of stems.
+    """A mixed stand on a terrain, without edge, with path and trails free of stems.
 
-    Where two stems would grow into each other, the thicker one is left. Raises GeometryError for a species that is not in the table,
-    and for more stems than there may be.
+    If two stems would overlap, the thicker one remains. Raises GeometryError for a species that is not in the table,
+    and for too many stems.
     """
 
     def __init__(self, section: Forest, land: Land) -> None:
@@ -178,7 +179,7 @@ class Stand:
         self._cohorts = [[_Cohort(share, land.plants) for share in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
-        self.species = [share.species for share in section.species]  # of the canopy
+        self.species = [share.species for share in section.species]  # canopy
         basal_m2 = sum(density_per_ha(storey) * _stem_m2(storey) for storey in storeys)
         if basal_m2 > _MOST_BASAL_M2_PER_HA:
             found = f"found a basal area of {basal_m2:.0f} m2 per ha"
@@ -191,7 +192,7 @@ class Stand:
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
-        """Trees whose foot lies in a tile, `TREE` with id still 0, in the order they were sown."""
+        """Trees with their foot in a tile, `TREE` with id still 0, in the order of sowing."""
         trees, own = self._sown(ix, iy)
         trees = trees.copy()
         rivals = around(ix, iy, lambda *tile: self._sown(*tile)[1])
@@ -215,9 +216,9 @@ class Stand:
         return trees[~beaten & clear]
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, F8]:
-        """All that are sown on a tile, all but their crown bases, and of each (n, 7).
+        """Trees sown on a tile, without crown bases, and (n, 7) values of each.
 
-        x, y, radius at the ground, DBH, what it competes with, and the residual of its crown ratio.
+        The values are x, y, radius at the ground, DBH, the two competition areas, and the residual of the crown ratio.
         """
         storeys = [self._sow_storey(number, ix, iy) for number in range(len(self._patterns))]
         trees, ratio = (np.concatenate(column) for column in zip(*storeys, strict=True))
@@ -254,9 +255,9 @@ class Stand:
         return trees, residual[:, 1]
 
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
-        """Name the crown prototype of a diameter class: variants have short to long crowns.
+        """Return the key of the crown prototype of a diameter class; variants have short to long crowns.
 
-        Each species bears its leaf area index on its share of the ground, which trees divide by their crown projection.
+        Each species has its leaf area index on its share of the ground, divided among trees by their crown projection.
         """
         own = self._all_cohorts[cohort]
         dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
@@ -273,12 +274,12 @@ class Stand:
 
 
 def _sample(pattern: PointPattern, cohorts: list[_Cohort]) -> tuple[F8, F8]:
-    """Diameters of trees (n,) that stand for all of a storey, and of each (n, 3) in m2 per ha `rival_m2` and crown projection."""
+    """Diameters (n,) of sample trees of a storey, and for each (n, 3) in m2 per ha `rival_m2` and crown projection."""
     whole = sum(cohort.share.share for cohort in cohorts)
     areas_m2 = []
     for cohort in cohorts:
         species, dbh_cm = cohort.species, cohort.sample_cm
-        # The mean of squares is as much more than the square of the mean.
+        # Ratio of the mean of squares to the square of the mean.
         wider = exp(species.spread.crown_width * species.spread.crown_width)
         area_m2 = np.column_stack([species.rival_m2(dbh_cm), wider * _projection_m2(species.crown_width_m(dbh_cm))])
         areas_m2.append(pattern.per_ha * cohort.share.share / whole / len(dbh_cm) * area_m2)

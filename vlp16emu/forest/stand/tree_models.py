@@ -1,4 +1,4 @@
-"""Trees of the user's own: meshes in the place of grown trees, scaled to the size of each, and the truth about them."""
+"""Tree models from the user: meshes in place of grown trees, scaled to the size of each, and their ground truth."""
 
 import hashlib
 from collections.abc import Sequence
@@ -30,18 +30,18 @@ class Outline:
     """A closed section."""
 
     middle_m: F8  # (2,).
-    diameter_m: float  # of the circle of its area
-    tape_m: float  # what a taut tape around it shows
+    diameter_m: float  # of the circle with its area
+    tape_m: float  # diameter by a taut tape around it
 
 
 class Cutter:
-    """Sections of a mesh made of several, by the vertices and the faces of each."""
+    """Sections of a mesh that consists of several parts, given by their vertices and faces."""
 
     def __init__(self, vertices_m: Sequence[F8], faces: Sequence[Faces]) -> None:
         first = np.cumsum([0, *map(len, vertices_m)])
         self.vertices_m = np.concatenate(vertices_m)
         corners = np.concatenate([own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)])
-        # Numbers of vertices from 0 on, the same at the same place.
+        # Numbers of vertices from 0, equal at equal positions.
         order = np.lexsort(self.vertices_m.T)
         apart = (self.vertices_m[order[1:]] != self.vertices_m[order[:-1]]).any(axis=1)
         number = np.empty(len(order), np.int64)
@@ -87,7 +87,7 @@ def _measured(ring_m: F8) -> Outline:
     twice = at_m[:, 0] * np.roll(at_m[:, 1], -1) - at_m[:, 1] * np.roll(at_m[:, 0], -1)
     middle_m = (at_m + np.roll(at_m, -1, axis=0)) * twice[:, None]
     try:
-        girth_m = float(ConvexHull(ring_m).area)  # in the plane, its length
+        girth_m = float(ConvexHull(ring_m).area)  # in the plane, `area` is the perimeter
     except QhullError:
         return Outline(ring_m.mean(axis=0), 0.0, 0.0)
     return Outline(
@@ -97,20 +97,20 @@ def _measured(ring_m: F8) -> Outline:
     )
 
 
-_FOOT_SHARE = 0.01  # height of the section whose middle is the foot, over that of the tree
-_BOLE, _BOLE_M = 1.5, 0.02  # what of a stem is farther from its middle than so many radii and so much more is no bole
+_FOOT_SHARE = 0.01  # relative height of the section whose centre is the foot
+_BOLE, _BOLE_M = 1.5, 0.02  # stem faces farther from the axis than this many radii plus this distance are not bole
 _TILTS = 1024  # classes of leaf faces by their tilt
-_KEPT_CUTS = 16_384  # sections of a model that are remembered: more than there are trees in a window
+_KEPT_CUTS = 16_384  # cached sections of a model: more than there are trees in a window
 _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
-"""(2, 36) directions in which crowns are measured."""
+"""Directions (2, 36) in which crowns are measured."""
 
 
 class TreeModel:
-    """A tree of the user's own, with its foot at the origin.
+    """A tree model from the user, with its foot at the origin.
 
-    The foot is where the stem is at the file's height 0, or at the stem's lower end where it does not reach that. Out of season
-    leaves that fall are left out. Raises GeometryError for a part that the file does not have, or a stem without a closed section
-    at breast height.
+    The foot is the centre of the stem at the file's height 0, or at the stem's lower end if it does not reach 0. Deciduous
+    leaves are left out in the leaf-off season. Raises GeometryError for a part that the file does not have, or a stem without
+    a closed section at breast height.
     """
 
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
@@ -144,13 +144,13 @@ class TreeModel:
             left = own_faces[:0] if sheds and part == PlantPart.LEAF else own_faces
             rows += self._meshes(part, vertices - foot_m, left)
         self.parts, self.far_parts, self.meshes = zip(*rows, strict=True)
-        """Parts of each mesh, for labels of points and for the far medium; what bears away from a stem is a mesh of its own."""
+        """Parts of each mesh, for labels of points and for the far medium; branches of a stem part are a separate mesh."""
         self._keep_measures()
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
         self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
 
     def far_stems(self, world_T_model: F8, rows: I8) -> NDArray[np.void]:
-        """Stems of placements (n, 3, 4), whose first surfaces are in these rows (n,), as `STEM`."""
+        """Stems as `STEM` of placements (n, 3, 4) whose first surfaces are in rows (n,)."""
         across = norm(world_T_model[:, :, 0])
         middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
         stems = profiles(world_T_model[:, :, 3], middle_m, across[:, None] * self._profile_m[:, 3], 0)
@@ -158,7 +158,7 @@ class TreeModel:
         return stems
 
     def outline(self, height_m: float, above_m: float) -> Outline:
-        """Return the section of the stem at a height over the foot once the model is `height_m` tall; across as in the file."""
+        """Return the stem's section at a height over the foot of the model scaled to `height_m`; its width is as in the file."""
         return self._cut(above_m * self.height_m / height_m)
 
     def circles(self, trees: Trees) -> NDArray[np.void]:
@@ -172,7 +172,7 @@ class TreeModel:
         return circles.ravel()
 
     def scale(self, trees: Trees) -> F8:
-        """Stretch (n, 2) for trees: across, so that the DBH is theirs, and along the axis."""
+        """Scale (n, 2) for trees: across, to match their DBH, and along the axis."""
         upright = cos(np.radians(trees["lean_deg"]))
         own_m = [self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()]
         return np.column_stack([trees["dbh_m"] / own_m, trees["height_m"] / upright / self.height_m])
@@ -186,7 +186,7 @@ class TreeModel:
         return np.concatenate([matmul(lean, stretched), foot_m[..., None]], axis=2)
 
     def measure(self, row: np.void, tree: Trees) -> None:
-        """Fill in what of a row `INVENTORY` follows from the meshes of one tree (1,)."""
+        """Fill in the fields of a row `INVENTORY` that follow from the meshes of one tree (1,)."""
         (world_T,), height_m = self.world_T_model(tree), float(tree["height_m"][0])
         turn, foot_m, (across, along) = world_T[:, :3], world_T[:, 3], self.scale(tree)[0].tolist()
         breast, us = (self.outline(height_m, at_m) for at_m in (BREAST_HEIGHT_M, US_BREAST_HEIGHT_M))
@@ -203,14 +203,14 @@ class TreeModel:
             row["crown_width_m"] = np.ptp(matvec(_AROUND.T, crown_m[:, :2]), axis=0).mean()
         size = across * across * along
         row["stem_m3"], row["wood_m3"] = size * self._stem_m3, size * self._wood_m3
-        # Faces across the axis grow with the square of the width, upright ones with width and height.
+        # Faces across the axis scale with the square of the width, upright ones with width and height.
         level_m2, upright_m2 = self._leaf_m2
         row["leaf_m2"] = hypot(across * across * level_m2, across * along * upright_m2).sum()
         sizes = (np.array([row[name]]) for name in ("dbh_m", "height_m", "crown_base_m"))
         row["biomass_kg"] = self.species.biomass_kg(*sizes)[0]
 
     def _keep_measures(self) -> None:
-        """Keep what a tree's row follows from: corners that span tree and crown, and leaf faces by their normals."""
+        """Keep the inputs of a tree's row: corners of the hulls of tree and crown, and leaf faces by their normals."""
         of = list(zip(self.parts, self.meshes, strict=True))
         leaves = [mesh for part, mesh in of if part == PlantPart.LEAF]
         others = [mesh for part, mesh in of if part not in (*STEM_PARTS, PlantPart.LEAF)]
@@ -227,7 +227,7 @@ class TreeModel:
         self._leaf_m2 = [np.bincount(tilt, m2, _TILTS) for m2 in (level_m2, upright_m2)]
 
     def _circles(self, low_m: float, high_m: float) -> F8:
-        """(16, 4) middles and radii of the stem, nearer to each other at the butt; straight lines where it cannot be cut."""
+        """Centres and radii (16, 4) of the stem, denser at the butt; interpolated linearly if it cannot be cut."""
         share = np.square(np.linspace(0.0, 1.0, 16))
         at_m = low_m + share * (high_m - low_m)
         cuts = [self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()]
@@ -237,7 +237,7 @@ class TreeModel:
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
     def _meshes(self, part: PlantPart, vertices_m: F8, faces: Faces) -> list[tuple[int, int, Mesh]]:
-        """Part, part in the far medium and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
+        """Part, part in the far medium and mesh for one part of the file; a stem is split into bole and branches."""
         if part not in STEM_PARTS:
             return [(part, part, _used(vertices_m, faces))]
         x, y, at_m, radius = self._profile_m.T
@@ -259,21 +259,21 @@ def _used(vertices_m: F8, faces: Faces) -> Mesh:
     return Mesh(vertices_m[used].astype(np.float32), corners.reshape(-1, 3).astype(np.uint32))
 
 
-_ALIKE = 1.25  # models that stretch a tree by no more than this over the one that stretches it least are as good
+_ALIKE = 1.25  # models within this factor of the least stretching are equally good
 
 
 @dataclass(frozen=True, slots=True)
 class ModelKey:
-    """Name of a model's shape."""
+    """Key of a model's shape."""
 
     number: int  # among the models of the scene
-    content: str  # digest of all that decides it
+    content: str  # digest of all its inputs
 
 
 class TreeModels:
-    """The models of a scene, each standing for trees of its species.
+    """The models of a scene, each for trees of its species.
 
-    Raises GeometryError for a species that is not known, or a file that cannot be scanned.
+    Raises GeometryError for an unknown species, or a file that cannot be scanned.
     """
 
     def __init__(
@@ -286,11 +286,11 @@ class TreeModels:
         self._species = [model.species.number for model in self._models]
 
     def has(self, trees: Trees) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the trees that look like one of the models."""
+        """Return a mask (n,) of the trees that have a model."""
         return np.isin(trees["species"], self._species)
 
     def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
-        """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
+        """Place trees (n,) that all have models, grouped by model; `is_exact` as in `PlacedThings`."""
         placed = []
         for i, own in self._by_model(trees):
             model = self._models[i]
@@ -307,7 +307,7 @@ class TreeModels:
         return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
 
     def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: F8, rows: I8) -> NDArray[np.void]:
-        """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
+        """Stems as `STEM` of the placements (n,) that are models, by their first surfaces."""
         of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
         stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
         return np.concatenate([np.zeros(0, STEM), *stems])
@@ -336,7 +336,7 @@ class TreeModels:
         return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
 
     def _chosen(self, tree: Trees) -> int:
-        """Choose the model of one tree (1,) by its size, and among those that are as good by its azimuth's last digits."""
+        """Choose the model of one tree (1,) by its size, and among equally good ones by its azimuth's last digits."""
         fits = [i for i, number in enumerate(self._species) if number == tree["species"][0]]
         if len(fits) == 1:
             return fits[0]

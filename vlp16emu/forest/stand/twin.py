@@ -1,7 +1,7 @@
-"""Things near a path, and the digital twin of a piece of the world: glTF, every thing a node that carries its labels.
+"""Things near a path, and the digital twin of a part of the world: glTF with one labelled node per thing.
 
-glTF has y up (glTF 2.0 specification, section 3.4), so one node above all turns the world's z up into it;
-programs that have z up themselves, such as Blender, turn it back.
+glTF has y up (glTF 2.0 specification, section 3.4), so the root node converts from the world's z up;
+programs with z up, such as Blender, convert it back.
 """
 
 from collections.abc import Callable, Container, Mapping
@@ -21,34 +21,34 @@ from vlp16emu.forest.tiles import TILE_M, TileKey
 from vlp16emu.types import F8, Mesh, PlantPart, Semantic, ShapeKey, Window
 
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
-Inside = Callable[[F8], NDArray[np.bool_]]  # of points (n, 2), which lie in a place
+Inside = Callable[[F8], NDArray[np.bool_]]  # mask of the points (n, 2) inside an area
 
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """A thing that stands or lies there and is no tree of the stand."""
+    """A thing near the path, other than a tree of the stand."""
 
     instance: int
     species: int
     kind: str
-    """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
+    """`sapling`, or the `FloorKind` of things on the ground, or else the semantic class in lower case."""
     place_m: F8  # (3,) origin of its shape in the world
     size_m: tuple[float, float, float]
-    """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
-    stumps the diameter at the top and the height; of anything else its extent."""
+    """Size along the axes of its shape: for stones length, width and height; for logs length and mean diameter; for
+    stumps the diameter at the top and the height; for anything else its extent."""
 
 
 def things_near(
     window: Window, shape: Grow, *, trees: NDArray[np.uint32], path: Polyline, radius_m: float
 ) -> list[Thing]:
-    """Things whose place is within a radius of a path, in the order of the window; instances of `trees` (n,) are none."""
+    """Things within a radius of a path, in the order of the window, without the instances of `trees` (n,)."""
     grounds = (
         isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS) for key in window.shapes
     )
     is_thing = ~np.fromiter(grounds, np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
     near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
-    # Shapes of the floor have unit size by what they are, not by their outermost corner.
+    # Floor shapes have unit size by definition, which differs from their extent.
     unit_m = cache(lambda key: np.ptp(np.concatenate([mesh.vertices_m for mesh in shape(key)]), axis=0))
     found = []
     for i in np.flatnonzero(is_thing & no_tree & near).tolist():
@@ -63,8 +63,8 @@ def things_near(
 
 
 _YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])
-"""Turns x east, y north, z up into x east, y up, z south."""
-_ROOT = "world z up"  # name of the node that holds everything
+"""Converts x east, y north, z up into x east, y up, z south."""
+_ROOT = "world z up"  # name of the root node
 
 
 def label(row: np.void, species: Mapping[int, str], *, with_part: bool) -> str:
@@ -89,12 +89,12 @@ def write_glb(
     species: Mapping[int, str],
     colours: NDArray[np.uint8],
 ) -> None:
-    """Write instances of a window whole, and the ground of a place; what is placed often is stored once.
+    """Write complete instances of a window, and the ground of an area; shared shapes are stored once.
 
     Parameters
     ----------
     places_m : by instance, (3,) origin of its node in the world
-    inside : the place; None to write all of the window, with nodes of instances that have no place where their placement is
+    inside : the area; None to write the whole window; nodes of instances without a place are then at their placement
     species : names by number
     colours : (m, 3) sRGB of the window's surfaces
     """
@@ -108,7 +108,7 @@ def write_glb(
         placed = np.flatnonzero(wanted[window.first_surface] | is_tile[window.shape])
     order = placed[np.argsort(window.shape[placed], kind="stable")].tolist()
     for which, alike in groupby(order, key=lambda placement: int(window.shape[placement])):
-        meshes = shape(window.shapes[which])  # one shape at a time is held in memory
+        meshes = shape(window.shapes[which])  # only one shape at a time is in memory
         for placement in alike:
             first = int(window.first_surface[placement])
             for number, mesh in enumerate(meshes):
@@ -121,10 +121,10 @@ def write_glb(
 
 
 def _has_part(key: ShapeKey, tiles: Container[tuple[int, int]], inside: Inside) -> bool:
-    """Return True for a tile in which an instance has its place, or which has ground inside."""
+    """Return whether a tile contains an instance or ground of the area."""
     if not isinstance(key, TileKey):
         return False
-    # Points a metre apart miss no more of the place than a corner of it.
+    # Points a metre apart can only miss a corner of the area.
     x_m, y_m = np.meshgrid(*(TILE_M * n + np.arange(TILE_M + 1) for n in (key.ix, key.iy)))
     return (key.ix, key.iy) in tiles or bool(inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any())
 
@@ -144,12 +144,12 @@ class _Twin:
         self.trimesh = trimesh
         self._window, self._species, self._colours, self._places_m = window, species, colours, places_m
         self._materials: dict[str, Any] = {}
-        self._nodes: dict[str, int] = {}  # how often each name is taken
+        self._nodes: dict[str, int] = {}  # number of uses of each name
         self.scene = trimesh.Scene(metadata={"unit": "m"})
         self.scene.graph.update(frame_to=_ROOT, matrix=_YUP_R_WORLD)
 
     def add(self, placement: int, number: int, mesh: Mesh) -> None:
-        """Hang mesh `number` of a placement below the node of its plant; what is no part of a plant is its own node."""
+        """Add mesh `number` of a placement below the node of its plant; other things are their own node."""
         window = self._window
         surface = int(window.first_surface[placement]) + number
         row = window.surfaces[surface]
@@ -160,7 +160,7 @@ class _Twin:
             place_m = self._places_m.get(int(row["instance"]), window.world_T_shape[placement, :, 3])
             parent = self._instance(row, place_m)
             world_T_shape[:3, 3] -= place_m
-            if isinstance(window.shapes[which], TileKey):  # not shared: its origin becomes its node's
+            if isinstance(window.shapes[which], TileKey):  # not shared: the node takes its origin
                 vertices_m = (vertices_m + world_T_shape[:3, 3]).astype(np.float32)
                 world_T_shape[:3, 3] = 0.0
         name = f"shape_{which}_{number}"
@@ -185,11 +185,11 @@ class _Twin:
         return name
 
     def _material(self, row: np.void, colour: NDArray[np.uint8]) -> Any:
-        """Material of a part of a species, or of what is no plant; one for all that show it."""
+        """Shared material of a part of a species, or of another kind of thing."""
         what = PlantPart(row["part"]).name if row["part"] else Semantic(row["semantic"]).name
         name = f"{self._species.get(int(row['species']), '')} {what}".strip().lower()
         if name not in self._materials:
-            # Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2).
+            # Linear factors from sRGB (IEC 61966-2-1), as required for base colours in glTF (section 3.9.2).
             share = colour / 255
             linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
             look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}

@@ -1,14 +1,14 @@
-"""Gusts over a stand, and how trees that swing about their foot answer them: sums of lines, at any time by itself.
+"""Gusts over a stand, and the response of trees that sway about their foot: sums of spectral lines, for any time.
 
-A gust is a sum of cosines of time whose energies are those of Kaimal's spectrum. It is carried downwind with the
-mean speed (Taylor's frozen turbulence), and each line waves aside as well, by a random number of waves per metre:
-drawn from a Cauchy distribution, they make Davenport's exponential coherence across the wind. A damped oscillator
-answers a cosine with a cosine, so its state at any time is a sum too and nothing is stepped.
+A gust is a sum of cosines of time with the energies of Kaimal's spectrum. It is carried downwind with the
+mean speed (Taylor's frozen turbulence). Each line also has a random wave number across the wind, drawn from a Cauchy
+distribution, which gives Davenport's exponential coherence across the wind. A damped oscillator
+responds to a cosine with a cosine, so its state at any time is also a sum and no time steps are needed.
 
-A tree sways as one straight piece: it is sheared, every point moved level in proportion to its height over the
-foot. So the foot stays, level sections keep their area, DBH that of the record, and a transform holds it all. A
-real stem bends: by a straight lean breast height moves 1.3 m / height as far as the tip, by a cantilever under a
-load at its tip about 3/2 (1.3 m / height)^2. Saplings and all that grows or lies under the trees stay still.
+A tree sways as a rigid shear: every point moves horizontally in proportion to its height over the
+foot. So the foot stays, level sections keep their area, the DBH is unchanged, and a transform describes it. A
+real stem bends: with a straight lean breast height moves by 1.3 m / height of the tip's motion, for a cantilever under a
+load at its tip by about 3/2 (1.3 m / height)^2. Saplings and everything under the trees stay still.
 """
 
 import math
@@ -30,41 +30,42 @@ from vlp16emu.random import generator
 from vlp16emu.types import F8, I8, Sway, Window
 
 Stand = NDArray[np.void]
-ALONG, ACROSS = 0, 1  # components of the gusts' speed: with the mean wind, and level to the left of it
+ALONG, ACROSS = 0, 1  # components of the gusts' speed: along the mean wind, and horizontally to its left
 _LINES = 256
-_SLOWEST = 0.003  # frequency times gust length over wind speed under which one line stands for all: 1.2 % of the energy
-_FASTEST_HZ = 5.0  # frequency over which one line stands for all: no tree follows it
+_SLOWEST = 0.003  # reduced frequency (f L / U) below which one line represents the rest: 1.2 % of the energy
+_FASTEST_HZ = 5.0  # frequency above which one line represents the rest: no tree follows it
 _DEVIATION = (1.0, 0.8)
-_LENGTH = (1.0, 2.7 / 8.1)  # of the gusts' components, over those along the wind (IEC 61400-1 ed. 3, table B.1)
+_LENGTH = (1.0, 2.7 / 8.1)  # lengths of the components over the length along the wind (IEC 61400-1 ed. 3, table B.1)
 _DECAY = 10.0
-"""Of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
+"""Decay of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
 (Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
 KNOT_NS = 100_000_000
-"""Between two knots trees move straight on. A tree that swings with amplitude A at f is then off by up to
-A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz; gusts quicker than it made that up to 2.2 times as much. What a window costs to open grows with the number of knots."""
+"""Time between knots, with linear motion in between. A tree that sways with amplitude A at f is then off by up to
+A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz; faster gusts made it up to 2.2 times as much. The cost of
+opening a window grows with the number of knots."""
 _AIR_KG_M3 = 1.2
 _FRICTION_SHARE = 0.3
 """Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
 78, 1996, table 1: 1 / 3.3)."""
-_SHELTERED = 0.2  # drag on a tree of a lower storey over that on one of the canopy with such a crown; assumption
-_BARE = 0.4  # drag on a crown without leaves over that with leaves; assumption
+_SHELTERED = 0.2  # drag on a tree of a lower storey over the drag on an equal tree of the canopy; assumption
+_BARE = 0.4  # drag on a crown without leaves over the drag with leaves; assumption
 _IN_LEAF = 0.8
-"""Frequency of a broadleaved tree in leaf over that of a conifer of its size. That leaves lower it: Jackson et al.,
-J R Soc Interface 16, 20190116, 2019; by how much: assumption."""
-_GREEN_WOOD_KG_M3 = 900.0  # of stems with bark and sap; assumption, fresh logs have 700 to 1100
+"""Frequency of a broadleaved tree in leaf over a conifer's of its size. Leaves lower it (Jackson et al.,
+J R Soc Interface 16, 20190116, 2019); the amount is an assumption."""
+_GREEN_WOOD_KG_M3 = 900.0  # density of stems with bark and sap; assumption, fresh logs have 700 to 1100
 _CROWN_MASS = 0.3
-"""Branches and leaves over the stem (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors of
-1.3 for conifers, 1.4 for broadleaved trees)."""
+"""Mass of branches and leaves over the stem's (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors
+of 1.3 for conifers, 1.4 for broadleaved trees)."""
 _SECTIONS = 16
 
 
 class Lines(NamedTuple):
-    """Gusts of one component."""
+    """Spectral lines of one component of the gusts."""
 
     omega_rad_s: F8  # (n,).
     speed_m_s: F8  # (n,) amplitude
     phase_rad: F8  # (n,) at the origin of the world when the run begins
-    aside_rad_m: F8  # (n,) increase of the phase to the left of the wind
+    aside_rad_m: F8  # (n,) phase gradient to the left of the wind
 
 
 class Trees(NamedTuple):
@@ -72,16 +73,16 @@ class Trees(NamedTuple):
 
     omega_rad_s: F8  # (m,) undamped natural frequencies
     damping_ratio: float  # share of critical damping
-    downwind_m: F8  # (m,) places along the wind
-    aside_m: F8  # (m,) places to the left of it
+    downwind_m: F8  # (m,) positions along the wind
+    aside_m: F8  # (m,) positions to the left of it
 
 
 def gust_lines(section: Wind, seed: int, component: int) -> Lines:
     """Lines of a component; the squares of their amplitudes add up to twice the variance of the spectrum.
 
     Kaimal's spectrum with integral length L at mean speed U: f S / sigma^2 = 4 n / (1 + 6 n)^(5/3), n = f L / U
-    (IEC 61400-1 ed. 3, equation B.14; Kaimal et al., Q J R Meteorol Soc 98, 1972); up to n the share
-    1 - (1 + 6 n)^(-2/3) of its energy.
+    (IEC 61400-1 ed. 3, equation B.14; Kaimal et al., Q J R Meteorol Soc 98, 1972); the share of its energy up to n is
+    1 - (1 + 6 n)^(-2/3).
     """
     rng = generator(seed, Growth.WIND, component)
     per_n_hz = section.speed_m_s / (section.gust_length_m * _LENGTH[component])
@@ -89,7 +90,7 @@ def gust_lines(section: Wind, seed: int, component: int) -> Lines:
     edges_hz = slowest_hz * power(fastest_hz / slowest_hz, np.arange(_LINES) / (_LINES - 1))
     share = 1.0 - power(1.0 + 6.0 * edges_hz / per_n_hz, -2.0 / 3.0)
     energy = np.diff(np.concatenate([[0.0], share[:-1], [1.0]]))
-    # Not evenly spaced, or all would come again after a while.
+    # Unevenly spaced, so that the sum is not periodic.
     between = np.append(0.0, rng.uniform(size=_LINES - 1))
     hz = edges_hz * power(np.append(1.0, edges_hz[:-1] / edges_hz[1:]), between)
     sigma_m_s = section.turbulence_intensity * _DEVIATION[component] * section.speed_m_s
@@ -103,9 +104,9 @@ def gust_lines(section: Wind, seed: int, component: int) -> Lines:
 
 
 def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: F8) -> F8:
-    """Gusts as oscillators follow them: (k, m) in m/s at times (k,) since the run began.
+    """Response (k, m) of oscillators to gusts, in m/s, at times (k,) since the run began.
 
-    Each is the y of y'' + 2 z w y' + w^2 y = w^2 u with the gusts u at its place, swung in.
+    Each is the steady-state solution y of y'' + 2 z w y' + w^2 y = w^2 u with the gusts u at its position.
     """
     turned = lines.omega_rad_s[:, None] * t_s
     out = np.zeros((len(trees.omega_rad_s), len(t_s)))
@@ -115,7 +116,7 @@ def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: F8) -> F8:
 
 @numba.njit(cache=True, nogil=True)
 def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: F8, sine: F8, out: F8) -> None:
-    """Fill (m, k), line after line, so that neither other trees nor other times can matter."""
+    """Fill (m, k), line after line, so that each value is independent of other trees and times."""
     for tree in range(len(out)):
         now = out[tree]
         for line in range(len(lines.omega_rad_s)):
@@ -138,9 +139,9 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
     """Return undamped frequencies (n,) in Hz, and leans (n,), as tangents, per Pa of the wind's shear stress on the canopy.
 
     Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
-    conifers), lower in leaf. Drag: the canopy takes up the wind's shear stress, each tree on the ground under its
-    crown and halfway up the crown (the roughness method of Gardiner, Peltola and Kellomaki, Ecol Modell 129,
-    2000). Stiffness: what gives the mass of stem and crown that frequency about the foot.
+    conifers), lower in leaf. Drag: the canopy absorbs the wind's shear stress, each tree over the ground under its
+    crown, acting halfway up the crown (the roughness method of Gardiner, Peltola and Kellomaki, Ecol Modell 129,
+    2000). Stiffness: the value that gives the mass of stem and crown that frequency about the foot.
     """
     foliage = {species.number: species.foliage for species in plants.trees.values()}
     kinds = np.array([getattr(foliage[number], "kind", "dead") for number in trees["species"].tolist()], "<U8")
@@ -161,9 +162,9 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> tuple[F8, F8]:
 
 
 class TreeSway:
-    """Moves the trees of windows; the same tree at the same time in the same way, whatever window it is in.
+    """Moves the trees of windows; the motion of a tree at a time is the same in every window.
 
-    The wind's speed is more than 0, each tree of the forest has a shape of its own, and the run's first pulse is at `start_ns`.
+    The wind's speed must exceed 0, each tree of the forest must have its own shape; the run's first pulse is at `start_ns`.
     """
 
     def __init__(self, section: Wind, *, forest: ForestWorld, start_ns: int) -> None:
@@ -174,9 +175,9 @@ class TreeSway:
         self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
 
     def shear(self, trees: Stand, t_ns: I8) -> F8:
-        """Lean of trees (m,) at UTC times (k,): (k, m, 2) metres east and north per metre over the foot.
+        """Lean (k, m, 2) of trees (m,) at UTC times (k,): metres east and north per metre over the foot.
 
-        Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
+        Drag grows with the square of the speed; the mean and the term linear in the gusts are kept.
         """
         frequency_hz, lean_per_stress = mechanics(trees, self._forest.plants, self._forest.section.season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
@@ -191,14 +192,14 @@ class TreeSway:
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: F8, start_ns: int, stop_ns: int) -> Window:
-        """Return `window`, of positions (n, 3), with the sway of its trees between `start_ns` and `stop_ns`, UTC."""
+        """Return `window`, around positions (n, 3), with the sway of its trees between `start_ns` and `stop_ns`, UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
         trees = trees[np.argsort(trees["id"], kind="stable")]
         instance = window.surfaces["instance"][window.first_surface]
         placement = np.flatnonzero(np.isin(instance, trees["id"]))
         which = np.searchsorted(trees["id"], instance[placement])
-        # Knots lie at the same times for all windows, whatever these are cut at.
+        # Knots are at the same times in all windows.
         first, last = (start_ns - self._start_ns) // KNOT_NS, -((self._start_ns - stop_ns) // KNOT_NS)
         t_ns = self._start_ns + KNOT_NS * np.arange(first, last + 1)
         shear = self.shear(trees, t_ns)[:, which]
