@@ -139,8 +139,6 @@ def packet_clock(
 
 
 class _Seen:
-    """First packets of a unit."""
-
     def __init__(self) -> None:
         self.data: Datagram | None = None
         self.pps: PpsState | None = None

@@ -103,7 +103,6 @@ class _KernelCompiler(Compiler):  # type: ignore[misc]
         super().__init__(*args, **options)
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a function."""
         state = self.state
         state.flags.no_cfunc_wrapper = True
         if KernelDispatcher.depth:

@@ -140,7 +140,6 @@ def _on_ports(emulator: "Emulator", options: StreamOptions) -> Iterator["Emulato
 
 
 def _udp(emulator: "Emulator", options: StreamOptions, host: str, progress: Callable[[float], None]) -> UdpSink:
-    """Return the sockets of all sensors."""
     links, start_ns = [unit.link for unit in emulator.parts.units], emulator.scenario.start_ns
     return UdpSink(
         links,

@@ -124,7 +124,6 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _check_depth(where: str, tree: Any) -> None:
-    """Refuse a tree that is nested too deeply."""
     level = [tree]
     for _ in range(DEEPEST):
         inner = [one.values() if isinstance(one, Mapping) else one for one in level]

@@ -239,7 +239,6 @@ def _lay_logs(layer: Layer, trunks: F8, xy_m: F8, draws: F8, fate: F8) -> Placed
 
 
 def _lay_stumps(layer: Layer, trunks: F8, xy_m: F8, draws: F8) -> PlacedThings:
-    """Place stumps of felled or broken trees."""
     own, species = layer.section, _sampled_species(layer, draws)
     diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
     keep = layer.are_clear(trunks, xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
