@@ -38,26 +38,26 @@ def test_an_even_wall_is_nearly_whole():
 
 
 def test_a_step_of_brightness_costs_a_record():
-    """Of records at a step up by a factor of 11 units lose 1 to 75 %, down fewer, at one of 1.5 hardly any; codes of the former are high."""
+    """Of records at a sharp step up by a factor of 9 units lose 10 to 95 %, down fewer, at one of 1.5 hardly any; codes of the former are high."""
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
     many, few = (
         [seen(table(low, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(10)]
         for low in (0.055, 0.4)
     )
     up, down = (np.array([lost(out)[first::20].mean() for out in many]) for first in (10, 20))
-    assert 0.01 < up.min() < 0.1
-    assert 0.3 < up.max() < 0.75
+    assert 0.1 < up.min() < 0.4
+    assert 0.4 < up.max() < 0.95
     assert 0.01 < down.mean() < 0.5 * up.max()
-    assert np.mean([lost(out)[10::20].mean() for out in few]) < 0.01
+    assert np.mean([lost(out)[10::20].mean() for out in few]) < 0.02
     codes = np.concatenate([out.reflectivity[10::20, :, 0][lost(out)[10::20]] for out in many])
     assert 40 < np.median(codes) <= 100
 
 
 @pytest.mark.parametrize(
-    ("sheet", "least", "most"), [("plants", 0.15, 0.6), ("one", 0.0, 0.004), ("ground", 0.0, 0.004)]
+    ("sheet", "least", "most"), [("plants", 0.12, 0.5), ("one", 0.0, 0.004), ("ground", 0.0, 0.004)]
 )
 def test_two_surfaces_in_a_pulse_cost_it(sheet, least, most):
-    """Half of the light each, half a metre apart, lose 0.15 to 0.6 of the records by unit; a slanted surface none, nor two tiles of the ground."""
+    """Half of the light each, half a metre apart, lose 0.12 to 0.5 of the records by unit; a slanted surface none, nor two tiles of the ground."""
     surfaces = table(0.5, 0.5)
     surfaces["part"] = PlantPart.LEAF if sheet == "plants" else PlantPart.NONE
     surfaces["semantic"] = Semantic.GROUND if sheet == "ground" else Semantic.OTHER

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _IMU = 1000  # device number of the inertial unit's mount, above all sensors
 _STRAY_M = 1.0  # greatest distance of a laser from the carrier's path on the ground: sway, and lasers off the centre
-_LEFT_PPM = 1.0  # rate error of a GPS-locked clock within a second: 0.27 ppm on mrpt
+_LEFT_PPM = 0.3  # rate error of a GPS-locked clock within a second: 0.27 ppm on mrpt
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any, Self
 import numpy as np
 
 from vlp16emu.elementary import exp
-from vlp16emu.random import Purpose, normal
+from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.lost import loss_rates
 from vlp16emu.returns.noise import (
     gain,
@@ -25,8 +25,8 @@ _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
 _MOST_PARITY, _BALANCED = 0.4, 0.6
-_RANGE_WALK_MM = 0.13
-"""How much longer ranges are by one code of reflectivity, one sigma over units: 0.08, 0.16, -0.03 and -0.16 on four real units
+_RANGE_WALK_MM = 0.18
+"""How much longer or shorter ranges are by one code of reflectivity at most, evenly over units: 0.08, 0.16, -0.03 and -0.16 on four real units
 (protocol/README.md, "The character of a unit"), as the next."""
 _LASER_NOISE_SPREAD = 0.08
 """Spread of the logarithm of the white noise of range over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and nebula, less what chance gives,
@@ -76,7 +76,7 @@ class UnitDetector:
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
         own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()  # log-normal: no error below 0
-        walk = float(normal(seed, Purpose.UNIT_NOISE, 2, 1)[0])
+        walk = 2.0 * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0]) - 1.0
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(
             seed=seed,

@@ -22,17 +22,19 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, U1, U4
 
 _EDGE = ZERO + Purpose.NO_RETURN
-_SPANS = (0.15, 0.6), (0.05, 1.0), (0.2, 1.0), (0.005, 0.025), (0.0004, 0.0025), (35.0, 120.0)
+_SPANS = (0.12, 0.5), (0.06, 1.0), (0.2, 1.0), (0.005, 0.025), (0.0004, 0.0025), (35.0, 120.0)
 """Spans of the rates over units. Of pulses that meet two surfaces, half of the light each; up and down by far; of black pulses nearer than
 4 m: 1.1 % at codes 0 and 1, 0.2 to 1.1 % at 1 to 3, 0.4 to 2.9 % at 3 to 6, 0.1 to 0.4 % at 6 to 10; of all: 0.03 to 0.12 % at codes from
 50 on; and the code of a return beside which half of the no-returns are raised. On one surface, up by factors of 2 to 4, 4 to 8 and 8 to 16
 of code, are lost: einride 0.013, 0.22, 0.68; mrpt 0.022, 0.019, 0.036; nebula 0.005, 0.007, 0.028; down by 4 to 8, 8 to 16 and 16 to 32:
 einride 0.06, 0.15, 0.42; nebula 0.03, 0.06, 0.18; mrpt 0.05, 0.21 of the first two."""
-_UP_AT, _DOWN_AT = 12.0, 120.0
-"""Squares of half the factor less one at which half of that is reached: the middles of einride within a fifth."""
-_BRIGHT = 0.15
-"""Of a step up by 100 codes, whatever the factor: at 20 codes or more and factors below 2 mrpt, nebula, einride and 2014 lose 0.008, 0.007, 0
-and 0."""
+_UP_AT, _DOWN_AT = 0.7, 30.0
+"""Fourth power and square of half the factor less one at which half of that is reached. At an edge the code climbs over two or three pulses
+(12.7 mm and 3 mrad of beam, 3.5 mrad from pulse to pulse), so that its factor from one to the next is less than across the edge: einride's
+0.04, 0.41 and 0.81 across are 0.09, 0.37 and 0.84 by this law."""
+_BRIGHT = 0.045
+"""Of a step up by 100 codes, whatever the factor, on a unit that loses all that are up by far, and the more the fewer of these it loses: steps up
+by 20 codes and factors below 2 cost mrpt, nebula, einride and 2014 0.017, 0.008, 0 and 0 of their records."""
 _FLOOR, _SETTLES = 1.0, 0.5
 """Code that is added to both sides of a factor, as codes are whole numbers; and how much of a step the power follows in one pulse (assumption:
 two pulses in a row are lost a fifth as often as one, at steps on einride)."""
@@ -53,8 +55,9 @@ _TWICE = 12.0
 0.25, 0.06, 0.11 and 0.07 at 40 to 100 (the same units)."""
 _UNEQUAL = 0.03
 """Share of raised pairs of dual return in which only one block is raised: 0.065 % of all pairs without range."""
-_NEARLY_WHITE, _FULL = 80.0, 255.0
-"""Code from which on too much light shows as more than 100, and the greatest there is."""
+_NEARLY_WHITE, _FULL = 88.0, 255.0
+"""Code from which on too much light shows as more than 100, and the greatest there is: beside returns of 60 to 90 codes over 100 are 0.39, 0.08, 0.04
+and 0 of the no-returns on mrpt, einride, nebula and 2014, beside such of 90 to 100 0.67, 0.43, 0.08 and 0.07."""
 _DIGITS = 1048576.0
 """Of a normal number, what is left behind its first 20 binary digits is even, and nobody sees it in what that number moves."""
 
@@ -69,8 +72,8 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
     """
     drawn = uniform(seed, Purpose.LOSS, 0, len(_SPANS), 1 << 16).tolist()
     *rates, code = (low * power(high / low, z) for (low, high), z in zip(_SPANS, drawn, strict=True))
-    step, *others = (share * rate for rate in rates)
-    return LossRates._make([step, share * _BRIGHT, *others, code if raised else 0.0])
+    step, up, *others = (share * rate for rate in rates)
+    return LossRates._make([step, share * _BRIGHT / rates[1], up, *others, code if raised else 0.0])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -134,7 +137,7 @@ def lose(
     if level >= 0.0:
         y = 0.5 * (code + _FLOOR) / (level + _FLOOR) - 1.0 if is_up else 0.5 * (level + _FLOOR) / (code + _FLOOR) - 1.0
         y = max(y, 0.0) * max(y, 0.0)
-        jump = rates.up * y / (y + _UP_AT) if is_up else rates.down * y / (y + _DOWN_AT)
+        jump = rates.up * y * y / (y * y + _UP_AT) if is_up else rates.down * y / (y + _DOWN_AT)
         if is_up:
             jump += rates.bright * (0.01 * (code - level)) * (0.01 * (code - level))
         jump *= calm

@@ -36,7 +36,7 @@ _PRESETS: dict[str, dict[str, object]] = {
         "no_return_reflectivity": True,
         "no_return_wander": 1.5,
         "records_lost": 1.0,
-        "gain_spread": 0.075,
+        "gain_spread": 0.095,
     },
 }
 

@@ -11,9 +11,10 @@ _POWERED_S = 60.0, 6 * 3600.0
 """Shortest and longest time that a unit has been on (assumption: captures of real units do not begin with power-up)."""
 _ROUND = {"powered_for_s": 0.0, "start_azimuth_deg": 0.1, "clock_error_ppm": 0.0}
 """State of a unit with `preset = "steady"`: all begins with the run, whose first revolution is whole."""
-_CLOCK_PPM, _OFF_SHARE, _FAR_OFF_PPM = 0.6, 0.15, 140.0
-"""Rate of the clock that stamps against that which fires: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula and the unit of 2014, and up to 140
-ppm on others; that every seventh is of these is an assumption."""
+_CLOCK_PPM, _OFF_SHARE, _FAR_OFF_PPM = 0.6, 0.15, 20.0
+"""Rate of the clock that stamps against that which fires: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula and the unit of 2014. On others up to
+140 ppm; no clock that stamps is more than 20 ppm off that of the host, so what is off there is the firing, which here is not. That every
+seventh is of these is an assumption."""
 _VENDOR, _SERIES = "607688", ("10", "38")
 """First bytes of MAC addresses: of the vendor, and of units from before and after 2017."""
 

@@ -91,7 +91,7 @@ class Lidar(Preset):
     """Time since power-up when the run begins, from which the sensor's clock counts without GPS; drawn unless given, and 0 with
     `steady`."""
     clock_error_ppm: Annotated[float, Field(ge=-200, le=200)] | None = None
-    """How much the free-running clock is fast; of a clock locked to GPS up to 1 ppm are left within a second. Drawn unless given, and 0 with
+    """How much the free-running clock is fast; of a clock locked to GPS up to 0.3 ppm are left within a second. Drawn unless given, and 0 with
     `steady`."""
 
     @field_validator("max_range_m")
