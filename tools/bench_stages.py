@@ -1,8 +1,8 @@
-"""What each stage of the chain costs: seconds of one thread per simulated second, the best of the repeats.
+"""Run time of each stage of the chain: seconds of one thread per simulated second, the best of the repeats.
 
-On a shared machine the ratios mean more than the figures. Blocks are cast by as many as the chain casts at once. "Cast,
-near" gives light up where the medium begins; where there is none it is all. Opening is the processor time of all threads
-for the second window, with the first one open and what it was made of kept.
+On a shared machine the ratios mean more than the figures. As many blocks are cast together as in the chain. "Cast,
+near" ends rays where the medium begins; without a medium it casts to the full range. Opening is the processor time of all
+threads for the second window, with the first window open and its geometry kept.
 """
 
 import time
@@ -44,7 +44,7 @@ def best(work: Callable[[], object], repeats: int) -> float:
 
 
 def opening_s(emulator: Emulator) -> float:
-    """Processor seconds per simulated second that opening windows takes; 0 where one serves all."""
+    """Return the processor seconds per simulated second for opening windows; 0 if there is only one."""
     emulator.engine.windows.at_block(0).result()
     if not emulator.parts.moves:
         return 0.0
@@ -110,7 +110,7 @@ def stage_table(scene: str, repeats: int) -> Table:
     table = Table("stage", *cost, title=title, box=MARKDOWN)
     for stage in cost["default"]:
         table.add_row(stage, *(f"{column[stage]:.4f}" for column in cost.values()))
-    # `aim` is timed with poses given, and what is cast near by is a part of `cast`.
+    # `aim` is timed without its poses, and `cast, near` is a part of `cast`.
     sums = (sum(s for stage, s in column.items() if stage != NEAR) for column in cost.values())
     table.add_row("sum", *(f"{total:.4f}" for total in sums))
     return table

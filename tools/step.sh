@@ -1,7 +1,7 @@
 # Steps of a check, for bash: sourced by tools/check and .ci/run.
 
-# Run a command, and print one line when it is done: wall time, CPU time of all its processes, and its last line; for
-# pytest also what was skipped and why. Print all its output where it fails.
+# Run a command, and print one line at its end: wall time, CPU time of all its processes, and its last line; for
+# pytest also skipped tests with the reason. Print all its output if it fails.
 step() {
     local name=$1 code=0 log spent TIMEFORMAT='%R %U %S'
     shift
@@ -19,9 +19,9 @@ step() {
     return "$code"
 }
 
-# Set up .venv for developers, and compile what all steps behind it would else compile each by itself.
+# Set up .venv for developers, and compile once what each of the next steps would compile.
 prepare() {
-    export PIP_COMPILE=0 # few of the modules are ever imported, and those are compiled then
+    export PIP_COMPILE=0 # few modules are ever imported; Python compiles these at import
     step "set-up" tools/setup dev
     unset PYTHONDONTWRITEBYTECODE
     export PYTHONPYCACHEPREFIX=$PWD/.venv/pycache

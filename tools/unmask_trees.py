@@ -1,4 +1,4 @@
-"""Trees that rank windows of emulated and of real units; run by `tools/unmask` where scikit-learn is.
+"""Trees that rank windows of emulated and of real units; `tools/unmask` runs it in an environment with scikit-learn.
 
 python tools/unmask_trees.py WINDOWS.npz
 """
@@ -14,7 +14,7 @@ from sklearn.metrics import roc_auc_score
 
 Array = np.ndarray
 SCENE_SHARE = 0.3
-"""Share of the variance over emulated windows that is between scenes, from which on a feature is one of the scene."""
+"""Share of variance between scenes, over emulated windows, from which a feature belongs to the scene."""
 
 
 class Data:
@@ -30,22 +30,22 @@ class Data:
 
 
 def scene_share(data: Data) -> Array:
-    """Return the share of each feature's variance over emulated windows that is between the scenes (f,), which weigh alike."""
+    """Return the share of variance between scenes of each feature (f,), over emulated windows; scenes have equal weights."""
     own = [data.features[~data.real & (data.scene == one)] for one in dict.fromkeys(data.scene[~data.real])]
-    with warnings.catch_warnings(action="ignore"):  # a scene may be without a feature
+    with warnings.catch_warnings(action="ignore"):  # a scene may lack a feature
         between = np.nanvar([np.nanmean(of, axis=0) for of in own], axis=0)
         within = np.nanmean([np.nanvar(of, axis=0) for of in own], axis=0)
     return np.where(data.groups == "scene", 1.0, between / np.maximum(between + within, 1e-30))
 
 
 def shown_by_all(data: Data) -> Array:
-    """Return whether half the windows of half the units of either class have a feature (f,)."""
+    """Return True for each feature (f,) that half the windows of half the units of both classes have."""
     has = {unit: np.isfinite(data.features[data.unit == unit]).mean(axis=0) >= 0.5 for unit in np.unique(data.unit)}
     return np.all([np.mean([has[unit] for unit in units], axis=0) >= 0.5 for units in data.units.values()], axis=0)
 
 
 def folds(data: Data) -> Iterator[tuple[str, Array, Array]]:
-    """Yield each real unit with the windows that are learnt without it, and those that are ranked: seeds are halved."""
+    """Yield each real unit with the training windows without it, and the test windows; emulated seeds are divided in half."""
     even = np.array([int(seed) % 2 == 0 for seed in data.seed])
     for unit in data.units[True]:
         out = data.unit == unit
@@ -53,7 +53,7 @@ def folds(data: Data) -> Iterator[tuple[str, Array, Array]]:
 
 
 def weights_of(data: Data, rows: Array, positive: Array) -> Array:
-    """Weigh each unit of a class alike, and both classes alike."""
+    """Return weights by which all units of a class, and both classes, count equally."""
     weight = np.zeros(len(rows))
     for is_positive in (True, False):
         own = rows & (positive == is_positive)
@@ -65,7 +65,7 @@ def weights_of(data: Data, rows: Array, positive: Array) -> Array:
 def ranked_by(
     data: Data, x: Array, learnt: Array, ranked: Array, positive: Array
 ) -> tuple[float, HistGradientBoostingClassifier]:
-    """Return the area of the trees that learn some windows and rank others, and the trees."""
+    """Return the area of trees that learn some windows and rank others, and the trees."""
     trees = HistGradientBoostingClassifier(
         max_depth=3, max_iter=60, learning_rate=0.1, min_samples_leaf=10, l2_regularization=1.0, random_state=0
     )
@@ -74,7 +74,7 @@ def ranked_by(
 
 
 def null(data: Data, x: Array) -> list[float]:
-    """Areas where two real units stand for a class: one of each is learnt, the others are ranked."""
+    """Return areas with two real units per class: one of each class is learnt, the others are ranked."""
     out, units = [], data.units[True]
     for a in units:
         for b in (one for one in units if one > a):
@@ -87,7 +87,7 @@ def null(data: Data, x: Array) -> list[float]:
 
 
 def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> None:
-    """Print the areas of the trees for some features; for `whole` also of real units against each other, and what carried them."""
+    """Print the areas of the trees for some features; with `whole` also for real units against each other, and the top features."""
     names, x = data.names[wanted], data.features[:, wanted]
     carried, areas = np.zeros(len(names)), []
     for _, learnt, ranked in folds(data):
@@ -113,7 +113,7 @@ def report(data: Data, wanted: Array, title: str, *, whole: bool = False) -> Non
 
 
 def main() -> None:
-    """Print areas of all trees."""
+    """Print the areas of all trees."""
     data = Data(sys.argv[1])
     counts = shown_by_all(data)
     of_scene = ~(scene_share(data) < SCENE_SHARE)

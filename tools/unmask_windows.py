@@ -1,4 +1,4 @@
-"""Windows of a capture for `tools/unmask`: features that presume little."""
+"""Windows of a capture for `tools/unmask`, and their features, which presume little."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from vlp16emu.extras.compare.statistics import commonest
 SEQUENCES = 600
 """Firing sequences of a window: 25 packets of single return."""
 FLAT_LSB = 20
-"""Most change of range between neighbours on one surface: 40 mm."""
+"""Largest change of range between neighbours on one surface: 40 mm."""
 LEVELS = tuple(pairwise((0, 5, 20, 60, 101)))
 CODES, CHANGES, RUNS = (
     (0, 1, 2, 4, 8, 15, 30, 45, 60, 75, 90, 100, 101, 256),
@@ -21,12 +21,12 @@ CODES, CHANGES, RUNS = (
 )
 MULTIPLES = (0, 0.01, 0.9, 1.1, 1.9, 2.9, 256)
 LEAST = 30
-"""Values from which on a feature is worth its name."""
+"""Least number of values of a feature."""
 Array = np.ndarray
 
 
 class Features(dict[str, float]):
-    """Features of a window by name; those of which it has too little are NaN."""
+    """Features of a window by name; a feature with too few values is NaN."""
 
     def rate(self, name: str, of: Array) -> None:
         """Add a mean."""
@@ -47,7 +47,7 @@ class Features(dict[str, float]):
         self.update({f"{name}.{of}": float(value) for of, value in found.items()})
 
     def lags(self, name: str, of: Array, valid: Array) -> None:
-        """Add the autocorrelation along the first axis, of what is valid."""
+        """Add the autocorrelation of valid values along the first axis."""
         for lag in (1, 2, 3, 4):
             both = valid[lag:] & valid[:-lag]
             self.correlation(f"{name}.lag_{lag}", of[lag:][both], of[:-lag][both])
@@ -58,7 +58,7 @@ class Features(dict[str, float]):
         self[name] = float(np.corrcoef(a, b)[0, 1]) if usable else np.nan
 
     def unevenness(self, name: str, of: Array, *moduli: int) -> None:
-        """Add the variance of the counts of residues over the square of their mean, less what chance gives."""
+        """Add the variance of the counts of residues over their squared mean, minus the value expected by chance."""
         for modulus in moduli:
             counts = np.bincount(of % modulus, minlength=modulus)
             mean = counts.mean()
@@ -66,7 +66,7 @@ class Features(dict[str, float]):
 
 
 def windows(whole: Sequences) -> Iterator[Sequences]:
-    """Cut a capture into windows side by side, without those that have a gap."""
+    """Yield adjacent windows of a capture, without windows that have a gap."""
     per_packet = len(whole.number) // len(whole.packet)
     packets, per_block = SEQUENCES // per_packet, per_packet // 2
     for first in range(0, len(whole.packet) - packets + 1, packets):
@@ -83,7 +83,7 @@ def windows(whole: Sequences) -> Iterator[Sequences]:
 
 
 def features_of(window: Sequences) -> Features:
-    """Return the features of a window; those that begin with `scene` say what stood there."""
+    """Return the features of a window; names that begin with `scene` describe the surroundings."""
     out, d, r = Features(), window.distance_lsb, window.reflectivity
     step = np.abs(np.diff(d, axis=0)) < FLAT_LSB
     flat = (d[:-2] > 0) & (d[1:-1] > 0) & (d[2:] > 0) & step[:-1] & step[1:]
@@ -99,7 +99,7 @@ def features_of(window: Sequences) -> Features:
 
 
 def _surfaces(out: Features, d: Array, r: Array, flat: Array, slot: Array) -> None:
-    """Second differences of ranges and codes along a laser, and differences between lasers."""
+    """Add second differences of ranges and codes along a laser, and differences between lasers."""
     level, change = r[1:-1], np.abs(r[2:] - r[1:-1])
     bend, code_bend = (np.diff(of, 2, axis=0).astype(float) for of in (d, r))
     out.shape("range", bend[flat])
@@ -119,7 +119,7 @@ def _surfaces(out: Features, d: Array, r: Array, flat: Array, slot: Array) -> No
 
 
 def _losses(out: Features, d: Array, r: Array) -> None:
-    """Lengths of runs with and without returns, and records without a return by what is before and behind."""
+    """Add lengths of runs with and without returns, and rates of missing returns by the neighbours before and after."""
     for name, of in (("silent_run", d == 0), ("run", d > 0)):
         edge = np.diff(np.pad(of, ((1, 1), (0, 0))).astype(int), axis=0).T
         out.shares(f"loss.{name}", np.nonzero(edge == -1)[1] - np.nonzero(edge == 1)[1], RUNS)
@@ -134,7 +134,7 @@ def _losses(out: Features, d: Array, r: Array) -> None:
 
 
 def _no_returns(out: Features, d: Array, r: Array) -> None:
-    """Codes of no-returns over the commonest of their laser, beside returns and apart from them."""
+    """Add codes of no-returns over the most common code of their laser, next to returns and apart from them."""
     silent, mode = d == 0, commonest(d == 0, r)
     share, usable = (r / np.maximum(mode, 1))[1:-1], (silent & (mode > 0))[1:-1]
     beside = usable & ~(silent[:-2] & silent[2:])
@@ -162,7 +162,7 @@ def _azimuths(out: Features, azimuth: Array) -> None:
 
 
 def _stamps(out: Features, window: Sequences) -> None:
-    """Add spacing of the stamps."""
+    """Add the spacing of the stamps."""
     since_us = (window.clock_ns - window.clock_ns[0]) / 1e3
     line = np.polyfit(window.packet, since_us, 1)
     out.shape("stamp", since_us - np.polyval(line, window.packet))

@@ -7,7 +7,7 @@ options = {
   map_builder = MAP_BUILDER,
   trajectory_builder = TRAJECTORY_BUILDER,
   map_frame = "map",
-  tracking_frame = "imu",  -- its origin must be that of the inertial unit, to 10 um; its own value is base_link
+  tracking_frame = "imu",  -- its origin must be the inertial unit, within 10 um; its own value is base_link
   published_frame = "base_link",
   odom_frame = "odom",
   provide_odom_frame = true,
@@ -31,7 +31,7 @@ options = {
   landmarks_sampling_ratio = 1.0,
 }
 
-TRAJECTORY_BUILDER_3D.num_accumulated_range_data = 1  -- a message is a sweep; 160 of them, for a packet each, are 16 s in one scan; its own value is 160
+TRAJECTORY_BUILDER_3D.num_accumulated_range_data = 1  -- a message is a sweep; 160 is for messages of one packet, and would merge 16 s into one scan; its own value is 160
 TRAJECTORY_BUILDER_3D.min_range = 1.0
 MAP_BUILDER.use_trajectory_builder_3d = true
 MAP_BUILDER.num_background_threads = 7

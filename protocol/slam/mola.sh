@@ -6,4 +6,4 @@ export MOLA_GNSS_TOPIC=/fix  # topic of the bag; its own value is /gps
 export MOLA_IMU_TOPIC=/imu/data  # topic of the bag; its own value is /imu
 export MOLA_TF_BASE_LINK=base_link
 export MOLA_USE_FIXED_LIDAR_POSE=false
-export MOLA_IGNORE_NO_POINT_STAMPS=false  # a cloud without times is an error instead of no deskewing; its own value is true
+export MOLA_IGNORE_NO_POINT_STAMPS=false  # a cloud without times is an error, instead of no deskewing; its own value is true

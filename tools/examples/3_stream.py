@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""3. Stream a scene over UDP into a socket of one's own, as a driver listens to a sensor.
+"""3. Stream a scene over UDP to your own socket, which receives like a driver.
 
 tools/examples/3_stream.py [SECONDS]
 """
@@ -19,7 +19,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver:
         packets = 0
         while packets < int(seconds * 753):  # data packets per second in single return
             payload = driver.recv(2000)
-            (stamp_us,) = struct.unpack_from("<I", payload, 1200)  # past the hour, of the first pulse
+            (stamp_us,) = struct.unpack_from("<I", payload, 1200)  # time of the first pulse past the hour
             packets += 1
         print(f"{packets} packets of {len(payload)} bytes, the last one at {stamp_us / 1e6:.3f} s past the hour")
         print(f"truth of its first record: {live.truth(payload)[0]['range_m']:.3f} m; web interface at {live.http}")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""4. Get labels with the points: what each of them lies on, and to which plant it belongs.
+"""4. Get labels with the points: the class of the surface, and the plant, of each point.
 
 tools/examples/4_labels.py [SECONDS]
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""5. Carry the sensor along a trajectory of one's own: poses in TUM format, here a rising helix in the hall.
+"""5. Move the sensor along your own trajectory: poses in TUM format, here a rising helix in the hall.
 
 tools/examples/5_trajectory.py [SECONDS]
 """

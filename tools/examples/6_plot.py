@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""6. Scan a plot of one's own: a list of measured trees, walked along a line, as labelled points.
+"""6. Scan your own plot: a list of measured trees and a walk along a line give labelled points.
 
 tools/examples/6_plot.py [SECONDS]
 """

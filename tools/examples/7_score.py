@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""7. Score a trajectory against the truth of a run: here the truth itself, with 5 cm of noise for an estimate.
+"""7. Score a trajectory against the ground truth of a run: here the estimate is the ground truth with 5 cm of noise.
 
 tools/examples/7_score.py [SECONDS]
 """
@@ -12,7 +12,7 @@ from vlp16emu import Emulator, write_truth
 from vlp16emu.cli.app import run
 
 seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
-emulator = Emulator("birch_walk", {"gps.canopy_loss": False})  # else the trees over the antenna have to grow
+emulator = Emulator("birch_walk", {"gps.canopy_loss": False})  # else the trees above the antenna must grow first
 write_truth(emulator, "truth", duration_s=seconds)  # no pulse is cast for it
 poses = np.loadtxt("truth/trajectory.tum")[::20]  # t x y z qx qy qz qw, ten a second
 poses[:, 1:4] += np.random.default_rng(1).normal(scale=0.05, size=(len(poses), 3))

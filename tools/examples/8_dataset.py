@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""8. Make a dataset for training: every stand with every seed, labelled, with a manifest and splits.
+"""8. Make a training dataset: each stand with each seed, labelled, with a manifest and splits.
 
 tools/examples/8_dataset.py [SECONDS]
 """

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""A motion of one's own: a carrier that follows a function of time, here one that swings on a rope.
+"""Your own motion: a carrier that follows a function of time, here a sensor that swings on a rope.
 
-A package that declares it as an entry point of the group `vlp16emu.motions` gives it to every scene file and command.
+A package that declares it as an entry point of the group `vlp16emu.motions` makes it available to all scene files and commands.
 
 tools/examples/own_motion.py [SECONDS]
 """
@@ -27,13 +27,13 @@ class Swing(MotionSection):
     amplitude_rad: float = 0.3
 
     def carrier(self, site: object, *, start_ns: int, **_: object) -> tuple["Pendulum", np.ndarray]:
-        """Return the motion and its path on the map, around which a forest is laid out."""
+        """Return the motion, and its path on the map for the layout of a forest."""
         reach_m = self.rope_m * math.sin(self.amplitude_rad)
         return Pendulum(self, start_ns), np.array([[-reach_m, 0.0], [reach_m, 0.0]])
 
 
 class Pendulum:
-    """A `Motion` of this program: poses at any time, with the derivatives of the same function for the IMU."""
+    """A `Motion` of vlp16emu: poses at any time, with the derivatives of the same function for the IMU."""
 
     run_time_s, moves = math.inf, True
 
@@ -41,7 +41,7 @@ class Pendulum:
         self.swing, self.start_ns, self.rate = swing, start_ns, math.sqrt(9.81 / swing.rope_m)
 
     def poses_at(self, t_ns: np.ndarray) -> Poses:
-        """Poses at UTC instants (n,): the rope is straight, so pitch is the angle of the swing."""
+        """Return poses at UTC instants (n,): the rope is straight, so pitch is the angle of the swing."""
         c, s = np.cos(self.angle(t_ns)), np.sin(self.angle(t_ns))
         zero, one = np.zeros(len(t_ns)), np.ones(len(t_ns))
         turn = np.array([[c, zero, -s], [zero, one, zero], [s, zero, c]]).transpose(2, 0, 1)
@@ -49,7 +49,7 @@ class Pendulum:
         return Poses(t_ns, np.ascontiguousarray(turn), place_m)
 
     def kinematics_at(self, t_ns: np.ndarray) -> Kinematics:
-        """Poses with velocity, acceleration, angular rate and angular acceleration."""
+        """Return poses with velocity, acceleration, angular rate and angular acceleration."""
         poses, c, s = self.poses_at(t_ns), np.cos(self.angle(t_ns)), np.sin(self.angle(t_ns))
         w, a, zero = self.angle(t_ns, 1), self.angle(t_ns, 2), np.zeros(len(t_ns))
         v_m_s = self.swing.rope_m * np.column_stack([c * w, zero, s * w])
@@ -58,7 +58,7 @@ class Pendulum:
         return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, v_m_s, a_m_s2, *turns)
 
     def angle(self, t_ns: np.ndarray, derivative: int = 0) -> np.ndarray:
-        """Angle of the swing, or a derivative of it."""
+        """Return the angle of the swing, or a derivative of it."""
         phase = self.rate * (t_ns - self.start_ns) * 1e-9 + derivative * math.pi / 2
         return self.swing.amplitude_rad * self.rate**derivative * np.sin(phase)
 

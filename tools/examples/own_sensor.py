@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""A beam table of one's own: a sensor of 32 lasers that are denser around the horizon, as `points` takes it.
+"""Your own beam table: a sensor with 32 lasers, denser around the horizon, for `points`.
 
-A package that declares it as an entry point of the group `vlp16emu.sensors` gives it to every scene file and command.
+A package that declares it as an entry point of the group `vlp16emu.sensors` makes it available to all scene files and commands.
 
 tools/examples/own_sensor.py [SECONDS]
 """
@@ -14,7 +14,7 @@ from vlp16emu.extras.free_sensor import FreeSensor
 
 
 class Dense32(FreeSensor):
-    """A sensor without packets, in order of firing: every third of a degree from -4 to 2, coarser beyond."""
+    """A sensor without packets; lasers in firing order: every third of a degree from -4 to 2, coarser beyond."""
 
     model: Literal["dense-32"]
     elevations_deg: tuple[float, ...] = (

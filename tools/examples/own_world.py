@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""A world of one's own: bare dunes. A class with a `kind` is all that a scene needs to name it.
+"""Your own world: bare dunes. A scene selects a class by its `kind`.
 
-A package that declares it as an entry point of the group `vlp16emu.worlds` gives it to every scene file and command.
+A package that declares it as an entry point of the group `vlp16emu.worlds` makes it available to all scene files and commands.
 
 tools/examples/own_world.py [SECONDS]
 """
@@ -25,12 +25,12 @@ class Dunes(WorldSection):
     length_m: Size = 40.0
 
     def site(self, seed: int) -> "Site":
-        """Return the ground; `seed` is for what is random."""
+        """Return the ground; `seed` is the seed of random parts."""
         return Site(self)
 
 
 class Site:
-    """Ground and world in one: a `Site` and a `World` of this program."""
+    """Ground and world in one class: a `Site` and a `World` of vlp16emu."""
 
     origin_m, obstacles, near_m, seed = (0.0, 0.0, 0.0), None, np.inf, 0
 
@@ -38,15 +38,15 @@ class Site:
         self.dunes, self.name = dunes, repr(dunes)
 
     def height_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Height of the ground."""
+        """Return the height of the ground."""
         return self.dunes.height_m / 2 * np.sin(2 * np.pi * x_m / self.dunes.length_m) + 0 * y_m
 
     def world(self, path_xy_m: np.ndarray, **_: object) -> tuple["Site", None]:
-        """Return the world around a path, and what moves in it."""
+        """Return the world around a path, and its moving parts."""
         return self, None
 
     def window(self, track_m: np.ndarray) -> Window:
-        """Return what is in reach of positions (n, 3): one shape of one surface, where it was made."""
+        """Return the window in range of positions (n, 3): one shape of one surface, at its origin."""
         sand = np.zeros(1, SURFACE)
         sand["semantic"], sand["reflectance"] = Semantic.GROUND, 0.4
         first, place = np.zeros(1, np.uint32), np.eye(4)[None, :3]
@@ -62,7 +62,7 @@ class Site:
         return (Mesh(vertices_m.astype(np.float32), squares.reshape(-1, 3).astype(np.uint32)),)
 
     def shape_name(self, key: object) -> str:
-        """Name under which the shape is kept on disk; empty for not at all."""
+        """Return the name under which the store keeps the shape; empty to keep nothing."""
         return ""
 
 

@@ -1,4 +1,4 @@
-"""The detector: echoes, their range and reflectivity, noise and weather."""
+"""Detector: echoes, their range and reflectivity, noise and weather."""
 
 from vlp16emu.returns.settings import Detector, Noise, Weather
 

@@ -1,6 +1,6 @@
 """Returns from hits.
 
-Kernels make no arrays of their own, so numba need not count references (`_nrt=False`): a sixth of the time.
+Kernels allocate no arrays, so numba need not count references (`_nrt=False`): this saves a sixth of the time.
 """
 
 from typing import NamedTuple
@@ -38,16 +38,16 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, I8, U1, U4, Firings, Hits, PlantPart, Returns, Semantic
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
-_PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
-_CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
+_PEAKS_PER_NODE = 3  # at most: one at the node, and one on each side
+_CERTAIN_SIGMAS = 6.0  # noise does not exceed this: probability 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
-_CODES_PER_M = 500.0  # of the distance on the wire, 2 mm
-_MOST_SILENT = 100.0  # where wandering no-returns end on einride
-_DARKENED = 40.0  # code at which reflectivity moves no range
+_CODES_PER_M = 500.0  # distance codes of a packet per metre: 2 mm
+_MOST_SILENT = 100.0  # largest wandering code of no-returns on einride
+_DARKENED = 40.0  # code at which reflectivity does not change the range
 _Pair = tuple[float, float]
 _Own = tuple[float, float, float, U1]
-"""Of a laser: error of range in metres, share of the white noise of range, gain, and codes as in `sent_codes`."""
-_LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
+"""Range error of a laser in metres, its factor on the white range noise, its gain, and codes as in `sent_codes`."""
+_LANE_BITS = 16  # lane of a random number: the laser in the lower bits, rank or column of the echo above them
 
 
 def detect(
@@ -59,23 +59,24 @@ def detect(
     truth: bool,
     block: int | None = None,
 ) -> Returns:
-    """Turn the hits of each pulse into its returns.
+    """Return the returns of each pulse from its hits.
 
-    Echoes are the peaks of the pulse's waveform (`vlp16emu.returns.echoes`); within the resolution of a stronger
-    one, one is lost. The strongest return has the highest peak, the last return is the farthest, and a lone echo is
-    both (63-9243 Rev D, section 6.2). In strongest return nothing else is looked for: no last, no second.
+    Echoes are the peaks of the pulse's waveform (`vlp16emu.returns.echoes`); an echo within the resolution of a
+    stronger one is lost. The strongest return has the highest peak, the last return is the farthest, and a single echo
+    is both (63-9243 Rev D, section 6.2). In strongest return mode the last and second returns are not searched.
 
-    What is measured nearer than the least range is blanked: distance 0, with its reflectivity kept, as real units
-    send it. A second strongest return of distance 0 and some reflectivity is such a one.
+    Echoes measured below the least range are blanked: distance 0, with the reflectivity kept, as real units
+    send them. A second strongest return of distance 0 and nonzero reflectivity is such an echo.
 
-    Reflectivity is the height of the peak, corrected for range as the sensor does: of a target that fills the
-    beam, reflectance times cosine of incidence in percent; of one that is partly hit, less.
+    Reflectivity is the height of the peak, corrected for range as the sensor does: for a target that fills the
+    beam, reflectance times cosine of incidence in percent; less for a target that is partly hit.
 
     Parameters
     ----------
     surfaces : (m,) `SURFACE`, the window's table
-    truth : whether to keep of each return its range before errors, and the surface of the sub-ray that gave most of its light
-    block : firing sequences after which a laser forgets the pulse before, so that pieces make the whole; None for all of them
+    truth : True to keep the range of each return before errors, and the surface of the sub-ray that gave most of its light
+    block : firing sequences after which the state of each laser is reset, so that the result does not depend on how a run
+        is divided; None for all of them
     """
     shape, constants, first = (*firings.t_ns.shape, 3), detector.constants, firings.index
     lasers = shape[1]
@@ -112,13 +113,13 @@ def detect(
 
 
 def _sheets(surfaces: NDArray[np.void]) -> U4:
-    """Return numbers of the sheets without gaps (m,): the ground is one, however it is cut into tiles; 0 for plants."""
+    """Return the sheet number of each surface (m,): all tiles of the ground are one sheet without gaps; 0 for plants."""
     number = np.where(surfaces["semantic"] == Semantic.GROUND, 1, np.arange(2, len(surfaces) + 2))
     return np.where(surfaces["part"] == PlantPart.NONE, number, 0).astype(np.uint32)
 
 
 class _Errors(NamedTuple):
-    """Properties of a unit, as in `UnitDetector`; `drift_m` and `sector` (k,) at each firing sequence, `sheet` (m,) of surfaces."""
+    """Properties of a unit, as in `UnitDetector`; `drift_m` and `sector` (k,) by firing sequence, `sheet` (m,) by surface."""
 
     bias_m: F8
     noise_share: F8
@@ -143,17 +144,17 @@ def _detect(
     reflectivity: U1,
     exact_m: F4,
 ) -> None:
-    """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way.
+    """Fill the returns (k, L, 3), pulse by pulse; pulses of one node skip the search for peaks.
 
     Parameters
     ----------
-    block : as in `detect`; it begins with row 0
-    room : scratch for nodes, peaks, the peaks that are chosen, and for normal numbers and the codes of the pulses before
+    block : as in `detect`; the first block begins with row 0
+    room : scratch arrays for nodes, peaks, chosen peaks, and for normal numbers and the codes of previous pulses
     exact_m : output, ranges before errors; may be empty
     """
     nodes, peaks, chosen, noise = room
     stop, keeps_exact, lasers = ZERO, exact_m.shape[0] > 0, rays.counts.shape[1]
-    columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
+    columns = _LAST if constants.strongest_only else _SECOND  # columns that a single echo fills
     rates, before = constants.lost, noise[2:]
     for i in range(rays.counts.shape[0]):
         n = first + i
@@ -182,7 +183,7 @@ def _detect(
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
                     if keeps_exact:
                         exact_m[i, j, column] = at_m
-            elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
+            elif lit > 1 and light >= 0.0:  # also if the highest peak is not detected: another may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
                 _write(constants, n, j, own, peaks, chosen, distance_m[i, j], reflectivity[i, j])
                 for column in range(3 if keeps_exact else 0):
@@ -207,7 +208,7 @@ def _mark_silent(
 ) -> None:
     """Fill in the reflectivity of pulses without any return: a constant of the laser, or a multiple of it.
 
-    Beside a return, within a block, it may be raised; elsewhere it wanders between knots (m, L), at a place (k,) in units of them.
+    Near a return in the same block it may be raised; elsewhere it is interpolated between knots (m, L) at `place` (k,) in knots.
     """
     rates, key = constants.lost, constants.seed
     for i in range(distance_m.shape[0]):
@@ -231,23 +232,23 @@ def _mark_silent(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _count_unevenly(parity: F8, distance_m: F4) -> None:
-    """Move distances at the edge of an odd code into it, or out of it, by each laser's excess of odd codes."""
+    """Move distances at the edge of an odd code into or out of this code, by each laser's excess of odd codes."""
     for i in range(distance_m.shape[0]):
         for j in range(distance_m.shape[1]):
             for column in range(3):
                 if distance_m[i, j, column] > 0.0:
                     code = distance_m[i, j, column] * _CODES_PER_M
                     below = np.floor(code)
-                    # Codes are rounded: halfway between two is the edge, below an odd code or above it.
+                    # Codes are rounded: the edge is halfway between two codes, below or above an odd one.
                     upward = 1.0 if below % 2.0 == 0.0 else -1.0
                     distance_m[i, j, column] = np.float32((code + upward * parity[j]) / _CODES_PER_M)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8) -> tuple[float, float]:
-    """Return range and amplitude of the only echo that counts: of one node, or the highest if only the strongest is sent.
+    """Return range and amplitude of the only echo needed: the single node, or the highest peak in strongest return mode.
 
-    Amplitude 0 where there may be more, or the highest is not found this way; -1 where no echo is seen at all.
+    Amplitude is 0 if there may be more echoes, or if the highest peak is not found this way; -1 if no echo is detected.
     """
     if lit == 0:
         return 0.0, -1.0
@@ -265,7 +266,7 @@ def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, amplitude: float) -> bool:
-    """Return True if an echo is within reach and its peak with noise above the threshold."""
+    """Return True if an echo is within range and its peak, with noise, is above the threshold."""
     excess, certain = amplitude - constants.threshold, _CERTAIN_SIGMAS * constants.amplitude_noise
     if -certain < excess < certain and range_m <= constants.max_range_m:
         a, b = uniform_pair(constants.seed, _DETECTION, n, lane)
@@ -277,9 +278,9 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
-    """Return True if noise of the uniform number a misses the threshold whatever its partner is, without a logarithm.
+    """Return True if noise from the uniform number a stays below the threshold for any second number; needs no logarithm.
 
-    The radius of a normal pair is below t where 1 - a > exp(-t**2 / 2), which is less than the quotient here.
+    The radius of a normal pair is below t if 1 - a > exp(-t**2 / 2); the test uses an upper bound of this exponential.
     """
     t = excess / constants.amplitude_noise
     x = 0.5 * t * t
@@ -288,7 +289,7 @@ def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
-    """Return True if none of up to `count` echoes with amplitudes up to `most` can be seen: the usual end of faint pulses."""
+    """Return True if none of up to `count` echoes with amplitudes up to `most` is detected, as for most faint pulses."""
     excess = most - constants.threshold
     if excess >= 0.0:
         return False
@@ -304,7 +305,7 @@ def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float,
 def _measure(
     constants: DetectorConstants, noise: _Pair, range_m: float, amplitude: float, own: _Own
 ) -> tuple[np.float32, np.uint8]:
-    """Return measured distance and reflectivity; distance 0 below the least range, and nothing beyond the greatest."""
+    """Return measured distance and reflectivity; distance 0 below the least range, both 0 beyond the greatest range."""
     (range_noise, other_noise), (error_m, share, gain, codes) = noise, own
     reflectance = amplitude * range_m * range_m
     shown = min(100.0 * reflectance, 100.0)
@@ -324,7 +325,7 @@ def _measure(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _choose(constants: DetectorConstants, n: int, laser: int, peaks: F8, found: int, chosen: I8) -> None:
-    """Find which peaks are the strongest, last and second strongest return, -1 where there is none."""
+    """Find the peaks of the strongest, last and second strongest return; -1 for none."""
     chosen[:] = -1
     for rank in range(found):
         best = -1
@@ -367,7 +368,7 @@ def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
 def _write(
     constants: DetectorConstants, n: int, j: int, own: _Own, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
 ) -> None:
-    """Fill the returns (3,) of a pulse, each chosen peak measured once; none counts that is measured beyond `max_range_m`."""
+    """Fill the returns (3,) of a pulse; each chosen peak is measured once, and dropped if measured beyond `max_range_m`."""
     error_m, share = own[0], own[1]
     for column in range(3):
         peak = chosen[column]

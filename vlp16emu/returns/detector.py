@@ -1,4 +1,4 @@
-"""The receiver of a unit, made once per run."""
+"""Receiver of a unit, made once per run."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -26,30 +26,30 @@ _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
 _MOST_PARITY, _BALANCED = 0.4, 0.6
 _RANGE_WALK_MM = 0.18
-"""How much longer or shorter ranges are by one code of reflectivity at most, evenly over units: 0.08, 0.16, -0.03 and -0.16 on four real units
-(protocol/README.md, "The character of a unit"), as the next."""
+"""Largest change of range per code of reflectivity, uniform over units: 0.08, 0.16, -0.03 and -0.16 on four real units
+(protocol/README.md, "The character of a unit", also for the next constant)."""
 _LASER_NOISE_SPREAD = 0.08
-"""Spread of the logarithm of the white noise of range over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and nebula, less what chance gives,
-where which laser is noisier correlates by 0.44, 0.37 and 0.37 between sectors of 45 deg."""
+"""Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and nebula, without the
+part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors of 45 deg."""
 _SECTOR_GAIN_SPREAD = 0.04  # half the difference of gains between even and odd sectors of 45 deg, one sigma
 _WARM_UP_S = 900.0  # time constant (assumption)
 
 
 @dataclass(frozen=True, slots=True)
 class UnitDetector:
-    """The receiver of one unit, in the weather of one run; L lasers."""
+    """Receiver of one unit, in the weather of one run; L lasers."""
 
     constants: DetectorConstants
     range_bias_m: F8  # (L,)
-    range_noise_share: F8  # (L,) white noise of range of each laser over that of the unit
+    range_noise_share: F8  # (L,) white range noise of each laser relative to the unit's
     gain: F8  # (2, L) factor on reflectivity, in even and odd sectors of 45 deg
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
-    parity: F8 | None  # (L,) by how much the share of odd distance codes is above one half; None where it is one half
-    codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, as `sent_codes` has it
-    no_return: F8 | None  # (L,) reflectivity of records without a return, cut to whole numbers when sent; None for 0
-    multiples: F8  # (m, L) multiples of it by azimuth, as in `no_return_multiples`; empty where it is sent as it is
+    parity: F8 | None  # (L,) share of odd distance codes minus one half; None if it is one half
+    codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
+    no_return: F8 | None  # (L,) reflectivity of records without a return, truncated to integers when sent; None for 0
+    multiples: F8  # (m, L) multiples of `no_return` by azimuth, from `no_return_multiples`; empty for no change
     noise: Noise
-    power_up_ns: int  # UTC, from which warm-up counts
+    power_up_ns: int  # UTC of power-up, at which warm-up begins
 
     @classmethod
     def of_unit(
@@ -65,13 +65,13 @@ class UnitDetector:
         lasers: int,
         power_up_ns: int,
     ) -> Self:
-        """Draw the constant errors of a unit, and put the settings of a run into the form that kernels take.
+        """Draw the constant errors of a unit, and convert the settings of a run to the form that kernels take.
 
         Parameters
         ----------
-        seed : of the unit
-        mode : in strongest return, only that echo is looked for
-        min_range_m, max_range_m : what is measured nearer is blanked, what is measured farther is lost
+        seed : seed of the unit
+        mode : return mode; in strongest return mode, other echoes are not searched
+        min_range_m, max_range_m : nearer echoes are blanked, farther echoes are lost
         """
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
@@ -118,11 +118,11 @@ class UnitDetector:
         )
 
     def for_mode(self, mode: ReturnMode) -> Self:
-        """Return a receiver that looks for the echoes of a return mode."""
+        """Return a receiver that detects the echoes of a return mode."""
         return replace(self, constants=self.constants._replace(strongest_only=mode is ReturnMode.STRONGEST))
 
     def without_chance(self) -> Self:
-        """Return a receiver of the same threshold in the same air that detects all echoes, without chance and without errors."""
+        """Return a receiver with the same threshold in the same air that detects all echoes, without randomness and errors."""
         errors = "amplitude_noise", "clutter", "range_noise", "range_walk", "reflectivity_"
         nothing: dict[str, Any] = {name: 0.0 for name in DetectorConstants._fields if name.startswith(errors)}
         lost = LossRates(*[0.0] * len(LossRates._fields))
@@ -135,23 +135,23 @@ class UnitDetector:
         )
 
     def drift_m(self, t_ns: I8) -> F8:
-        """Return the warm-up error of ranges at instants, same shape; fades exponentially from power-up on."""
+        """Return the warm-up error of ranges at instants, same shape; it decays exponentially after power-up."""
         if not self.noise.warm_up_m:
             return np.zeros(t_ns.shape)
         return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / _WARM_UP_S))
 
 
 def _parity(seed: int, lasers: int, spread: float) -> F8:
-    """Draw the excess of odd codes of each laser, (lasers,); real ones have 20 to 82 % of odd codes.
+    """Draw the excess of odd codes of each laser, (lasers,); real lasers have 20 to 82 % odd codes.
 
-    Of all lasers together four real units have 48.5, 50.1, 50.4 and 51.5 %: less far from one half than by chance.
+    Over all lasers, four real units have 48.5, 50.1, 50.4 and 51.5 %: closer to one half than by chance.
     """
     drawn = spread * normal(seed, Purpose.DISTANCE_PARITY, 0, lasers)
     return np.clip(drawn - _BALANCED * drawn.mean(), -_MOST_PARITY, _MOST_PARITY)
 
 
 def threshold_of(detector: Detector) -> tuple[float, float]:
-    """Return the amplitude that is detected with probability one half, and one sigma of its noise, in m-2."""
+    """Return the amplitude that is detected with probability one half, and the sigma of its noise, in m-2."""
     range_m = detector.range_at_10_percent_m
     threshold = _CALIBRATION_REFLECTANCE / (range_m * range_m)
     return threshold, threshold / detector.threshold_snr

@@ -1,19 +1,19 @@
-"""Echoes of one pulse: the peaks of the waveform that its sub-rays send back.
+"""Echoes of one pulse: the peaks of the waveform that its sub-rays reflect.
 
-A pulse is a Gaussian in time, so the waveform is a sum of equal Gaussians, one per sub-ray, and a detector that looks
-for peaks reports its modes. Surfaces that a pulse's width does not part give one peak between them: the mixed pixel.
+A pulse is a Gaussian in time, so the waveform is a sum of equal Gaussians, one per sub-ray, and a detector that
+searches peaks reports its modes. Surfaces closer than the pulse width give one peak between them: the mixed pixel.
 
-Sub-rays within `NODE_M` are taken as one at their mean, weighted with energy. The mode of Gaussians within a span s
-lies off their mean by at most s**3 / (12 sqrt(3) sigma**2) to leading order, for their third moment is at most
-s**3 / (6 sqrt(3)): 1.1 mm for a node and a pulse of 6 ns, where its light is as lopsided as can be; and the peak is
+Sub-rays within `NODE_M` are merged at their energy-weighted mean. The mode of Gaussians within a span s
+differs from their mean by at most s**3 / (12 sqrt(3) sigma**2) to leading order, because their third moment is at most
+s**3 / (6 sqrt(3)): 1.1 mm for a node and a pulse of 6 ns with the most asymmetric light; and the peak is
 lower than the node by 2 % at most. Most pulses are one node and need no waveform.
 
-Light that goes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. What comes back
-of it has been through the leaf twice and is spread both times, so it falls short of direct light by the share of the
-half-space that the receiver sees, and makes no echo. What shines past a leaf is the business of the sub-rays.
+Light that passes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. The part that comes
+back has passed the leaf twice and is spread both times, so it is weaker than direct light by the share of the
+half-space that the receiver sees, and makes no echo. Sub-rays model the light that passes beside a leaf.
 
-Kernels make no arrays of their own, so numba need not count references (`_nrt=False`). They are compiled into their
-callers (`forceinline`): a call hands over each array as seven numbers, which takes as long as a node.
+Kernels allocate no arrays, so numba need not count references (`_nrt=False`). They are compiled into their
+callers (`forceinline`): a call passes each array as seven numbers, which takes as long as a node.
 
 `find_source_surfaces` gives ground truth: the surface of each return.
 """
@@ -31,16 +31,16 @@ from vlp16emu.types import F4, F8, NO_SURFACE, U2, U4
 
 COLUMNS = 5  # columns of a table of nodes, or of peaks
 RANGE, AMPLITUDE = 0, 1  # columns of both: in metres, and as in `DetectorConstants`
-OPEN = 2  # column of peaks: the amplitude, or 0 once the peak is dealt with
-_RAY, _PART = 2, 3  # columns of nodes while they are gathered: sub-rays that are in none yet, and their light
-_HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_waveform` gives at their places
-NODE_M = 0.15  # greatest span of the sub-rays that are taken as one
+OPEN = 2  # column of peaks: the amplitude, or 0 after the peak is processed
+_RAY, _PART = 2, 3  # columns of nodes during gathering: sub-rays without a node, and their light
+_HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes after gathering: result of `_waveform` at each node
+NODE_M = 0.15  # greatest span of sub-rays that are merged
 _LN2 = 0.6931471805599453
 _Light = tuple[float, float, float]
-"""Mean and variance of the places of light, and its height, as `_waveform` returns them."""
-_FAINTEST = 1e-9  # reflectance of what is black or edge-on, so that it still has a place
-_APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 0.01 mm
-_LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
+"""Mean and variance of the range of light, and height of the waveform, as `_waveform` returns them."""
+_FAINTEST = 1e-9  # reflectance of black or edge-on surfaces, so that they still have a range
+_APART = 5.0  # sigmas at which an equally bright neighbour moves a peak by less than 0.01 mm
+_LAST_STEP_M = 1e-3  # last step of Newton's method; the remaining error is about its square over sigma
 
 
 class SubRays(NamedTuple):
@@ -50,16 +50,16 @@ class SubRays(NamedTuple):
     range_m: F4
     surface: U4
     cos_incidence: F4
-    reflectance: F4  # (m,) of the surfaces
+    reflectance: F4  # (m,) by surface
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) -> float:
-    """Return the amplitude of an energy at the detector: range equation and extinction on both ways.
+    """Return the amplitude of an energy at the detector: range equation and two-way extinction.
 
     Parameters
     ----------
-    energy : reflectance times cosine of incidence, of a pulse's share
+    energy : reflectance times cosine of incidence times the share of the pulse
     """
     amplitude = max(energy, _FAINTEST) / (range_m * range_m)
     if constants.extinction_per_m > 0.0:
@@ -69,9 +69,9 @@ def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) ->
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, nodes: F8) -> int:
-    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); return how many there are.
+    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); return the number of nodes.
 
-    Each node takes what is near the first sub-ray that is left. No processor predicts which are near, so nothing branches on it.
+    Each node takes the sub-rays near the first remaining one. Processors cannot predict which are near, so the code does not branch.
     """
     _, range_m, surface, cos_incidence, reflectance = rays
     left = found = 0
@@ -89,7 +89,7 @@ def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, n
             away_m = ray_m - first_m
             near = abs(away_m) <= 0.5 * NODE_M
             left += 1 - near
-            part *= np.float64(near)  # of a choice the compiler makes a branch
+            part *= np.float64(near)  # the compiler would turn a condition into a branch
             energy += part
             moment += part * away_m
         at_m = first_m + moment / energy
@@ -101,7 +101,7 @@ def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, n
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def find_peaks(nodes: F8, count: int, sigma_m: float, peaks: F8) -> int:
-    """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; return how many there are."""
+    """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; return the number of peaks."""
     _sort(nodes, count)
     found = start = ZERO
     for node in range(1, count + 1):
@@ -113,11 +113,11 @@ def find_peaks(nodes: F8, count: int, sigma_m: float, peaks: F8) -> int:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, float, float]:
-    """Sort nodes, and find those that may touch each other and have the greatest sum of amplitudes.
+    """Sort nodes, and find the group of overlapping nodes with the greatest sum of amplitudes.
 
     Returns
     -------
-    the first of them, and the one behind the last; their sum, which no peak exceeds; and the greatest sum of others
+    first node of the group, and one past the last; its sum, which no peak exceeds; and the greatest sum of other groups
     """
     _sort(nodes, count)
     start = first = last = ZERO
@@ -135,7 +135,7 @@ def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, fl
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) -> tuple[float, float]:
-    """Return range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
+    """Return range and amplitude of the highest peak of a group of nodes; the nearest of equal peaks."""
     found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, ZERO), 0
     for peak in range(1, found):
         if peaks[AMPLITUDE, peak] > peaks[AMPLITUDE, best]:
@@ -145,7 +145,7 @@ def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) ->
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
-    """Add a peak, unless it is the one before, climbed from its other side; return how many there are."""
+    """Add a peak, unless it is the previous one, reached from its other side; return the number of peaks."""
     if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
         return found
     peaks[RANGE, found] = range_m
@@ -166,7 +166,7 @@ def _sort(nodes: F8, count: int) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _quick_exp(x: float) -> float:
-    """Return the exponential of a number up to 0, good to 1e-10 of itself, or 1e-300: a library's call costs twice as much."""
+    """Return the exponential of x <= 0 with a relative error of 1e-10, at least 1e-300, at half the cost of a library call."""
     x = max(x, -690.0)
     shifted = x * 1.4426950408889634 + 6755399441055744.0  # its last bits hold the power of 2
     r = x - (shifted - 6755399441055744.0) * _LN2
@@ -179,7 +179,7 @@ def _quick_exp(x: float) -> float:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> _Light:
-    """Return mean and variance of the places of the light at x_m, relative to x_m, and the height of the waveform."""
+    """Return mean and variance of the ranges of light at x_m, relative to x_m, and the height of the waveform."""
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
@@ -218,16 +218,16 @@ def _look(nodes: F8, start: int, stop: int, sigma_m: float) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8, found: int) -> int:
-    """Find the peaks of nodes that may touch each other, uphill of each node on either side.
+    """Find the peaks of a group of nodes, uphill from each node on both sides.
 
-    The slope of the waveform has the sign of the mean in `_waveform`. A peak lies within sigma of a node, for elsewhere
-    the waveform is convex.
+    The slope of the waveform has the sign of the mean in `_waveform`. A peak lies within sigma of a node, because the
+    waveform is convex elsewhere.
     """
     if stop - start == 1:
         return _add_peak(peaks, found, nodes[RANGE, start], nodes[AMPLITUDE, start])
     _look(nodes, start, stop, sigma_m)
     a_m, a = nodes[RANGE, start], (nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start])
-    rises = True  # even where all nodes are at one place
+    rises = True  # also if all nodes have the same range
     for node in range(start + 1, stop):
         b_m, b = nodes[RANGE, node], (nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node])
         reach_m = min(b_m - a_m, sigma_m)
@@ -242,7 +242,7 @@ def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8,
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)
         a_m, a = b_m, b
-        rises = a[0] > 0.0 or (a[0] == 0.0 and a[1] > sigma_m * sigma_m)  # or stands in a trough
+        rises = a[0] > 0.0 or (a[0] == 0.0 and a[1] > sigma_m * sigma_m)  # or the node is in a minimum
     return found
 
 
@@ -252,8 +252,8 @@ def _climb(
 ) -> tuple[float, float]:
     """Return range and height of the peak between x_m, where the waveform rises towards end_m, and end_m; height 0 for none.
 
-    Newton's rule on the mean, with halving as its net. `closed` says that the waveform is known to fall at end_m; if it
-    is not, that is looked up as soon as Newton's rule fails. `light` is the waveform at x_m.
+    It applies Newton's method to the mean, with bisection as fallback. `closed` is True if the waveform is known to fall
+    at end_m; else this is evaluated when Newton's method fails. `light` is the waveform at x_m.
     """
     (mean_m, var_m2, height), low_m, high_m = light, min(x_m, end_m), max(x_m, end_m)
     uphill = mean_m > 0.0
@@ -286,7 +286,7 @@ def find_source_surfaces(
 ) -> None:
     """Fill the surface (k, L, 3) of the sub-ray that gives most of the light at each distance, and the share of this surface.
 
-    The share (k, L, 3) is the part of the pulse's sub-rays that met it at any range. Clutter and distance 0 have no surface.
+    The share (k, L, 3) is the fraction of the pulse's sub-rays that hit it at any range. Clutter and distance 0 have no surface.
     """
     count, range_m, met, cos_incidence, reflectance = rays
     stop = 0

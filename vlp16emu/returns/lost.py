@@ -1,14 +1,14 @@
-"""Records that a real unit loses, and what it sends in place of a range.
+"""Records that a real unit loses, and what it sends instead of a range.
 
-The receiver sets its power by the pulses before: one of 8 levels on the HDL-64E S3, whose manual recommends the full one for last
-returns ("Laser Output Power Level Management"), of 11 on the HDL-32E (software version 2.0). So a record is lost where the light of a
-laser steps up, for it is then too strong, or down, beside what it was on average. A pulse that meets two surfaces gives the strongest or
-the last return as the manual says, and seldom nothing; and a dark record is lost now and then. The laws are those of mrpt, einride, nebula
-and the unit of 2014, whose records between returns are there or not; how units differ is the span of these four.
+The receiver sets the laser power from previous pulses: one of 8 levels on the HDL-64E S3, whose manual recommends full power for last
+returns ("Laser Output Power Level Management"), one of 11 on the HDL-32E (software version 2.0). Thus a record is lost if the light of a
+laser steps up from its average, because it is then too strong, or down. A pulse that hits two surfaces gives the strongest or
+the last return as the manual says, and rarely nothing; and a dark record is lost occasionally. The laws are fitted to mrpt, einride,
+nebula and the unit of 2014, by which records between returns are missing; the spread over units is the span of these four.
 
-Where the ranges of neighbours differ by more than 0.1 m on either side, as in trees at 35 to 48 m before the unit of 2014 and in the
-clutter of offices, these lose 0.02 to 0.08 of the records; a step between two smooth surfaces of like brightness costs 0.05 to 0.14,
-and one of brightness, by 8 or more, up to 0.95.
+Where the ranges of neighbours differ by more than 0.1 m on either side, as in trees at 35 to 48 m in front of the unit of 2014 and in the
+clutter of offices, these units lose 0.02 to 0.08 of the records; a step between two smooth surfaces of similar brightness loses 0.05 to
+0.14, and a step of brightness by a factor of 8 or more up to 0.95.
 """
 
 import numpy as np
@@ -23,52 +23,52 @@ from vlp16emu.types import F4, F8, U1, U4
 
 _EDGE = ZERO + Purpose.NO_RETURN
 _SPANS = (0.12, 0.5), (0.06, 1.0), (0.2, 1.0), (0.005, 0.025), (0.0004, 0.0025), (35.0, 120.0)
-"""Spans of the rates over units. Of pulses that meet two surfaces, half of the light each; up and down by far; of black pulses nearer than
-4 m: 1.1 % at codes 0 and 1, 0.2 to 1.1 % at 1 to 3, 0.4 to 2.9 % at 3 to 6, 0.1 to 0.4 % at 6 to 10; of all: 0.03 to 0.12 % at codes from
-50 on; and the code of a return beside which half of the no-returns are raised. On one surface, up by factors of 2 to 4, 4 to 8 and 8 to 16
-of code, are lost: einride 0.013, 0.22, 0.68; mrpt 0.022, 0.019, 0.036; nebula 0.005, 0.007, 0.028; down by 4 to 8, 8 to 16 and 16 to 32:
-einride 0.06, 0.15, 0.42; nebula 0.03, 0.06, 0.18; mrpt 0.05, 0.21 of the first two."""
+"""Spans of the rates over units, in this order: pulses that hit two surfaces with half of the light each; large steps up; large steps down;
+black pulses nearer than 4 m: 1.1 % at codes 0 and 1, 0.2 to 1.1 % at 1 to 3, 0.4 to 2.9 % at 3 to 6, 0.1 to 0.4 % at 6 to 10; all pulses:
+0.03 to 0.12 % at codes from 50; and the code of a return near which half of the no-returns are raised. Measured losses on one surface, up by
+factors of 2 to 4, 4 to 8 and 8 to 16 of code: einride 0.013, 0.22, 0.68; mrpt 0.022, 0.019, 0.036; nebula 0.005, 0.007, 0.028; down by 4 to
+8, 8 to 16 and 16 to 32: einride 0.06, 0.15, 0.42; nebula 0.03, 0.06, 0.18; mrpt 0.05, 0.21 for the first two."""
 _UP_AT, _DOWN_AT = 0.7, 30.0
-"""Fourth power and square of half the factor less one at which half of that is reached. At an edge the code climbs over two or three pulses
-(12.7 mm and 3 mrad of beam, 3.5 mrad from pulse to pulse), so that its factor from one to the next is less than across the edge: einride's
-0.04, 0.41 and 0.81 across are 0.09, 0.37 and 0.84 by this law."""
+"""With x = half the factor minus one: x**4 for steps up, x**2 for steps down, at which half of the rate is reached. At an edge the code
+changes over two or three pulses (beam of 12.7 mm and 3 mrad, 3.5 mrad from pulse to pulse), so its factor between two pulses is less than
+across the edge: einride's 0.04, 0.41 and 0.81 across the edge become 0.09, 0.37 and 0.84 by this law."""
 _BRIGHT = 0.045
-"""Of a step up by 100 codes, whatever the factor, on a unit that loses all that are up by far, and the more the fewer of these it loses: steps up
-by 20 codes and factors below 2 cost mrpt, nebula, einride and 2014 0.017, 0.008, 0 and 0 of their records."""
+"""Loss at a step up by 100 codes, for any factor, on a unit that loses all large steps up; it grows as the unit loses fewer of these: steps up
+by 20 codes and factors below 2 lose 0.017, 0.008, 0 and 0 of the records of mrpt, nebula, einride and 2014."""
 _FLOOR, _SETTLES = 1.0, 0.5
-"""Code that is added to both sides of a factor, as codes are whole numbers; and how much of a step the power follows in one pulse (assumption:
+"""Code that is added to both sides of a factor, as codes are integers; and the share of a step that the power follows in one pulse (assumption:
 two pulses in a row are lost a fifth as often as one, at steps on einride)."""
 _ROUGH_M, _MOST_ROUGH_M = 0.1, 1.0
-"""Mean change of range from pulse to pulse at which steps cost half as many records, and the greatest that counts."""
+"""Mean change of range from pulse to pulse at which steps lose half as many records, and the largest change that counts."""
 _STEP_M = 0.25
-"""Difference of ranges from which on two surfaces of one pulse are a step: 0.3 to 1.2 % of records are lost at 0.04 to 0.3 m and like codes."""
-_BLACK, _NEAR_M = 14.0, 4.0  # code at which the loss of dark records ends, and range beyond which it falls
+"""Least difference of ranges of two surfaces in one pulse that is a step: 0.3 to 1.2 % of records are lost at 0.04 to 0.3 m and similar codes."""
+_BLACK, _NEAR_M = 14.0, 4.0  # code at which the loss of dark records ends, and range beyond which it decreases
 _ODD_ALONE, _EVEN_ALONE = 0.33, 0.37
-"""Of dual return: lost in the odd block alone are 0.46 % of the records of nebula, in the even one 0.05 %, in both 0.9 %."""
+"""Dual return: nebula loses 0.46 % of the records in the odd block only, 0.05 % in the even block only, 0.9 % in both."""
 _REACH, _ON = 3, 0.4
-"""Most no-returns in a row that are raised beside a return, and the share of those that go on: 56 to 78 % are alone on real units."""
+"""Most consecutive no-returns that are raised next to a return, and the share that continue to the next: 56 to 78 % are single on real units."""
 _PLACE, _OF_ALL = 8, 1 << 12
-"""Firing sequences that are a place, and the lane of the chance that all lasers share there: of two lasers beside each other, both beside a
-return, raised ones correlate by 0.50, 0.72, 0.39 and 0.66 (mrpt, einride, nebula, 2014)."""
+"""Firing sequences of one place, and the lane of the random number that all lasers share there: for two neighbouring lasers, both next to a
+return, raised no-returns correlate by 0.50, 0.72, 0.39 and 0.66 (mrpt, einride, nebula, 2014)."""
 _TWICE = 12.0
-"""Code of a return beside which half of the raised no-returns are twice the code of their laser: 0.63, 0.14, 0.38 and 0.47 at codes 15 to 40,
+"""Code of a return next to which half of the raised no-returns are twice the code of their laser: 0.63, 0.14, 0.38 and 0.47 at codes 15 to 40,
 0.25, 0.06, 0.11 and 0.07 at 40 to 100 (the same units)."""
 _UNEQUAL = 0.03
 """Share of raised pairs of dual return in which only one block is raised: 0.065 % of all pairs without range."""
 _NEARLY_WHITE, _FULL = 88.0, 255.0
-"""Code from which on too much light shows as more than 100, and the greatest there is: beside returns of 60 to 90 codes over 100 are 0.39, 0.08, 0.04
-and 0 of the no-returns on mrpt, einride, nebula and 2014, beside such of 90 to 100 0.67, 0.43, 0.08 and 0.07."""
+"""Code from which too much light shows as more than 100, and the largest code: next to returns of 60 to 90, codes over 100 are 0.39, 0.08, 0.04
+and 0 of the no-returns on mrpt, einride, nebula and 2014; next to returns of 90 to 100, 0.67, 0.43, 0.08 and 0.07."""
 _DIGITS = 1048576.0
-"""Of a normal number, what is left behind its first 20 binary digits is even, and nobody sees it in what that number moves."""
+"""Scale of a normal number; the fraction behind its first 20 binary digits is uniform, and has no visible effect on the value."""
 
 
 def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
-    """Draw the rates of a unit, evenly in their logarithm.
+    """Draw the rates of a unit, uniform in their logarithm.
 
     Parameters
     ----------
-    share : of the records that real units lose
-    raised : whether no-returns beside returns are raised
+    share : factor on the rates of real units
+    raised : True if no-returns next to returns are raised
     """
     drawn = uniform(seed, Purpose.LOSS, 0, len(_SPANS), 1 << 16).tolist()
     *rates, code = (low * power(high / low, z) for (low, high), z in zip(_SPANS, drawn, strict=True))
@@ -78,9 +78,9 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
-    """Return the share of the light of sub-rays start .. stop - 1 from another surface than that of the brightest, a step away.
+    """Return the share of the light of sub-rays start .. stop - 1 that is a range step away from the brightest sub-ray.
 
-    A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step however slanted it is.
+    A sheet without gaps, such as the ground (`sheet`, by surface; 0 for none), has no step at any slope.
     """
     _, range_m, met, cosine, reflectance = rays
     most = at_m = total = other = 0.0
@@ -90,7 +90,7 @@ def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
             light = np.float64(reflectance[met[ray]]) * cosine[ray] / (np.float64(range_m[ray]) * range_m[ray])
             if light > most:
                 most, at_m, surface = light, np.float64(range_m[ray]), met[ray]
-    if most == 0.0:  # an echo of the air alone: what no sub-ray has met has no number
+    if most == 0.0:  # an echo of the air alone has no surface
         return 0.0
     own = sheet[surface]
     for ray in range(np.uint64(start), np.uint64(stop)):
@@ -114,20 +114,20 @@ def lose(
     distance_m: F4,
     reflectivity: U1,
 ) -> None:
-    """Take away the returns (3,) of a pulse that is lost, and note what its laser sees on average.
+    """Remove the returns (3,) of a pulse if it is lost, and update the averages of its laser.
 
     Parameters
     ----------
     noise : normal numbers of the pulse, whose last digits decide
     pulse : its sub-rays, as in `two_surfaces`
-    before : (3, L) of the pulses before: mean code, -1 for none, range, and mean change of range
+    before : (3, L) state of each laser: mean code, -1 for none, last range, and mean change of range
     no_return : code of a record without range
     """
     if distance_m[0] <= 0.0:
         before[0, laser] = -1.0
         return
     code, level, range_m = min(np.float64(reflectivity[0]), 100.0), before[0, laser], np.float64(distance_m[0])
-    calm = _ROUGH_M / (_ROUGH_M + before[2, laser])  # where ranges jump, as in trees, steps cost fewer records
+    calm = _ROUGH_M / (_ROUGH_M + before[2, laser])  # where ranges jump, as in trees, steps lose fewer records
     change_m = min(abs(range_m - before[1, laser]), _MOST_ROUGH_M)
     before[2, laser] += _SETTLES * (change_m - before[2, laser])
     before[1, laser] = range_m
@@ -156,7 +156,7 @@ def lose(
         distance_m[column], reflectivity[column] = 0.0, np.uint8(no_return)
         return
     shown = 0.0
-    if lost < jump and is_up:  # too bright: the height of the peak is seen, its place is not
+    if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
         shown = np.float64(reflectivity[0]) * (0.7 + 1.6 * how)
         shown = _multiple(min(shown, 100.0 if code < _NEARLY_WHITE else _FULL), no_return)
     for column in range(3):
@@ -165,7 +165,7 @@ def lose(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _multiple(code: float, no_return: float) -> float:
-    """Return the code of a no-return nearest to one: a whole multiple of that of its laser."""
+    """Return the integer multiple of the laser's no-return code that is nearest to `code`."""
     return min(np.floor(np.rint(code / no_return) * no_return), _FULL) if no_return > 0.0 else code
 
 
@@ -178,14 +178,14 @@ def raised(
     distance_m: F4,
     reflectivity: U1,
 ) -> tuple[float, bool]:
-    """Return the code of a no-return that a return beside it raises, 0 for none and -1 where no return is near.
+    """Return the raised code of a no-return next to a return, 0 if not raised, -1 if no return is near.
 
-    And whether in dual return one block has it alone.
+    Also return True if in dual return only one block has it.
 
     Parameters
     ----------
     key : seed of the unit, firing sequence of row 0, and laser
-    rows : the record, and the first and the one past the last row that may be looked at
+    rows : row of the record, first row that may be read, and one past the last
     distance_m, reflectivity : (k, L, 3)
     """
     (seed, first, laser), (row, begin, stop) = key, rows
@@ -211,5 +211,5 @@ def raised(
                     most = max(most, code * ratio, 2.0 * no_return)
                     alone = (64.0 * how) % 1.0 < _UNEQUAL
                 break
-            share *= _ON  # what is farther off is raised only behind one that is
+            share *= _ON  # a farther record is raised only if the nearer one is
     return _multiple(most, no_return) if most > 0.0 else most, alone

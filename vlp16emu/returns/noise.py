@@ -1,4 +1,4 @@
-"""Errors of range and reflectivity, white ones of each echo and constant ones of a unit; the reflectivity byte."""
+"""Errors of range and reflectivity, white for each echo and constant for a unit; the reflectivity byte."""
 
 import math
 
@@ -11,25 +11,25 @@ from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.types import F8, U1
 
 BIAS_LIMIT_M = 0.03  # accuracy of the data sheet, which no laser exceeds
-_AT = 0.2  # reflectance at which the noise is that of the settings
+_AT = 0.2  # reflectance at which the noise has the value of the settings
 _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
-_COARSE, _TOP = 30.0, 90.0  # codes from which on some are never sent, and at which the spacing is that of the settings
-_SEGMENT, _SLOPES = (7.0, 18.0), (0.75, 1.3)  # codes of a laser at one spacing, and spacings over that of the settings
-CODE_PARTS = 24  # of one code, in the table of what is sent
+_COARSE, _TOP = 30.0, 90.0  # first code from which some are never sent, and code of spacing `reflectivity_step`
+_SEGMENT, _SLOPES = (7.0, 18.0), (0.75, 1.3)  # codes of a laser at one spacing, and its factor on `reflectivity_step`
+CODE_PARTS = 24  # parts of one code in the table of sent codes
 _NARROW, _MISSED = (0.05, 0.16), 1.0
 """How much narrower codes are that are 2 modulo 3, and how much more often bright ones are left out: 0.11, 0.06, 0.22 and 0.05 at codes 4 to 45
 of mrpt, einride, nebula and 2014; 0.25, 0.14 and 0.26 at 45 to 98 of the first three."""
 NO_RETURN_KNOTS = 56
-"""Places around a unit between which what no-returns carry changes; assumption, after einride: 78 % of neighbours are equal."""
+"""Azimuth intervals around a unit over which no-return codes change; assumption, after einride: 78 % of neighbours are equal."""
 _ALIKE = 0.8, 0.98
-"""Correlation of what the no-returns of a place carry with a part that all lasers share: lasers beside each other are raised together on real
+"""Correlation of the no-return codes of a place with a part that all lasers share: neighbouring lasers are raised together on real
 units, with a correlation of 0.12 to 0.54."""
 _NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (1.5, 20.0), 0.5
-"""Middle over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7 on einride,
-1.3 and 1 on the unit of 2014. That middles are even in their logarithm is an assumption."""
+"""Median over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7 on einride,
+1.3 and 1 on the unit of 2014. Assumption: medians are uniform in their logarithm."""
 _WANDER_OF_UNITS, _WANDER_OF_LASERS, _WANDER_CODES = 0.7, 0.6, 25.0
-"""Spreads of the logarithm; on nebula a laser is at 1 in 39 to 98 % of its records."""
+"""Spreads of the logarithm; on nebula the multiple of a laser is 1 in 39 to 98 % of its records."""
 
 
 def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
@@ -40,21 +40,20 @@ def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
 def gain(seed: int, lasers: int, spread: float, sector_spread: float) -> F8:
     """Return the factor on the reflectivity of each laser, (2, lasers), above 0: in even and in odd sectors of 45 deg.
 
-    The same lasers are brighter in alternate sectors: gains of one correlate with those of the next but one by 0.94 on mrpt and 0.82 on
-    einride.
+    The same lasers are brighter in every second sector: gains two sectors apart correlate by 0.94 on mrpt and 0.82 on einride.
     """
     mean, half = (normal(seed, Purpose.REFLECTIVITY, 0, lasers, lane) for lane in (0, 1))
     return exp(spread * mean + sector_spread * np.array([[-1.0], [1.0]]) * half)
 
 
 def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
-    """Return the reflectivity of each laser's records without a return, (lasers,), before it is cut to whole numbers.
+    """Return the reflectivity of each laser's records without a return, (lasers,), before it is truncated to integers.
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
 
     Parameters
     ----------
-    middle : over the lasers; None to draw it
+    middle : median over the lasers; None to draw it
     """
     if middle is None:
         low, high = _NO_RETURN_MIDDLE
@@ -63,20 +62,20 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
 
 
 def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
-    """Return multiples of `no_return_reflectivity` that no-returns carry at each place around a unit.
+    """Return the multiples of `no_return_reflectivity` that no-returns carry at each azimuth.
 
-    They stay at 1 where they would be less: a steady unit is at 1 in 98 % of its records (mrpt), a restless one (einride) in 14 to
-    73 %, and goes through ten multiples. A picture of a sweep shows patches that all lasers share, in each revolution at the same place;
-    which places they are depends on what stands there, faint light below the threshold probably, and is drawn here.
+    Values below 1 are sent as 1: a steady unit (mrpt) sends 1 in 98 % of its records, an unsteady one (einride) in 14 to
+    73 %, and goes through ten multiples. An image of a sweep shows patches that all lasers share, at the same azimuths in each revolution;
+    on real units they depend on the scene, probably on faint light below the threshold; here they are random.
 
     Parameters
     ----------
-    no_return : (lasers,) codes for a multiple of one; the greater, the less they wander, as on mrpt
-    wander : of a unit in the middle; units differ by a factor of two, one sigma, and their lasers nearly as much
+    no_return : (lasers,) codes of a multiple of one; larger codes wander less, as on mrpt
+    wander : value of a median unit; units differ by a factor of two, one sigma, and their lasers nearly as much
 
     Returns
     -------
-    (NO_RETURN_KNOTS + 1, lasers), evenly spaced in azimuth; the last row is the first
+    (NO_RETURN_KNOTS + 1, lasers), evenly spaced in azimuth; the last row equals the first
     """
     lasers = len(no_return)
     *own, shared = (normal(seed, Purpose.NO_RETURN, 0, NO_RETURN_KNOTS, 1 + lane) for lane in range(lasers + 1))
@@ -91,17 +90,17 @@ def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:
 def sent_codes(seed: int, lasers: int, step: float) -> U1:
     """Return the code that a laser sends for each reflectivity of a diffuse target, (lasers, 100 * CODE_PARTS + 1), in steps of 1 / CODE_PARTS.
 
-    Bright codes of a real laser are 1.2 to 2.2 apart, the farther the brighter: at 45 to 95 of each ten in a row 8.5, 7, 8, 7, 6.5 and 5 are
-    sent by mrpt, einride and nebula. Those of einride are the same at all ranges and in both kinds of sectors, at one spacing for a dozen
-    codes (laser 7: two of three from 47 to 65, then every second), and have nothing to do with those of another laser: a table of
-    calibration between whole numbers of the receiver and codes.
+    Bright codes of a real laser are 1.2 to 2.2 apart, with more spacing at brighter codes: at 45 to 95, mrpt, einride and nebula send 8.5, 7,
+    8, 7, 6.5 and 5 of each ten consecutive codes. The codes of einride are the same at all ranges and in both kinds of sectors, at one spacing
+    for a dozen codes (laser 7: two of three from 47 to 65, then every second), and independent of other lasers: a calibration table from
+    integers of the receiver to codes.
 
-    Behind it all lasers of all units have one more step in common, whose whole numbers do not meet those of the codes: what is 2 modulo 3 is
-    rarer than its neighbours, at all levels and on each of four units (`_NARROW`), most of all 44, 53, 62 and 71.
+    All lasers of all units have one more quantization after it, whose integers do not coincide with codes: codes that are 2 modulo 3 are
+    rarer than their neighbours, at all levels and on each of four units (`_NARROW`), most of all 44, 53, 62 and 71.
 
     Parameters
     ----------
-    step : spacing at code 90, on average; below 2 at most, and 1 for all codes
+    step : mean spacing at code 90; 1 or less sends all codes
     """
     fine = (np.arange(100 * CODE_PARTS + 1) + 0.5) / CODE_PARTS
     whole = np.floor(fine + 0.5).astype(np.int64)
@@ -111,7 +110,7 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
     for laser in range(lasers if step > 1.0 else 0):
         drawn = iter(uniform(seed, Purpose.REFLECTIVITY, 0, 64, 2 + laser).tolist())
         of_code = uniform(seed, Purpose.REFLECTIVITY, 0, 101, 2 + lasers + laser)
-        at = _COARSE + next(drawn)  # each laser leaves out codes of its own from about there on
+        at = _COARSE + next(drawn)  # from about this code, each laser leaves out different codes
         sent = [*range(int(_COARSE))]
         stop = slope = 0.0
         while at < 100.0:
@@ -127,7 +126,7 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
         away = fine - whole
         edge = 0.5 - np.floor(0.5 * narrow * CODE_PARTS + of_code[whole]) / CODE_PARTS
         moved = whole + np.sign(away).astype(np.int64) * ((whole % 3 == 2) & (np.abs(away) > edge))
-        # What is a whole number passes by the table of its laser: some of those between are seen on real units.
+        # Exact integers bypass the table of the laser: real units send a few of the left-out codes.
         out[laser] = np.where(np.arange(len(fine)) % CODE_PARTS == 0, whole, nearest[moved])
     return out
 
@@ -135,12 +134,12 @@ def sent_codes(seed: int, lasers: int, step: float) -> U1:
 def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     """Return the range error by (24 sequence + laser) mod 5, (5,) m.
 
-    A sine and its first overtone, whose phase follows: 78 to 98 deg more than twice that of the sine on four units,
-    with 0.17 to 0.36 of its amplitude. As if a clock of the receiver beat with the pulses.
+    It is a sine and its first overtone: the overtone's phase is 78 to 98 deg more than twice the phase of the sine on four units,
+    with 0.17 to 0.36 of its amplitude. A clock of the receiver that beats with the pulses would explain it.
 
     Parameters
     ----------
-    phase_deg : of a unit of exactly this amplitude; None to draw both
+    phase_deg : phase of a unit with exactly this amplitude; None to draw both
     """
     one, two, three = uniform(seed, Purpose.RANGE_BEAT, 0, 3)
     own_m = amplitude_m * (0.62 + 0.62 * one) if phase_deg is None else amplitude_m
@@ -153,16 +152,16 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
     """Return the white range noise of an echo, one sigma.
 
-    sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first part is that of four real
+    sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first term is measured on four real
     units on smooth surfaces without the beat (`protocol/README.md`, "The character of a unit"); it does not grow with
-    range, for the sensor fires stronger at what is far or dark: on the HDL-32E one of 11 powers, chosen by the shot before
-    (its software version 2.0). The second part is the least error of the place of a Gaussian pulse in white noise, and
-    counts where power is at its end.
+    range, because the sensor fires with more power at far or dark targets: on the HDL-32E one of 11 powers, chosen by the
+    previous shot (its software version 2.0). The second term is the least error of the position of a Gaussian pulse in white
+    noise, and counts at maximum power.
 
     Parameters
     ----------
-    reflectance : as it is reported; 0.01 and 1 stand for what is darker or brighter
-    amplitude : of the peak
+    reflectance : reported reflectance, clipped to 0.01 .. 1
+    amplitude : amplitude of the peak
     """
     shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
@@ -170,39 +169,39 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
 
 
 RANGE_TAIL, REFLECTIVITY_TAIL = 0.007, 0.1
-"""Parts of the cube. Residuals of range in stretches of 15 pulses have a kurtosis of 2.62 to 2.68 on four real units, Gaussian ones beside our
-beat 2.58; those of reflectivity change between revolutions as with a kurtosis of 6.6."""
+"""Shares of the cube. Range residuals over 15 pulses have a kurtosis of 2.62 to 2.68 on four real units, and 2.58 if they are Gaussian with our
+beat; changes of reflectivity between revolutions match a kurtosis of 6.6."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def heavier(z: float, tail: float) -> float:
-    """Turn a normal number into one of the same variance, often small and now and then great: with a part of its cube.
+    """Return a number of the same variance with heavy tails, from a normal number: the share `tail` of its cube is added.
 
-    The fourth moment of a normal number is 3, and the sixth 15.
+    The fourth moment of a normal number is 3, and the sixth is 15.
     """
     return z * (1.0 + tail * z * z) / math.sqrt(1.0 + 6.0 * tail + 15.0 * tail * tail)
 
 
-RETROREFLECTIVE = 100.5  # percent from which a target is no white wall any more; what rounds to 100 still is
+RETROREFLECTIVE = 100.5  # percent above which a target is retroreflective; values that round to 100 are diffuse
 _COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
-"""Counts per factor e of reflectance. 255 stands for 1000 times that of a white Lambertian surface. A coefficient of retroreflection
-R (cd/lx/m2) equals a reflectance of pi R: 255 stands for 318 cd/lx/m2, between high-intensity (about 250) and prismatic
-sheeting (about 700). The manual gives the ends of the scale only; that it is logarithmic between them is an assumption."""
+"""Counts per factor e of reflectance. 255 means 1000 times the reflectance of a white Lambertian surface. A coefficient of retroreflection
+R (cd/lx/m2) equals a reflectance of pi R: 255 means 318 cd/lx/m2, between high-intensity (about 250) and prismatic
+sheeting (about 700). The manual gives the ends of the scale only; assumption: it is logarithmic between them."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def reflectivity_byte(percent: float, gain: float, noise: float, codes: U1) -> np.uint8:
-    """Code a reflectivity: 0..100 percent of a diffuse target, 101..255 of a retroreflector.
+    """Return the byte of a reflectivity: 0..100 percent for a diffuse target, 101..255 for a retroreflector.
 
     Source: 63-9243 Rev D, section 6.1. Neither gain nor noise moves a target from one class to the other,
-    since they stand for small errors of calibration.
+    since they are small calibration errors.
 
     Parameters
     ----------
-    percent : brightness, corrected for range, of a white Lambertian surface at right angles
-    gain : of the laser
-    noise : in counts
-    codes : (100 * CODE_PARTS + 1,) what the laser sends, as `sent_codes` has it
+    percent : range-corrected brightness in percent of a perpendicular white Lambertian surface
+    gain : gain of the laser
+    noise : noise in counts
+    codes : (100 * CODE_PARTS + 1,) codes that the laser sends, from `sent_codes`
     """
     if percent <= RETROREFLECTIVE:
         return codes[np.int64(CODE_PARTS * min(max(gain * percent + noise, 0.0), 100.0))]

@@ -1,6 +1,6 @@
-"""The `[detector]`, `[noise]` and `[weather]` tables: how the receiver detects echoes, its errors, and what is in the air.
+"""The `[detector]`, `[noise]` and `[weather]` tables: detection of echoes, errors, and fog and rain.
 
-Also the constants that the kernels of this room take, which follow from them.
+Also the constants for the kernels of this package, which are computed from them.
 """
 
 from typing import Annotated, Literal, NamedTuple
@@ -42,15 +42,15 @@ _PRESETS: dict[str, dict[str, object]] = {
 
 
 class Detector(Section):
-    """Properties of the receiver that all units have in common."""
+    """Properties of the receiver, the same for all units."""
 
     pulse_ns: Annotated[float, Field(ge=1, le=20)] = 6.0
     """Full width of a pulse at half maximum; not in the data sheet (assumption, 5 ns in other simulators)."""
     resolution_m: Annotated[float, Field(ge=0, le=10)] = 1.4
-    """Echoes nearer to each other are one; gaps of a VLP-16 begin here: protocol/README.md, "The character of a unit"."""
+    """Echoes closer to each other are merged; gaps of a VLP-16 begin here: protocol/README.md, "The character of a unit"."""
     range_at_10_percent_m: Annotated[float, Field(ge=1, le=500)] = 40.0
     """Range at which a perpendicular target of 10 % that fills the beam is detected every second time. Assumption: a
-    white wall is then detected from 126 m, a leaf of 50 % from 89 m; the data sheet's 100 m come without a
+    white wall is then detected up to 126 m, a leaf of 50 % up to 89 m; the data sheet gives 100 m without a
     reflectivity."""
     threshold_snr: Annotated[float, Field(ge=3, le=20)] = 6.0
     """Signal over noise at the detection threshold. Assumption: noise alone passes it once in some 1e9 samples."""
@@ -62,51 +62,51 @@ class Noise(Preset):
     presets = _PRESETS
 
     preset: Literal["ideal", "typical", "datasheet", "unit"] = "unit"
-    """Values of the keys that are not given beside it: `typical` has white errors and constant ones per laser only. `unit` draws one like
-    those that were measured, and has three more of their properties: heavy tails of white errors, ranges that depend a little on
+    """Values of all keys that are not set: `typical` has only white errors and constant errors per laser. `unit` draws a unit like the
+    measured ones, and has three more of their properties: heavy tails of white errors, ranges that depend slightly on
     reflectivity, and gains that differ between sectors."""
     range_noise_m: _Metres = 0.0065
-    """White, one sigma, at a reflectivity of 20; it falls with the fourth root of the reflectivity, as on four real units."""
+    """White range noise, one sigma, at a reflectivity of 20; it falls with the fourth root of the reflectivity, as on four real units."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
     """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges; 4 to 7 mm on
     real units. Units differ by a third, and in phase. 0 switches it off."""
     range_beat_phase_deg: Annotated[float, Field(ge=0, lt=360)] | None = None
-    """Phase of that error at the first pulse, of a unit whose amplitude is exactly `range_beat_m`; drawn unless given."""
+    """Phase of that error at the first pulse, for a unit whose amplitude is exactly `range_beat_m`; random if not set."""
     range_bias_m: _Metres = 0.010
-    """Constant error per laser, one sigma; assumption within the 3 cm of the data sheet, at which it is cut."""
+    """Constant range error per laser, one sigma; assumption within the 3 cm of the data sheet, to which it is clipped."""
     elevation_error_deg: _Degrees = 0.02
     """Elevation error of each laser of a unit, one sigma; assumption."""
     azimuth_error_deg: _Degrees = 0.02
     """Azimuth error of each laser of a unit, one sigma; assumption."""
     warm_up_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
-    """How much too long ranges are at power-up; 37 % of it is left after 900 s. No measurement is known."""
+    """Range error at power-up; 37 % of it remains after 900 s. No measurement is known."""
     reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
-    """White, one sigma, in counts; real units show 1 to 2."""
+    """White reflectivity noise, one sigma, in counts; real units show 1 to 2."""
     reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """The same as a share of the reflectivity, added to it; 0.03 to 0.04 on real units."""
+    """White noise as a share of the reflectivity, added to `reflectivity_noise`; 0.03 to 0.04 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Spacing of codes at 90, less for darker ones; 2 to 2.5 on real units. Up to 1 sends every code."""
+    """Spacing of reflectivity codes at 90, less for darker ones; 2 to 2.5 on real units. Up to 1 sends every code."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly these."""
+    """Unit-to-unit spread of the white errors, one sigma of the logarithm. 0 for exactly the set values."""
     odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
     """Spread of the share of odd distance codes over the lasers, one sigma; 0.08 to 0.17 on real units."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
     """Relative error of reflectivity per laser, one sigma; 0.07 to 0.10 on real units."""
     records_lost: Annotated[float, Field(ge=0, le=2)] = 0.0
-    """Records that are lost at steps of brightness or range, and where it is dark, as a multiple of those of real units, whose rates are
-    drawn. 0 for none."""
+    """Factor on the loss of records at steps of brightness or range, and on dark surfaces; 1 for the random rates of real units, 0 for
+    none."""
     weak_echoes_lost: bool = True
-    """Whether there is a detection threshold, as `[detector]` has it."""
+    """True to apply the detection threshold of `[detector]`."""
     no_return_reflectivity: bool = False
-    """Whether records without a return carry a constant of their laser, as on real units; the manual has 0 there."""
+    """True if records without a return carry a constant of their laser, as on real units; the manual gives 0."""
     no_return_level: Annotated[float, Field(gt=0, le=100)] | None = None
-    """Middle of that constant over the lasers; null draws one of the unit's own, from 1.5 to 20."""
+    """Median of that constant over the lasers; random from 1.5 to 20 if not set."""
     no_return_wander: Annotated[float, Field(ge=0, le=20)] = 0.0
-    """How many multiples of that constant they wander through, for a unit in the middle of the real ones; 0 for none."""
+    """Number of multiples of that constant that records take, for a median real unit; 0 for none."""
 
     @property
     def is_real(self) -> bool:
-        """True if the unit has the errors of real ones for which there is no key."""
+        """True if the unit has those errors of real units that have no key."""
         return self.preset == "unit"
 
     @property
@@ -117,7 +117,7 @@ class Noise(Preset):
 
     @property
     def summary(self) -> str:
-        """The active model in one line."""
+        """Active model in one line."""
         parts = [
             f"{1e3 * self.range_noise_m:g} mm white",
             f"{1e3 * self.range_bias_m:g} mm bias per laser",
@@ -153,7 +153,7 @@ class Weather(Section):
 
 
 class LossRates(NamedTuple):
-    """Rates at which a unit loses records, as `vlp16emu.returns.lost` has them; 0 for none."""
+    """Rates at which a unit loses records, see `vlp16emu.returns.lost`; 0 for none."""
 
     step: float
     bright: float
@@ -161,13 +161,13 @@ class LossRates(NamedTuple):
     down: float
     dark: float
     any: float
-    raise_code: float  # code of a return beside which half of the no-returns are raised; 0 where none is
+    raise_code: float  # code of a return next to which half of the no-returns are raised; 0 for none
 
 
 class DetectorConstants(NamedTuple):
     """Constants of a unit's receiver in the weather of a run, in the form that compiled code takes.
 
-    Amplitudes are those of a waveform: reflectance times cosine of incidence over the square of the range, in m-2.
+    Amplitudes of a waveform are reflectance times cosine of incidence over the square of the range, in m-2.
     """
 
     seed: int
@@ -176,11 +176,11 @@ class DetectorConstants(NamedTuple):
     max_range_m: float
     sigma_m: float  # standard deviation of a pulse, in range
     resolution_m: float
-    threshold: float  # amplitude that is seen with probability one half; 0 where every echo is seen
-    amplitude_noise: float  # one sigma; 0 where every echo is seen
+    threshold: float  # amplitude that is detected with probability one half; 0 if every echo is detected
+    amplitude_noise: float  # one sigma; 0 if every echo is detected
     extinction_per_m: float  # 0 in clear air
     clutter: float  # reflectance of the air that a pulse fills
-    least_clutter: float  # amplitude below which the air is not worth a look
+    least_clutter: float  # amplitude below which the echo of the air is ignored
     range_noise_m: float
     reflectivity_noise: float
     reflectivity_noise_share: float

@@ -12,16 +12,16 @@ _LN10 = 2.302585092994046
 _WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
 _LIDAR_RATIO_SR = 18.2
 """Extinction over backscatter of water droplets, near infrared (1.06 um): Pinnick et al., J. Geophys. Res. 88, 1983.
-For rain drops, too, an assumption."""
-_NEAREST_M = 0.05  # least range of clutter: there the light leaves the housing, to a centimetre
+Assumption: the same for rain drops."""
+_NEAREST_M = 0.05  # least range of clutter: the light leaves the housing there, to a centimetre
 _WEATHER = int(Purpose.WEATHER)
 
 
 def fog_extinction_per_m(visibility_m: float) -> float:
     """Return the extinction of fog and haze at 903 nm.
 
-    Koschmieder's law at 2 % contrast with the wavelength law of Kruse, McGlauchlin and McQuistan (1962) in the form of
-    Kim, McArthur and Korevaar, Proc. SPIE 4214 (2001), under which thick fog is grey.
+    Source: Koschmieder's law at 2 % contrast with the wavelength law of Kruse, McGlauchlin and McQuistan (1962) in the
+    form by Kim, McArthur and Korevaar, Proc. SPIE 4214 (2001), in which thick fog does not depend on wavelength.
     """
     km = visibility_m / 1000.0
     if km > 50.0:
@@ -36,7 +36,7 @@ def fog_extinction_per_m(visibility_m: float) -> float:
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:
-    """Return the extinction of rain: 1.076 R**0.67 dB/km, for all light (Carbonneau and Wisely, Proc. SPIE 3491, 1998)."""
+    """Return the extinction of rain: 1.076 R**0.67 dB/km, for all wavelengths (Carbonneau and Wisely, Proc. SPIE 3491, 1998)."""
     return 1.076 * power(rain_mm_h, 0.67) * _LN10 / 10.0 / 1000.0
 
 
@@ -47,9 +47,9 @@ def extinction_per_m(visibility_m: float | None, rain_mm_h: float) -> float:
 
 
 def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
-    """Return the reflectance of a wall that throws back as much as the air within a pulse of `sigma_m` in range.
+    """Return the reflectance of a wall that reflects as much as the air within a pulse of `sigma_m` in range.
 
-    By the lidar equation: pi times backscatter times the pulse's equivalent length.
+    The lidar equation gives pi times backscatter times the pulse's equivalent length.
     """
     return math.pi * extinction_per_m / _LIDAR_RATIO_SR * math.sqrt(2.0 * math.pi) * sigma_m
 
@@ -60,9 +60,9 @@ def clutter_echo(
 ) -> tuple[float, float]:
     """Return range and amplitude of the clutter echo of pulse (n, laser); the air must not be clear.
 
-    One per pulse: the air scatters somewhere on the way, at a range of exponential distribution, and as brightly as
-    the lidar equation has it times a fluctuation, also exponential, for drops come in numbers (an assumption). The
-    amplitude is 0 below the threshold of the detector, and behind all that the sub-rays start .. stop - 1 have hit.
+    One echo per pulse: the air scatters at a range of exponential distribution, with the brightness of the lidar
+    equation times an exponential fluctuation for the random number of drops (assumption). The amplitude is 0 below
+    the threshold of the detector, and behind all hits of the sub-rays start .. stop - 1.
     """
     where, how_bright = uniform_pair(constants.seed, _WEATHER, n, laser)
     air_m = max(-log1p(-where) / constants.extinction_per_m, _NEAREST_M)

@@ -1,1 +1,1 @@
-"""Beams, firing times, rotor and clock of a VLP-16 and of others like it."""
+"""Beams, firing times, rotor and clock of a VLP-16 and of similar sensors."""

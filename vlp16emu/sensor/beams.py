@@ -1,8 +1,8 @@
 """Beam tables: elevations, offsets and firing times of lasers in wire order.
 
 Source: VLP-16 User Manual 63-9243 Rev D, table 9-1 (elevation and vertical correction). Each beam
-crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 to the rounding of the
-table, on the Puck Hi-Res, whose corrections the manual gives in equal steps, to 0.4 mm.
+crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 within the rounding of the
+table, on the Puck Hi-Res, whose corrections the manual gives in equal steps, within 0.4 mm.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ LENS_RADIUS_M = 0.0419
 class BeamTable:
     """Directions and firing times of L lasers in wire order."""
 
-    elevation_deg: F8  # (L,) elevation over the horizon by the data sheet
-    vertical_offset_m: F8  # (L,) height at which the beam's line meets the spin axis; ranges are measured from there
+    elevation_deg: F8  # (L,) elevation above the horizon, from the data sheet
+    vertical_offset_m: F8  # (L,) height at which the beam's line meets the spin axis, the zero of ranges
     lens_radius_m: float  # distance from the spin axis at which the light leaves
     sequence_ns: int  # period of firing sequences
     laser_ns: int  # time between the pulses of consecutive lasers
@@ -61,7 +61,7 @@ _VLP_16 = table_of(
     (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15),
     np.array((11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2)) * 1e-3,
 )
-# Offsets of ids 0..6 follow from those of 15..9 by antisymmetry.
+# Offsets of ids 0..6 follow from ids 15..9 by antisymmetry.
 _PUCK_HI_RES = table_of(
     (-10.0, 0.667, -8.667, 2.0, -7.333, 3.333, -6.0, 4.667, -4.667, 6.0, -3.333, 7.333, -2.0, 8.667, -0.667, 10.0),
     np.array((7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4)) * 1e-3,
@@ -73,7 +73,7 @@ BEAM_TABLES = {SensorModel.VLP_16: _VLP_16, SensorModel.PUCK_LITE: _VLP_16, Sens
 def with_angle_errors(
     table: BeamTable, *, elevation_error_deg: float, azimuth_error_deg: float, seed: int
 ) -> BeamTable:
-    """Return the table of one unit, whose lasers have constant angle errors that no packet reports.
+    """Return the table of one unit with constant angle errors of its lasers, which no packet reports.
 
     Parameters
     ----------

@@ -13,12 +13,12 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import F8, I8, Firings, Poses
 
 _TOGETHER = 480
-"""Firing sequences that are aimed before the poses of others are asked for, so that these are still in the cache."""
+"""Firing sequences that are aimed at a time, so that their poses are still in the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """A head with L lasers that fires without pause from `start_ns` on."""
+    """A head with L lasers that fires continuously from `start_ns`."""
 
     beams: BeamTable
     rotor: Rotor
@@ -26,25 +26,25 @@ class Head:
     start_ns: int
 
     def times_ns(self, first: int, count: int) -> I8:
-        """Return UTC of every pulse of `count` sequences, (count, L)."""
+        """Return the UTC time of each pulse of `count` sequences, (count, L)."""
         beams = self.beams
         sequence = self.start_ns + np.arange(first, first + count, dtype=np.int64) * beams.sequence_ns
         laser = np.arange(len(beams.elevation_deg), dtype=np.int64) * beams.laser_ns
         return np.asarray(sequence[:, None] + laser)
 
     def read(self, first: int, count: int) -> F8:
-        """Return what the encoder reads at `count` firing sequences from number `first` on, (count,) deg."""
+        """Return the encoder readings at `count` firing sequences from number `first`, (count,) deg."""
         elapsed_ns = np.arange(first, first + count, dtype=np.int64) * self.beams.sequence_ns
         clock_ns = self.clock.reading_ns(self.start_ns + elapsed_ns)
         return self.rotor.read(self.rotor.angle_deg(elapsed_ns), elapsed_ns, first, clock_ns)
 
     def aim(self, first: int, count: int, poses_at: Callable[[I8], Poses], *, beam_axis: bool = False) -> Firings:
-        """Return the pulses of `count` firing sequences from number `first` on.
+        """Return the pulses of `count` firing sequences from number `first`.
 
         Parameters
         ----------
-        poses_at : the body's poses at n instants, or one pose that holds for all
-        beam_axis : whether pulses have a width, and so need `Firings.beam_axis`
+        poses_at : function that returns the body's poses at n instants, or one pose for all
+        beam_axis : True if pulses have a width, which needs `Firings.beam_axis`
         """
         beams = self.beams
         t_ns = self.times_ns(first, count)
@@ -72,7 +72,7 @@ class Head:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def turn(R: F8, vector: F8, out: F8) -> None:
-    """Fill out = R vector, each (3,) and R (3, 3); for use in kernels."""
+    """Compute out = R vector, each (3,) and R (3, 3); for use in kernels."""
     for a in range(3):
         out[a] = R[a, 0] * vector[0] + R[a, 1] * vector[1] + R[a, 2] * vector[2]
 
@@ -89,9 +89,9 @@ def _aim(
     direction: F8,
     beam_axis: F8,
 ) -> None:
-    """Fill origins and directions: x = cos w cos a, y = -cos w sin a, z = sin w, as azimuth 0 looks forward.
+    """Fill origins and directions: x = cos w cos a, y = -cos w sin a, z = sin w; azimuth 0 is forward.
 
-    The level axis is the derivative of that by the azimuth, over cos w; left out where `beam_axis` is empty.
+    The level axis is the derivative of the direction by azimuth, over cos w; not computed if `beam_axis` is empty.
     """
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
@@ -112,13 +112,13 @@ def _aim(
                 body[0], body[1], body[2] = -s, -c, 0.0
                 turn(R, body, beam_axis[i, j])
             for a in range(3):
-                # The spin axis is the body's z axis, also when the head is mounted turned about it.
+                # The spin axis is the body's z axis, also if the mount turns the head about it.
                 origin_m[i, j, a] = p[a] + R[a, 2] * offset_m[j]
 
 
 @numba.njit(cache=True, nogil=True)
 def in_sensor(azimuth_deg: F8, elevation_deg: F8, offset_m: F8, distance_m: F8) -> F8:
-    """Return the points (n, 3) of ranges in the sensor's frame, by the manual's formulas; all arguments (n,)."""
+    """Return points (n, 3) in the sensor's frame by the manual's formulas; all arguments (n,)."""
     out = np.empty((len(distance_m), 3))
     for i in range(len(distance_m)):
         cosine, sine = cos_sin(math.radians(azimuth_deg[i]))

@@ -1,4 +1,4 @@
-"""State of a unit when a run begins: how long it has been on, where its rotor stands, and how fast its clock is."""
+"""State of a unit when a run begins: time since power-up, rotor angle, and clock rate."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -8,21 +8,21 @@ from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.sensor.settings import Lidar
 
 _POWERED_S = 60.0, 6 * 3600.0
-"""Shortest and longest time that a unit has been on (assumption: captures of real units do not begin with power-up)."""
+"""Shortest and longest time since power-up (assumption: captures of real units do not begin with power-up)."""
 _ROUND = {"powered_for_s": 0.0, "start_azimuth_deg": 0.1, "clock_error_ppm": 0.0}
-"""State of a unit with `preset = "steady"`: all begins with the run, whose first revolution is whole."""
+"""State of a unit with `preset = "steady"`: power-up is the start of the run, and the first revolution is complete."""
 _CLOCK_PPM, _OFF_SHARE, _FAR_OFF_PPM = 0.6, 0.15, 20.0
-"""Rate of the clock that stamps against that which fires: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula and the unit of 2014. On others up to
-140 ppm; no clock that stamps is more than 20 ppm off that of the host, so what is off there is the firing, which here is not. That every
-seventh is of these is an assumption."""
+"""Rate of the stamp clock relative to the firing clock: 0.27, -0.90, 0.39, -0.6 ppm on mrpt, einride, nebula and the unit of 2014. On other
+units up to 140 ppm; no stamp clock is more than 20 ppm off the host's clock, so their firing clock is off, which has no error here.
+Assumption: every seventh unit is one of these."""
 _VENDOR, _SERIES = "607688", ("10", "38")
-"""First bytes of MAC addresses: of the vendor, and of units from before and after 2017."""
+"""First bytes of MAC addresses: vendor, and units from before and after 2017."""
 
 _Section = TypeVar("_Section", bound=Lidar)
 
 
 def powered_up(section: _Section, seed: int) -> _Section:
-    """Return a section whose unit has a state at the start: what is not set is drawn by `unit`, and round with `steady`."""
+    """Return the section with the state of its unit at the start: keys that are not set are random with `unit`, fixed with `steady`."""
     own = uniform(seed, Purpose.POWER_UP, 0, 4).tolist()
     low_s, high_s = _POWERED_S
     off = own[2] < _OFF_SHARE
@@ -39,15 +39,15 @@ def powered_up(section: _Section, seed: int) -> _Section:
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """Identity of a unit on the network, and how far its counters are when a run begins."""
+    """Identity of a unit on the network, and its counters when a run begins."""
 
     mac: bytes  # 6 bytes
-    identification: int  # of the IPv4 header of its first position packet
-    position_phase: float  # share of the repeating pattern of position packets that is over
+    identification: int  # identification in the IPv4 header of its first position packet
+    position_phase: float  # phase in the repeating pattern of position packets, 0 to 1
 
 
 def counters_of(section: Lidar, seed: int, number: int) -> Counters:
-    """Return the counters of unit `number` of a rig, drawn by `unit`; with `steady` they begin at 0, and MAC addresses count on."""
+    """Return the counters of unit `number` of a rig: random with `unit`; with `steady` 0, and consecutive MAC addresses."""
     if section.preset == "steady":
         return Counters(bytes.fromhex(f"{_VENDOR}{_SERIES[1]}{number + 1:04x}"), 0, 0.0)
     series, own, identification, phase = uniform(seed, Purpose.POWER_UP, 0, 4, 2).tolist()

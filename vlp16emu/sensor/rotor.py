@@ -1,4 +1,4 @@
-"""The spinning head: its true angle over time, what its encoder reads, and the sensor's clock."""
+"""Spinning head: its true angle over time, its encoder readings, and the sensor's clock."""
 
 import math
 from collections.abc import Sequence
@@ -16,34 +16,34 @@ from vlp16emu.types import F8, I8
 from vlp16emu.units import HOUR_NS, S_NS
 
 _TICK_NS, _LATEST_TICK_NS = 1_200, (500, 300)
-"""Period of the clock by which the encoder is read, and when it ticks within the stamp: on mrpt, einride and nebula, and on the unit of
-2014. A block has 92.16 ticks, which makes a line at 0.16 cycles per block."""
+"""Period of the clock that samples the encoder, and its phase in the stamp: on mrpt, einride and nebula, and on the unit of
+2014. A block has 92.16 ticks, which gives a spectral line at 0.16 cycles per block."""
 _CDEG_PER_LASER = 6.0 * 2.304e-4  # hundredths of a degree in 2.304 us, the period of a firing, at 1 rpm
 _SPEEDS_CDEG = np.array([0.25, 0.375, 0.5, 0.625, 1.0, 1.25, 2.0, 2.5, 4.0])
-"""Speeds of the reading between two lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300 rpm, 5/8 and 1 at 500 and 600 rpm, 5/4
-and 2 at 1200 rpm on real units; the first and the last are assumptions."""
+"""Speeds of the reading between two encoder lines, in hundredths of a degree per 2.304 us: 3/8 and 1/2 at 300 rpm, 5/8 and 1 at 500 and 600 rpm,
+5/4 and 2 at 1200 rpm on real units; the first and the last are assumptions."""
 _LAG, _LEAD, _LEADS_FROM_RPM = 0.945, 1.17, 750.0
-"""Mean speed of the reading between two lines over the true one. Shares of the faster are 0.15, 0.06 and 0.43 at 300, 500 and 600 rpm, and 0.93
-at 1200 rpm, where the reading waits at the last code of a line. Where one law takes over from the other is an assumption."""
-_RATE_ERROR = 0.2464  # what 5/8 of a hundredth in 2.304 us lack at 600 rpm
+"""Mean speed of the reading between two lines over the true speed. Shares of the faster speed are 0.15, 0.06 and 0.43 at 300, 500 and 600 rpm, and
+0.93 at 1200 rpm, where the reading waits at the last code of a line. The speed at which the lag changes to a lead is an assumption."""
+_RATE_ERROR = 0.2464  # deficit of 5/8 of a hundredth of a degree in 2.304 us relative to 600 rpm
 _SLOW_SHARES = 0.95, 0.61, 0.22, 0.47
-"""Share of readings with the lower one behind each of four lines in turn, at 600 rpm (mrpt, nebula, einride: within 0.05 of these)."""
+"""Share of readings at the lower speed after each of four consecutive lines, at 600 rpm (mrpt, nebula, einride: within 0.05 of these)."""
 _SLOW = sum(_SLOW_SHARES) / len(_SLOW_SHARES)
-_HALF_WIDTH = math.sqrt(3.0)  # half-width of an even distribution, in standard deviations
+_HALF_WIDTH = math.sqrt(3.0)  # half-width of a uniform distribution, in standard deviations
 _PITCH_DEG = 0.05
 """Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a unit")."""
 _SHORT_DEG = 1e-5  # least distance of a reading from the next line
-_KNOT_BITS = 20  # a swing is straight between multiples of 2**20 ns, 1 ms
-Sine = tuple[float, float]  # amplitude and phase, in degrees; none where the amplitude is 0
+_KNOT_BITS = 20  # a swing is linear between multiples of 2**20 ns, 1 ms
+Sine = tuple[float, float]  # amplitude and phase, in degrees; no error if the amplitude is 0
 
 
 @dataclass(frozen=True, slots=True)
 class Spin:
-    """The rotor from an instant on, at constant speed or at constant acceleration."""
+    """The rotor after an instant, at constant speed or at constant acceleration."""
 
     from_ns: int  # since the start
     angle_deg: float  # true angle at that instant
-    rpm: float  # speed at that instant; a whole number where it stays constant
+    rpm: float  # speed at that instant; an integer if it stays constant
     rpm_per_s: float = 0.0  # change of speed
 
     def at(self, elapsed_ns: I8) -> F8:
@@ -54,7 +54,7 @@ class Spin:
             since_s = since_ns / S_NS
             out[:] = self.angle_deg + 6.0 * since_s * (self.rpm + 0.5 * self.rpm_per_s * since_s)
             return np.asarray(out % 360.0)
-        # Only what is past the last whole turn on a whole second counts: no error grows with time.
+        # Only the time since the last whole turn on a whole second counts, so no error grows with time.
         rpm = round(self.rpm)
         per_minute = math.gcd(rpm, 60)
         span_ns, turns = 60 // per_minute * S_NS, rpm // per_minute
@@ -68,7 +68,7 @@ class Spin:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """A sine by which the motor is ahead of or behind its set speed, as a time; it stops where the motor stops."""
+    """A sine by which the motor is ahead of or behind its set speed, as a time; it stops with the motor."""
 
     amplitude_ns: float
     period_ns: float
@@ -81,14 +81,14 @@ class Swing:
 
     @classmethod
     def sample(cls, seed: int, error_rpm: float, wander_rpm: float, *, is_exact: bool = False) -> "tuple[Swing, ...]":
-        """Sample the swings of one unit: one of its mean speed, over minutes, two within seconds, and one within a turn, at 600 rpm.
+        """Sample the swings of one unit at 600 rpm: one of the mean speed over minutes, two within seconds, and one within a turn.
 
-        A unit (einride) was 0.04 deg off an even turn within half a second, others 0.02. Between 6.5 and 20 cycles per turn mrpt, einride,
-        nebula and the unit of 2014 are off by 0.37, 0.39, 0.76 and 0.37 cdeg (root mean square); the reading alone is off by 0.2.
+        One unit (einride) deviated by 0.04 deg from constant speed within half a second, others by 0.02. Between 6.5 and 20 cycles per turn
+        the errors of mrpt, einride, nebula and the unit of 2014 are 0.37, 0.39, 0.76 and 0.37 cdeg (RMS); the reading alone has 0.2.
 
         Parameters
         ----------
-        is_exact : the mean speed at the start is off by `error_rpm`, which else is one sigma
+        is_exact : True if the error of the mean speed at the start is exactly `error_rpm`; else this is one sigma
         """
         draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 11)
         within_s, fast_deg_per_rpm = 0.1 / (6.5 + 13.5 * draws[8]), 0.045 + 0.075 * draws[9] * draws[9]
@@ -109,24 +109,24 @@ class Swing:
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """The encoder of one unit: it reads the true angle with errors that repeat, and with white noise.
+    """Encoder of one unit: it reads the true angle with periodic errors and white noise.
 
-    On real units the steps between blocks have a lag-1 autocorrelation near -0.5: the noise is one of the reading and not
-    of the speed. Between the lines of an encoder the reading goes on with time at one of two speeds, one too low and one
+    On real units the steps between blocks have a lag-1 autocorrelation near -0.5: the noise belongs to the reading and not
+    to the speed. Between two lines of an encoder the reading advances at one of two speeds, one too low and one
     too high.
     """
 
     seed: int
     once: Sine = (0.0, 0.0)  # error once per revolution; it crosses zero upwards at the angle of its phase
     twice: Sine = (0.0, 0.0)  # error twice per revolution
-    hum_deg: float = 0.0  # half the height of the sawtooth that comes of reading at ticks of a clock, at 600 rpm
-    tick_ns: int = _LATEST_TICK_NS[0]  # when that clock ticks within the sensor's stamp
+    hum_deg: float = 0.0  # half the height of the sawtooth from sampling at ticks of a clock, at 600 rpm
+    tick_ns: int = _LATEST_TICK_NS[0]  # phase of this clock in the sensor's stamp
     noise_deg: float = 0.0  # white error of each reading, one sigma; with lines at 600 rpm. 0 switches it off
-    noise_limit_deg: float = math.inf  # value at which the white error of an even encoder is cut
-    pitch_deg: float = 0.0  # spacing of the lines; 0 for an even encoder
-    rate_error: float = 0.0  # share of the speed that the lower of the two lacks at 600 rpm; in proportion at others
-    first_deg: float = 0.0  # reading of the line behind which readings have the first of `slow_shares`
-    slow_shares: Sequence[float] = _SLOW_SHARES  # of readings at the lower speed, behind each of so many lines in turn
+    noise_limit_deg: float = math.inf  # limit of the white error of an encoder without lines
+    pitch_deg: float = 0.0  # spacing of the lines; 0 for an encoder without lines
+    rate_error: float = 0.0  # relative deficit of the lower speed at 600 rpm; in proportion at other speeds
+    first_deg: float = 0.0  # reading of the line after which readings have the first of `slow_shares`
+    slow_shares: Sequence[float] = _SLOW_SHARES  # shares of readings at the lower speed after consecutive lines
 
     @classmethod
     def of_unit(cls, section: Lidar, seed: int) -> Self:
@@ -140,7 +140,7 @@ class Encoder:
             hum_deg=section.hum_deg * (1.0 + 0.1 * (factor[2] - 1.0)),
             tick_ns=_LATEST_TICK_NS[int(spread > 0.0 and own[5] < 0.2)],
             noise_deg=section.azimuth_noise_deg,
-            noise_limit_deg=0.1,  # so that no reading of an even encoder is behind the one before it (assumption)
+            noise_limit_deg=0.1,  # so that readings of an encoder without lines never go back (assumption)
             pitch_deg=_PITCH_DEG * (section.preset == "unit"),
             rate_error=section.encoder_rate_error,
             first_deg=math.floor(20.0 * own[6]) / 100,
@@ -148,12 +148,12 @@ class Encoder:
         )
 
     def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:
-        """Return readings (k,), [0, 360), at true angles (k,) of firing sequences `first` and on.
+        """Return readings (k,), [0, 360), at true angles (k,) of the firing sequences from `first`.
 
         Parameters
         ----------
-        clock_ns : (k,) the sensor's clock at these instants, to whose ticks the encoder is read
-        rpm : (k,) speeds, or one that holds for all
+        clock_ns : (k,) the sensor's clock at these instants; its ticks sample the encoder
+        rpm : (k,) speeds, or one for all
         """
         reading = _with_sine(angle_deg, angle_deg - self.once[1], self.once[0])
         reading = _with_sine(reading, 2.0 * reading - self.twice[1], self.twice[0])
@@ -168,12 +168,12 @@ class Encoder:
         return np.asarray(reading % 360.0)
 
     def _between_lines(self, angle_deg: F8, first: int, rpm: F8) -> F8:
-        # The white error is here one of when a line is seen: early or late, evenly.
+        # The white error is here a uniform time error of the detection of a line.
         early = 2.0 * uniform(self.seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
         angle_deg = angle_deg + _HALF_WIDTH * self.noise_deg * rpm / 600.0 * early
         line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
         slow, fast, slow_share = _speeds(rpm)
-        # Of the four lines each keeps its rank: all shares fall to 0, or rise to 1, with their mean.
+        # The four lines keep their order: all shares fall to 0, or rise to 1, with their mean.
         share = np.take(self.slow_shares, line.astype(int) % len(self.slow_shares))
         share = np.where(
             slow_share < _SLOW, share * slow_share / _SLOW, 1.0 - (1.0 - share) * (1.0 - slow_share) / (1.0 - _SLOW)
@@ -184,7 +184,7 @@ class Encoder:
 
 
 def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
-    """Return the two speeds of a reading between lines over the true one, and the share of the slower; all of the shape of `rpm`."""
+    """Return the two speeds of a reading between lines over the true speed, and the share of the slower; all in the shape of `rpm`."""
     true_cdeg = _CDEG_PER_LASER * np.maximum(np.abs(rpm), 1.0)
     mean_cdeg = true_cdeg * np.where(np.abs(rpm) < _LEADS_FROM_RPM, _LAG, _LEAD)
     faster = np.clip(np.searchsorted(_SPEEDS_CDEG, mean_cdeg), 1, len(_SPEEDS_CDEG) - 1)
@@ -194,14 +194,14 @@ def _speeds(rpm: F8) -> tuple[F8, F8, F8]:
 
 @dataclass(frozen=True, slots=True)
 class Rotor:
-    """The motor of a head: it turns clockwise, seen from above, at constant speed but for what happens to it.
+    """Motor of a head: it turns clockwise, seen from above, at constant speed except for swings and events.
 
     The true angle is a function of time alone.
     """
 
-    spins: tuple[Spin, ...]  # spins in order of time; the first is from the start on
+    spins: tuple[Spin, ...]  # spins in order of time; the first begins at the start
     encoder: Encoder
-    wobbles: tuple[Any, ...] = ()  # swings of the speed that events bring, each an `extras.bench.changes.Wobbling`
+    wobbles: tuple[Any, ...] = ()  # speed changes by events, each an `extras.bench.changes.Wobbling`
     swings: tuple[Swing, ...] = ()
 
     @property
@@ -210,7 +210,7 @@ class Rotor:
         return self.spins[0].rpm
 
     def angle_deg(self, elapsed_ns: I8) -> F8:
-        """Return true angles, [0, 360), at times since the start of any shape; exact after any number of hours."""
+        """Return true angles, [0, 360), at times since the start, any shape; exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
         if self.swings:
             flat_ns = _swung(flat_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in self.swings]).T)
@@ -227,7 +227,7 @@ class Rotor:
         return out.reshape(elapsed_ns.shape)
 
     def read(self, angle_deg: F8, elapsed_ns: I8, first: int, clock_ns: I8) -> F8:
-        """Return what the encoder reads, (k,) [0, 360), at true angles (k,) of firing sequences `first` and on.
+        """Return encoder readings (k,), [0, 360), at true angles (k,) of the firing sequences from `first`.
 
         Parameters
         ----------
@@ -242,7 +242,7 @@ class Rotor:
         return self.encoder.read(angle_deg, first, clock_ns, rpm)
 
     def revolutions(self, elapsed_ns: int) -> float:
-        """Return the turns from the start to a time; a wobble adds none, as it comes back."""
+        """Return the turns from the start to a time; a wobble adds none, as it returns to zero."""
         stops_ns = [*(spin.from_ns for spin in self.spins[1:]), elapsed_ns]
         turns = 0.0
         for spin, next_ns in zip(self.spins, stops_ns, strict=True):
@@ -260,7 +260,7 @@ class Rotor:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out: F8) -> None:
-    """Fill angles (n,); the remainder is exact, like that of `%`, as whole turns and their differences are."""
+    """Fill angles (n,); the remainder is exact, as with `%`, because whole turns and their differences are exact."""
     for i in range(out.shape[0]):
         angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
         angle_deg -= 360.0 * math.floor(angle_deg / 360.0)
@@ -269,7 +269,7 @@ def _turn(elapsed_ns: I8, span_ns: int, deg_per_ns: float, start_deg: float, out
 
 @numba.njit(cache=True, nogil=True)
 def _swung(elapsed_ns: I8, amplitude_ns: F8, period_ns: F8, phase_rad: F8) -> I8:
-    """Return times (n,) at which a motor of even speed is where this one is; 0 stays."""
+    """Return times (n,) at which a motor of constant speed has the angle of this motor; 0 stays 0."""
     out = np.empty_like(elapsed_ns)
     last, at_ns, further_ns = np.int64(np.iinfo(np.int64).min), 0.0, 0.0
     for i in range(elapsed_ns.shape[0]):
@@ -298,14 +298,14 @@ def _with_sine(reading_deg: F8, phase_deg: F8, amplitude_deg: float) -> F8:
 
 @dataclass(frozen=True, slots=True)
 class ClockSpan:
-    """The sensor's clock from an instant on."""
+    """The sensor's clock after an instant."""
 
     from_ns: int  # UTC
-    reading_ns: int | None = None  # reading at that instant of a clock that runs free; None if it is locked to GPS
-    error_ppm: float = 0.0  # rate error, positive is fast; of a locked clock, fast in one second and slow in the next
+    reading_ns: int | None = None  # reading of a free-running clock at that instant; None if it is locked to GPS
+    error_ppm: float = 0.0  # rate error, positive is fast; a locked clock is fast in one second and slow in the next
 
     def reading(self, t_ns: I8) -> I8:
-        """Return nanoseconds past the counter's hour at UTC instants of any shape; before the span its first reading."""
+        """Return nanoseconds past the counter's hour at UTC instants of any shape; the first reading before the span."""
         if self.reading_ns is None:
             if not self.error_ppm:
                 return np.asarray(t_ns % HOUR_NS)
@@ -324,10 +324,10 @@ class Clock:
 
     Locked to GPS it shows nanoseconds past the UTC hour; without GPS it runs from power-up on its own
     oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stays at zero: the stamp of a
-    position packet is older than the packet, and so may fall before there is a clock.
+    position packet is older than the packet, and can be older than the clock.
     """
 
-    spans: tuple[ClockSpan, ...]  # spans in order of time; the first holds for all times before the second
+    spans: tuple[ClockSpan, ...]  # spans in order of time; the first is valid at all times before the second
 
     def reading_ns(self, t_ns: I8) -> I8:
         """Return nanoseconds past the counter's hour at UTC instants of any shape."""

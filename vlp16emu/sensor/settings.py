@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import OneOf, Preset, Seed
 
-if TYPE_CHECKING:  # scenes are read without numpy
+if TYPE_CHECKING:  # reading a scene does not import numpy
     from vlp16emu.sensor.beams import BeamTable
 
 Degrees = Annotated[float, Field(ge=0, lt=360)]
@@ -43,61 +43,61 @@ Address = Annotated[str, AfterValidator(_of_a_host)]
 
 
 class Lidar(Preset):
-    """Keys that all lidars have in common."""
+    """Keys of all lidars."""
 
     if TYPE_CHECKING:
         model: str
         rpm: int
 
     seed: Seed | None = None
-    """Seed of the errors of this sensor, and of the GPS receiver and inertial unit beside it; the scene's seed if not set."""
+    """Seed of the errors of this sensor, its GPS receiver and its inertial unit; the scene's seed if not set."""
     presets = _PRESETS
 
     preset: Literal["steady", "unit"] = "unit"
-    """Values of the errors of rotation that are not given beside it: `unit` draws those by which real units differ, has an encoder of
-    lines, and draws the state in which the run finds it; `steady` turns evenly, and is switched on as the run begins."""
+    """Values of all rotation errors that are not set: `unit` draws the differences between real units, has an encoder with
+    lines, and a random state at the start; `steady` turns at constant speed, and power-up is the start of the run."""
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
-    """Echoes that are sent: the strongest, the last, or both."""
+    """Returns that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
     max_range_m: Annotated[float, Field(gt=0.5, le=131.07, validate_default=True)] = 100.0
     """Farther targets are lost; 100 m in the data sheet, 131.07 m is the largest code."""
     start_azimuth_deg: Degrees | None = None
-    """True rotor angle at the first firing; drawn unless given, and with `steady` 0.1, just past north, so that a recording begins with a
-    whole scan."""
+    """True rotor angle at the first firing; random if not set, and 0.1 with `steady`, just past north, so that a recording begins with a
+    complete scan."""
     eccentricity_deg: Annotated[float, Field(ge=0, le=1)] = 0.06
     """Amplitude of the encoder's once-per-revolution error; real units show 0.03 to 0.09. 0 switches it off."""
     eccentricity_phase_deg: Degrees = 40.0
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
-    """White error of each azimuth reading, one sigma; with an encoder of lines at 600 rpm, of when a line is seen: 0.0017 is an even spread
-    over 1.6 us, at all speeds. 0 switches it off."""
+    """White error of each azimuth reading, one sigma; for an encoder with lines, the time error of a line at 600 rpm: 0.0017 is a uniform
+    spread over 1.6 us, at all speeds. 0 switches it off."""
     encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.24
-    """Share by which the speed of the reading between two lines is too low at 600 rpm, in some readings; in the others it is too high by
-    0.85 of it. 0.24 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1, 5/4 and 2 hundredths in 2.304 us at all speeds."""
+    """Relative deficit of the reading's speed between two encoder lines at 600 rpm, in some readings; in the others it is too high by 0.85 of
+    this. 0.24 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1, 5/4 and 2 hundredths of a degree in 2.304 us."""
     twice_per_turn_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Amplitude of the encoder's twice-per-revolution error; real units show 0.006 to 0.010. 0 switches it off."""
     hum_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.0
-    """Half the height of the sawtooth that comes of reading the encoder at ticks of 1.2 us, at 600 rpm; 0.0018 to 0.002 on real units.
+    """Half the height of the sawtooth from sampling the encoder at ticks of 1.2 us, at 600 rpm; 0.0018 to 0.002 on real units.
     0 switches it off."""
     rotation_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Unit-to-unit spread of the amplitudes of these three errors, as a share of them; with it their phases are drawn too."""
+    """Unit-to-unit spread of the amplitudes of these three errors, relative; above 0 their phases are random too."""
     speed_error_rpm: Annotated[float, Field(ge=-3, le=3)] = 0.0
-    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others; without `rotation_spread` exactly that, above 0 too
-    fast. It swings over minutes; with a phase lock it is held."""
+    """Error of the mean speed at 600 rpm, one sigma, in proportion at other speeds; exact without `rotation_spread`, positive is fast.
+    It swings over minutes; a phase lock removes it."""
     speed_wander_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
-    """Amplitude of the change of speed within seconds, in the same way."""
+    """Amplitude of the change of speed within seconds, at 600 rpm, in proportion at other speeds."""
     powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] | None = None
-    """Time since power-up when the run begins, from which the sensor's clock counts without GPS; drawn unless given, and 0 with
+    """Time since power-up when the run begins; without GPS the sensor's clock counts from power-up. Random if not set, and 0 with
     `steady`."""
     clock_error_ppm: Annotated[float, Field(ge=-200, le=200)] | None = None
-    """How much the free-running clock is fast; of a clock locked to GPS up to 0.3 ppm are left within a second. Drawn unless given, and 0 with
-    `steady`."""
+    """Rate error of the free-running clock, positive is fast; a clock locked to GPS keeps up to 0.3 ppm within a second. Random if not set,
+    and 0 with `steady`."""
 
     @field_validator("max_range_m")
     @classmethod
     def _beyond_the_nearest(cls, max_range_m: float, info: ValidationInfo) -> float:
-        nearest = info.data.get("min_range_m")  # absent where it is itself in error
+        nearest = info.data.get("min_range_m")  # absent if it is itself invalid
         if nearest is not None and max_range_m <= nearest:
             raise ValueError(f"more than min_range_m = {nearest}")
         return max_range_m
@@ -108,22 +108,22 @@ class Lidar(Preset):
 
 
 class Sensor(Lidar):
-    """A lidar whose packets are known, as it leaves the box and as it is set."""
+    """A lidar whose packets are known, with its factory values and configuration."""
 
     either_or: ClassVar[frozenset[str]] = frozenset({"start_azimuth_deg", "phase_lock_deg"})
 
     model: Literal["vlp-16", "puck-lite", "puck-hi-res"] = "vlp-16"
-    """Type of sensor: beam table and factory byte."""
+    """Sensor model: beam table and factory byte."""
     rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
     """Rotor speed; multiples of 60 (63-9243 Rev D, section 8.3)."""
     position_rate: Literal["measured", "manual"] = "measured"
-    """Position packets: 146 per second at the irregular spacing of real units, or the 53.8 of the manual."""
+    """Rate of position packets: 146 per second at the irregular spacing of real units, or 53.8 as in the manual."""
     phase_lock_deg: Degrees | None = None
     """True rotor angle at each UTC second (63-9243 Rev D, chapter 8), instead of `start_azimuth_deg`; needs GPS."""
     name: Annotated[str, Field(min_length=1)] = "unit_1"
     """Name in reports."""
     serial_number: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")] = "11001000000001"
-    """Digits, as on the label of a unit."""
+    """Serial number in digits, as on the label of a unit."""
     address: Address = "192.168.1.201"
     """IPv4 address of the unit (63-9243 Rev D, section 10.2.3.12)."""
     data_port: Port = 2368
@@ -132,7 +132,7 @@ class Sensor(Lidar):
     """Destination port of position packets (63-9243 Rev D, section 9.3.3)."""
 
     def beam_table(self) -> "BeamTable":
-        """Return the table of the model."""
+        """Return the beam table of the model."""
         from vlp16emu.sensor.beams import BEAM_TABLES
         from vlp16emu.types import SensorModel
 
@@ -146,7 +146,7 @@ class Sensor(Lidar):
 
     @model_validator(mode="after")
     def _has_two_ports(self) -> Self:
-        """Refuse one port for both: receivers separate data from position packets by it."""
+        """Raise ValueError for equal ports: receivers separate data from position packets by port."""
         if self.data_port == self.position_port:
             raise ValueError("a data_port and a position_port that differ")
         return self

@@ -1,4 +1,4 @@
-"""A small driver: data packets of a VLP-16 become points (VLP-16 User's Manual, 63-9243 Rev D, section 9)."""
+"""A small driver that converts data packets of a VLP-16 to points (VLP-16 User's Manual, 63-9243 Rev D, section 9)."""
 
 import struct
 
@@ -13,20 +13,20 @@ FIRING_US, LASER_US, HOUR_S, DUAL = 55.296, 2.304, 3600, 0x39
 
 
 class Driver:
-    """Reads packets in the order in which they arrive."""
+    """Reader of packets in order of arrival."""
 
     def __init__(self):
         self.hours, self.stamp_us, self.lost = 0, None, 0
 
     def points(self, payload):
-        """Time since the first hour, place, ring and kind of all 384 records of a packet; range 0 is no return."""
+        """Return time since the first hour, position, ring and kind of all 384 records of a packet; range 0 is no return."""
         blocks = np.frombuffer(payload, BLOCK, 12)
         stamp_us, mode = struct.unpack_from("<IB", payload, 1200)
-        apart = 2 if mode == DUAL else 1  # blocks of dual return share their azimuth two by two
+        apart = 2 if mode == DUAL else 1  # pairs of blocks share their azimuth in dual return
         self.follow(stamp_us, 12 // apart * 2 * FIRING_US)
         turned = np.diff(blocks["azimuth"].astype(int), append=0)[apart - 1 :: apart] % 36_000
         turned = np.repeat(np.append(turned[:-1], turned[-2]), apart)
-        since_us = np.arange(2)[:, None] * FIRING_US + np.arange(16) * LASER_US  # the block's azimuth was read
+        since_us = np.arange(2)[:, None] * FIRING_US + np.arange(16) * LASER_US  # since the azimuth reading
         azimuth = blocks["azimuth"][:, None, None] + turned[:, None, None] * since_us / (2 * FIRING_US)
         begin_us = (np.arange(12) // apart * 2 * FIRING_US)[:, None, None]
         range_m = blocks["records"]["range"] * 0.002
@@ -43,7 +43,7 @@ class Driver:
         return {name: np.ravel(values) for name, values in out.items()}
 
     def follow(self, stamp_us, lasts_us):
-        """Follow the time stamps, which begin again each hour, and count the packets that are missing."""
+        """Follow the time stamps, which restart each hour, and count the missing packets."""
         if self.stamp_us is not None:
             self.hours += stamp_us < self.stamp_us
             self.lost += round((stamp_us - self.stamp_us) % (HOUR_S * 1e6) / lasts_us) - 1

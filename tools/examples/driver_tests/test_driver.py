@@ -6,7 +6,7 @@ from driver import Driver
 
 
 def read(vlp16, count):
-    """Points of packets and the ground truth of their records, row by row."""
+    """Return the points of packets and the ground truth of their records, row by row."""
     driver, payloads = Driver(), vlp16.packets(count)
     points = [driver.points(payload) for payload in payloads]
     truth = np.concatenate([vlp16.truth(payload) for payload in payloads])
@@ -14,7 +14,7 @@ def read(vlp16, count):
 
 
 def test_points_lie_where_the_pulses_went(vlp16):
-    """Each point is within 5 mm of its place in the sensor; half a block at 600 rpm is 2.6 cm at 15 m."""
+    """Each point is within 5 mm of its true position in the sensor frame; half a block at 600 rpm is 2.6 cm at 15 m."""
     points, truth = read(vlp16, 76)
     there = points["range_m"] > 0
     xyz_m = np.stack([points["x_m"], points["y_m"], points["z_m"]], axis=1)
@@ -22,7 +22,7 @@ def test_points_lie_where_the_pulses_went(vlp16):
 
 
 def test_rings_count_from_below(vlp16):
-    """Ring 0 is at -15 degrees, and each one is 2 degrees above the one before."""
+    """Ring 0 is at -15 degrees, and each ring is 2 degrees above the previous one."""
     points, truth = read(vlp16, 10)
     there = points["range_m"] > 0
     elevation_deg = np.degrees(np.arcsin(truth["sensor_m"][there, 2] / truth["range_m"][there]))
@@ -31,7 +31,7 @@ def test_rings_count_from_below(vlp16):
 
 @pytest.mark.vlp16("static_bench", {"sensor.return_mode": "dual", "beam.model": "adaptive"})
 def test_the_last_return_comes_first(vlp16):
-    """Of two echoes of a pulse the last one is marked, which is the farther one."""
+    """The last of two echoes of a pulse, the farther one, is marked."""
     points, truth = read(vlp16, 152)
     there = points["range_m"] > 0
     assert (truth["echo"] == 2).sum() > 10
@@ -40,7 +40,7 @@ def test_the_last_return_comes_first(vlp16):
 
 @pytest.mark.vlp16("static_bench", {"start_utc": "2026-05-20T09:59:59.95Z", "gps.connected": True})
 def test_time_goes_on_past_the_full_hour(vlp16):
-    """Times of points differ as those of their pulses do, within the microsecond of a time stamp."""
+    """Time differences of points equal the differences of their pulses within 2 us; time stamps have 1 us."""
     points, truth = read(vlp16, 76)
     since_s = (truth["t_ns"] - truth["t_ns"][0]) / 1e9
     assert np.abs(points["t_s"] - points["t_s"][0] - since_s).max() < 2e-6
@@ -48,7 +48,7 @@ def test_time_goes_on_past_the_full_hour(vlp16):
 
 @pytest.mark.vlp16("static_bench", {"events": [{"kind": "drop", "at_s": 0.05, "count": 5}]})
 def test_lost_packets_are_counted(vlp16):
-    """Five packets that the network drops are found missing."""
+    """Five packets that the network drops are counted as lost."""
     driver = Driver()
     for payload in vlp16.packets(76):
         driver.points(payload)

@@ -1,1 +1,1 @@
-"""Ready configurations of SLAM programs for bags of a VLP-16, and a check whether a bag is fit for a program."""
+"""Configurations of SLAM programs for bags of a VLP-16, and a check of a bag against the needs of a program."""

@@ -1,4 +1,4 @@
-"""The table of SLAM programs, `programs.toml`, and their configurations for a rig, as each program reads them."""
+"""Table of SLAM programs, `programs.toml`, and their configurations for a rig, in the format of each program."""
 
 import json
 import tomllib
@@ -20,32 +20,32 @@ from vlp16emu.output import OutputFile, final_name
 from vlp16emu.types import F8
 
 _COLUMNS = 1_080_000
-"""Columns of a revolution times rpm: 1800 at 600 rpm, as LIO-SAM and LeGO-LOAM count (config/params.yaml, utility.h)."""
+"""Columns per revolution times rpm: 1800 at 600 rpm, as in LIO-SAM and LeGO-LOAM (config/params.yaml, utility.h)."""
 
-Leaves = list[tuple[str, Any, str]]  # key, value and a remark, which is empty where the value is the program's own
+Leaves = list[tuple[str, Any, str]]  # key, value and a remark, which is empty if the value is the program's default
 
 
 class Value(NamedTuple):
-    """A value of a configuration: path in the file, our value, the program's default, why it differs, and source."""
+    """A value of a configuration: path in the file, our value, the program's default, reason of a difference, source."""
 
     key: str
-    value: Any  # a text {name} is a value of the rig
+    value: Any  # a text {name} refers to a value of the rig
     default: Any = None
     why: str = ""
     source: str = ""
 
 
 class ConfigFile(NamedTuple):
-    """A file of a configuration; its suffix is the format, and a .launch file includes a launch file of a package."""
+    """A file of a configuration; its suffix gives the format, and a .launch file includes a launch file of a package."""
 
     name: str
     values: tuple[Value, ...]
-    root: str = ""  # path under which all keys are
+    root: str = ""  # parent path of all keys
     include: str = ""
 
 
 class Program(NamedTuple):
-    """A SLAM program: repository, sources read; in Markdown how to start it, and its compile-time constants."""
+    """A SLAM program: repository, sources read; in Markdown its start command, and its compile-time constants."""
 
     name: str
     repository: str
@@ -53,8 +53,8 @@ class Program(NamedTuple):
     start: str
     compiled: str
     files: list[ConfigFile]
-    needs: Mapping[str, str]  # by rule of `fitness`: what to set, and what happens otherwise
-    rest_s: float = 0.0  # time at rest that it needs at the start
+    needs: Mapping[str, str]  # by rule of `fitness`: value to set, and consequence otherwise
+    rest_s: float = 0.0  # required time at rest at the start
 
 
 @cache
@@ -75,7 +75,7 @@ def chosen(name: str, *, where: str = "--for") -> list[Program]:
 
 @dataclass(frozen=True)
 class Rig:
-    """Rig that a configuration is for; the default is the rig of the files in `protocol/slam`."""
+    """Rig of a configuration; the default is the rig of the files in `protocol/slam`."""
 
     rpm: float = 600.0
     base_T_lidar: F8 | None = None  # (4, 4) extrinsics; None if they are the identity, or change
@@ -85,19 +85,19 @@ class Rig:
 
     @classmethod
     def of(cls, rig: Mapping[str, Any], scenario: Mapping[str, Any], frame: str) -> Self:
-        """Return the rig of the first unit, with this frame, from `rig.json` and `scenario.json`."""
+        """Return the rig of the first unit, with lidar frame `frame`, from `rig.json` and `scenario.json`."""
         imu = given_mount(rig["imu"], "body_T_imu") if "imu" in rig else None
         lidar = given_mount(rig["units"][0], "body_T_sensor")
         return cls(float(scenario["sensor"]["rpm"]), lidar, imu, scenario.get("imu"), frame)
 
     @property
     def words(self) -> str:
-        """The rig in one line."""
+        """Rig in one line."""
         imu = self.imu or {}
         return f"{self.rpm:g} rpm, IMU {imu.get('rate_hz', 200)} Hz{', with attitude' if imu.get('attitude') else ''}"
 
     def names(self) -> dict[str, Any]:
-        """Return the values of the names that the table refers to; None if the rig has no such value."""
+        """Return the values of the names in the table; None if the rig has no such value."""
         base_T_lidar, base_T_imu = (np.eye(4) if T is None else T for T in (self.base_T_lidar, self.base_T_imu))
         imu = self.imu or {}
         poses = {
@@ -122,7 +122,7 @@ class Rig:
 
 
 def pose_names(of: str, what: str, T: NDArray[Any]) -> dict[str, list[float]]:
-    """Return the pose (4, 4) of one frame in another under the names of the table, in the orders that programs use."""
+    """Return the pose (4, 4) of frame `what` in frame `of` by the names of the table, in the orders that programs use."""
     from scipy.spatial.transform import Rotation
 
     place, turn = (T[:3, 3].round(9) + 0.0).tolist(), (T[:3, :3].round(9) + 0.0).ravel().tolist()
@@ -234,7 +234,7 @@ def _launch(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[s
             parts[kind] += [f"  <!-- {remark} -->", f"  <{kind} {words} />"]
     yield from ("<launch>", *(f"  <!-- {line} -->" for line in head), *parts["remap"])
     yield f'  <include file="$(find {package})/launch/{launch}" />'
-    yield from (*parts["param"], "</launch>")  # behind it, as the last value of a parameter holds
+    yield from (*parts["param"], "</launch>")  # after the include, because the last value of a parameter is used
 
 
 _FORMATS: Mapping[str, Callable[[ConfigFile, Leaves, Sequence[str]], Iterator[str]]]

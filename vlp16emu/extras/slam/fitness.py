@@ -1,4 +1,4 @@
-"""Check of a bag from any recorder: is it fit for a SLAM program, and if not, which parameter to set."""
+"""Check of a bag from any recorder for a SLAM program; findings name the parameter to set."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -22,12 +22,12 @@ _CLOUD, _IMU = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Imu"
 _RING_SCANS = 20  # scans whose rings are checked
 _SMOOTHED_S = 0.1  # IMU samples are averaged over this time to find rest
 _RESTS_RAD_S, _RESTS_SHARE = 0.15, 0.05
-"""Highest angular rate, and relative deviation of the specific force from 1 g, of a person who stands."""
+"""Highest angular rate, and relative deviation of the specific force from 1 g, of a standing person."""
 
 
 @dataclass(slots=True)
 class Facts:
-    """Contents of a bag: clouds and IMU samples of the topics most like ours, and the transforms."""
+    """Contents of a bag: clouds and IMU samples of the topics closest to ours, and transforms."""
 
     topic: str
     imu_topic: str  # empty if there is no inertial unit
@@ -45,7 +45,7 @@ class Facts:
     parents: dict[str, set[str]] = field(default_factory=dict)  # all parents of each frame, fixed or moving
 
     def pose(self, frame: str, of: str) -> F8 | None:
-        """Return the fixed pose (4, 4) of one frame in another; None if they are not connected."""
+        """Return the fixed pose (4, 4) of `frame` in `of`; None if they are not connected."""
         chains = [dict(self.up(name)) for name in (of, frame)]
         common = next((name for name in chains[1] if name in chains[0]), None)
         return None if common is None else np.linalg.inv(chains[0][common]) @ chains[1][common]
@@ -88,7 +88,7 @@ def read_facts(path: Path) -> Facts:
 
 
 def _topic(reader: Any, kind: str, ours: str) -> str:
-    """Return the topic of a type whose name ends as ours does, else the first; empty without any."""
+    """Return the topic of a type that ends with `ours`, else the first; empty if there is none."""
     names = [one.topic for one in reader.connections if one.msgtype == kind]
     return next((name for name in names if name.endswith(ours)), names[0] if names else "")
 
@@ -141,12 +141,12 @@ def _add_fixed(facts: Facts, message: Any, start_s: int) -> None:
     for one in message.transforms:
         p, q, T = one.transform.translation, one.transform.rotation, np.eye(4)
         T[:3, :3], T[:3, 3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (p.x, p.y, p.z)
-        # A second parent is a finding of its own.
+        # A second parent gives a separate finding.
         facts.fixed.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), T))
 
 
 def rest_s(imu: F8, rate_hz: float) -> float:
-    """Return how long the unit rests at the start, in seconds, from IMU samples (n, 11)."""
+    """Return the time at rest at the start, in seconds, from IMU samples (n, 11)."""
     block = max(round(rate_hz * _SMOOTHED_S), 1)
     rows = len(imu) // block * block
     means = imu[:rows, 1:7].reshape(-1, block, 6).mean(axis=1)
@@ -159,21 +159,21 @@ def rest_s(imu: F8, rate_hz: float) -> float:
 
 _UNITS = (("s", 1.0, 0), ("ms", 1e-3, 1), ("us", 1e-6, 2), ("ns", 1e-9, 3))
 """Units of times, and their numbers in FAST-LIO2 and Point-LIO (src/preprocess.h)."""
-_EARLY_S = 1e-3  # longest time before the stamp that is rounding
+_EARLY_S = 1e-3  # longest time before the stamp that counts as rounding
 _GRAVITY_M_S2 = 9.80665
 _TILT_DEG = 30.0  # largest tilt of a body that a person carries
 _SWEEP_S, _IMU_HZ, _SLOW_HZ, _BEAMS = 0.1, 200.0, 100.0, 16
-"""Rig of the configurations of `protocol/slam`, and the IMU rate below which programs deskew badly."""
+"""Rig of the configurations in `protocol/slam`, and the IMU rate below which programs deskew poorly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unfit:
-    """One reason why a bag is not fit for a program as `protocol/slam` configures it."""
+    """One reason why a bag is not fit for a program with the configuration of `protocol/slam`."""
 
     program: str
     rule: str
     found: str
-    needs: str  # parameter to set, or what the bag must have; after a semicolon what happens otherwise
+    needs: str  # parameter to set, or requirement of the bag; after a semicolon the consequence otherwise
 
     def __str__(self) -> str:
         remedy, _, otherwise = self.needs.partition("; ")
@@ -197,8 +197,8 @@ class _Row(NamedTuple):
     """A row of the table of rules."""
 
     rule: str
-    broken: Callable[[Any, Program], Any]  # of the values of `_of_clouds`, `_of_samples` and `_of_frames`
-    found: str  # format of the words, with names of values
+    broken: Callable[[Any, Program], Any]  # true if values of `_of_clouds` and others break it
+    found: str  # format string of the finding, with names of values
 
 
 ROWS = (
@@ -244,13 +244,13 @@ ROWS = (
     _Row("tf-map", lambda v, _: v["edge"], "/tf holds {edge}, which a SLAM program publishes too"),
     _Row("rest", lambda v, p: v["samples"] and v["rest_s"] < p.rest_s - 0.2, "{rest_s:.1f} s of rest at the start"),
 )  # fmt: skip
-"""Rules in the order of findings; a rule holds for the programs that have a text for it in `programs.toml`."""
+"""Rules in the order of findings; a rule applies to the programs that have a text for it in `programs.toml`."""
 
 
 def fitness(path: Path, name: str) -> Fitness:
-    """Check a bag against the needs of a program, or of all, as `protocol/slam` configures them.
+    """Check a bag against the needs of one program, or of all, with the configurations of `protocol/slam`.
 
-    Raises InputError if there is no such program; CaptureError, MissingExtraError as `read_facts`.
+    Raises InputError if there is no such program; CaptureError, MissingExtraError as in `read_facts`.
     """
     programs = chosen(name)
     facts = read_facts(path)
