@@ -169,7 +169,7 @@ def assemble(scenario: Scenario, like: "Engine | None" = None) -> Parts:
         people = door("people")(scenario.people, carrier, ground_m, start_ns=start_ns, seed=scenario.motion_seed)
     mounts = [true_mount(mount, seed, device) for device, mount in enumerate(mounts_of(scenario))]
     units = tuple(_unit(scenario, number, mount, mounted(top, mount, start_ns)) for number, mount in enumerate(mounts))
-    return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, _gps(scenario))
+    return Parts(units, carrier, sampler, imu_mount, ground_m, world, wind, people, _gps_input(scenario))
 
 
 def with_events(parts: Parts, scenario: Scenario) -> Parts:
@@ -246,7 +246,7 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
         lasers=len(head.beams.elevation_deg),
         power_up_ns=_power_up_ns(scenario, section),
     )
-    timeline, gps, beam = Timeline(head, (Stretch(0, None, mode, None),)), _gps(scenario), beam_of(scenario, seed)
+    timeline, gps, beam = Timeline(head, (Stretch(0, None, mode, None),)), _gps_input(scenario), beam_of(scenario, seed)
     unit = Unit(number, section, mount, seed, head, motion, beam, detector, timeline, gps)
     if not scenario.events:
         return unit
@@ -258,7 +258,7 @@ def _power_up_ns(scenario: Scenario, section: Lidar) -> int:
     return scenario.start_ns - seconds_to_ns(section.powered_for_s or 0.0)
 
 
-def _gps(scenario: Scenario) -> GpsInput:
+def _gps_input(scenario: Scenario) -> GpsInput:
     return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
 
 

@@ -51,7 +51,7 @@ class Cloud:
 
 
 def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
-    """Measure a shape.
+    """Measure the projected area of a shape of some meshes.
 
     Parameters
     ----------

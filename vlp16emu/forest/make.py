@@ -81,14 +81,14 @@ class ForestSite:
             loose_stems=blows is not None,
             # A sensor whose range ends within `near_m` meets no medium, so none is made.
             near_m=section.near_m if section.near_m < farthest_m else math.inf,
-            name=_name(section, self._seed, path, reach_m, loose_stems=blows is not None),
+            name=_cache_name(section, self._seed, path, reach_m, loose_stems=blows is not None),
             plants_name=_content(section.species_file),
         )
         sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
         return section.furnished(bare, path_xy_m, reach_m), sway
 
 
-def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:
+def _cache_name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:
     stem_list = section.stem_list if isinstance(section, Plot) else None
     dem_file = section.dem.file if section.dem else None
     files = section.species_file, dem_file, stem_list, *(model.file for model in section.tree_models)
