@@ -95,23 +95,12 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Run the command line of this process and exit."""
-    # Our own threads do the parallel work; OpenBLAS threads would spin while they wait for products of a few rows.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # searching for them reads all metadata
-    gc.set_threshold(500_000)  # libraries bring 300 000 objects, none of them garbage
-    for number in range(3):  # a file that a run opens must not take the place of a closed standard stream
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)
-    logging.basicConfig(format="warning: %(message)s")
-    if not sys.warnoptions:
-        warnings.simplefilter("ignore", RuntimeWarning)  # from numpy; the error line that follows says what is wrong
     code = None
     try:
-        for number in ENDINGS:
+        for number in ENDINGS:  # first, so that a signal in the lines below leaves no traceback
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, _interrupt)
+        _set_up()
         sys.unraisablehook = _unraisable
         for output in (sys.stdout, sys.stderr):
             if isinstance(output, io.TextIOWrapper):  # file names may hold characters that a terminal cannot show
@@ -131,6 +120,22 @@ def main() -> None:
     if code == INTERRUPTED:
         os._exit(code)  # Python would wait for threads whose results are no longer needed
     sys.exit(code)
+
+
+def _set_up() -> None:
+    """Set what holds for the whole process: threads of libraries, memory, standard streams, warnings."""
+    # Our own threads do the parallel work; OpenBLAS threads would spin while they wait for products of a few rows.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # searching for them reads all metadata
+    gc.set_threshold(500_000)  # libraries bring 300 000 objects, none of them garbage
+    for number in range(3):  # a file that a run opens must not take the place of a closed standard stream
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    logging.basicConfig(format="warning: %(message)s")
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore", RuntimeWarning)  # from numpy; the error line that follows says what is wrong
 
 
 def _code_of(error: OSError, code: int | None) -> int:
