@@ -38,7 +38,7 @@ def test_an_even_wall_is_nearly_whole():
 
 
 def test_a_step_of_brightness_costs_a_record():
-    """Of records at a sharp step up by a factor of 9 units lose 10 to 95 %, down fewer, at one of 1.5 hardly any; codes of the former are high."""
+    """Units lose 10 to 95 % of the records at a sharp step up by a factor of 9, fewer down, hardly any at one of 1.5; lost records up have high codes."""
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
     many, few = (
         [seen(table(low, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(10)]

@@ -136,7 +136,7 @@ def test_a_folder_keeps_its_rights(tmp_path):
 
 
 def test_a_folder_that_became_somebody_elses_stays(tmp_path):
-    """What others put there while the run lasts is not replaced; the new folder is left beside it."""
+    """Files that another program puts there during the run are not replaced; the new folder is left beside them."""
     place = tmp_path / "x"
 
     def meanwhile():

@@ -1,4 +1,4 @@
-"""What stands near a path, and the digital twin, read back by trimesh."""
+"""Objects near a path, and the digital twin, read back by trimesh."""
 
 import io
 import json
