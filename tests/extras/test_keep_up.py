@@ -64,7 +64,7 @@ def test_the_line_names_rung_settings_error_and_cores(monkeypatch):
     """One line says all that one needs to record the same bytes."""
     kept = keep_up.KeptUp(LADDER[2], 1.4, enough=True, cores=2, cores_as_it_is=3)
     assert kept.line == (
-        "keep-up: 4 sub-rays (--set beam.model=fixed --set beam.rays=4; mean range error about 75 mm in "
+        "keep-up: 4 sub-rays (--set beam.model=fixed --set beam.rays=4; mean range error about 138 mm in "
         "reference_forest): measured 1.4 x real time on 2 cores; as it is with 3 cores"
     )
     monkeypatch.setattr(keep_up, "_speed", lambda _run: 8.0)

@@ -37,7 +37,7 @@ class Rung:
     @property
     def settings(self) -> list[str]:
         """Settings in the form of `--set`; none for the unchanged scene."""
-        # The first eight support points are better than eight fixed sub-rays (38 to 53 mm); four support points are not.
+        # The first eight support points are better than eight fixed sub-rays (80 to 91 mm); four support points are not.
         model = "none" if self.rays == 1 else ("fixed" if self.rays == 4 else "adaptive")
         rays = [] if self.rays == 1 else [f"beam.rays={self.rays}"]
         reach = [] if math.isinf(self.reach_m) else [f"sensor.max_range_m={self.reach_m:g}"]
@@ -50,11 +50,11 @@ class Rung:
 
 
 LADDER = (
-    Rung(64, math.inf, 1.0, 26.0),
-    Rung(8, math.inf, 1.08, 38.0),
-    Rung(4, math.inf, 1.25, 75.0),
-    Rung(1, math.inf, 3.0, 120.0),
-    Rung(1, 45.0, 6.0, 120.0),
+    Rung(64, math.inf, 1.0, 71.0),
+    Rung(8, math.inf, 1.08, 80.0),
+    Rung(4, math.inf, 1.25, 138.0),
+    Rung(1, math.inf, 3.0, 214.0),
+    Rung(1, 45.0, 6.0, 214.0),
 )  # no rung has 16 sub-rays: an adaptive pulse of at most 64 casts 8.6 on average, so the gain is small
 
 
