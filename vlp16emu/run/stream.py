@@ -48,7 +48,7 @@ def stream_run(
     stop : ends the stream from another thread
     """
     (host, _), truth, pacer = options.receiver, TruthTo.of(options.truth), Pacer(options.speed)
-    http, outlets, gps_in, stop = options.http, options.outlets, options.gps_in, stop or Event()
+    http, stop = options.http, stop or Event()
     _check(options, truth)
     with ExitStack() as stack:
         enter = stack.enter_context
@@ -59,19 +59,14 @@ def stream_run(
         is_live = scenario.motion.takes_poses or options.poses is not None
         flight = enter(door("live")(emulator, options.poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
-        outlets = enter(door("outlets")(outlets)) if outlets else None
+        outlets = enter(door("outlets")(options.outlets)) if options.outlets else None
         engine = replace(emulator.engine, prompt=http is not None)  # settings from there should take effect soon
         feed = enter(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
         udp = enter(_udp(emulator, options, host, progress))  # a wrong address fails before any casting
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
-        if options.prepare:
-            packets: Iterable[Packet] = door("prepared")(emulator, options, progress=preparing, stop=stop)
-        else:
-            writer = enter(emulator.truth(truth, span_s, of=feed))
-            packets = writer.beside(feed) if writer else feed
-        way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
-        gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
+        packets = enter(_packets(emulator, options, feed, span_s, progress=preparing, stop=stop))
+        way, gps_in = watched(way, pacer), _gps_reader(emulator, options)
         way = enter(gps_in).sink(way) if gps_in else way  # outermost: watchers see the packets that are sent
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
@@ -92,6 +87,24 @@ def stream_run(
     sent = outlets.results(report.skipped) if outlets else (None, None)
     asked = replace(options, to=host, late=policy)
     return _streamed(emulator, asked, report, udp, live, gps_in and gps_in.result, *sent)
+
+
+@contextmanager
+def _packets(
+    emulator: "Emulator", options: StreamOptions, feed: "PacketFeed", span_s: tuple[float, float], **hooks: Any
+) -> Iterator[Iterable[Packet]]:
+    """Yield the packets to send: prepared ones, or those of the feed, with the ground truth written beside them."""
+    if options.prepare:
+        yield door("prepared")(emulator, options, **hooks)
+    else:
+        with emulator.truth(TruthTo.of(options.truth), span_s, of=feed) as writer:
+            yield writer.beside(feed) if writer else feed
+
+
+def _gps_reader(emulator: "Emulator", options: StreamOptions) -> Any:
+    """Return the reader of a real receiver, or None without one."""
+    powered_for_s = emulator.parts.units[0].section.powered_for_s or 0.0
+    return options.gps_in and door("gps_in")(options.gps_in, emulator.scenario.gps, powered_for_s)
 
 
 def _streamed(
