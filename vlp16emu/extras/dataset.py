@@ -78,7 +78,7 @@ class _Splits(Section):
     test: Fraction = 0.15
 
     @model_validator(mode="after")
-    def _sum(self) -> Self:
+    def _check_shares(self) -> Self:
         if abs(self.train + self.val + self.test - 1) > _ONE:
             raise ValueError("train, val and test that sum to 1")
         return self

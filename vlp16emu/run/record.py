@@ -101,9 +101,8 @@ def _files(
     if not is_bag:
         check_ending(paths[0])
         if options.bag is not None:
-            raise InputError(
-                "--for and --tf", f"found the capture {paths[0]}", "a bag: .mcap, .bag or a slash at the end"
-            )
+            expected = "a bag: .mcap, .bag or a slash at the end"
+            raise InputError("--for and --tf", f"found the capture {paths[0]}", expected)
         return _captures(paths, [unit.link for unit in emulator.parts.units])
     if options.split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")

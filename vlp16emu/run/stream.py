@@ -66,7 +66,8 @@ def stream_run(
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
         packets = enter(_packets(emulator, options, feed, span_s, progress=preparing, stop=stop))
-        way, gps_in = watched(way, pacer), _gps_reader(emulator, options)
+        way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
+        gps_in = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, powered_for_s)
         way = enter(gps_in).sink(way) if gps_in else way  # outermost: watchers see the packets that are sent
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
@@ -101,16 +102,8 @@ def _packets(
             yield writer.beside(feed) if writer else feed
 
 
-def _gps_reader(emulator: "Emulator", options: StreamOptions) -> Any:
-    """Return the reader of a real receiver, or None without one."""
-    powered_for_s = emulator.parts.units[0].section.powered_for_s or 0.0
-    return options.gps_in and door("gps_in")(options.gps_in, emulator.scenario.gps, powered_for_s)
-
-
-def _streamed(
-    emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any
-) -> Streamed:
-    """Return the result of a stream, with `beside` as its last fields, and write its start time to the ground truth."""
+def _streamed(emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *more: Any) -> Streamed:
+    """Return the result of a stream, with `more` as its last fields, and write its start time to the ground truth."""
     scenario, speed = emulator.scenario, options.speed
     if (truth := TruthTo.of(options.truth)) and report.first:  # so that live results can be compared with the truth
         times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
@@ -119,7 +112,7 @@ def _streamed(
     enough = door("keeps_up_with")(report.behind, scenario, speed) if is_known else ()
     units = (UnitSent.of(*each, report.simulated_s) for each in zip(emulator.parts.units, udp.sent, strict=True))
     asked = str(options.to), speed, options.late, tuple(units)
-    return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *beside)
+    return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *more)
 
 
 def _check(options: StreamOptions, truth: TruthTo | None) -> None:
@@ -231,8 +224,7 @@ class PacketFeed:
 
     def _leave_out(self, from_ns: int) -> None:
         """Continue at a UTC time, and count the packets before it as skipped."""
-        stop_ns = self.engine.scenario.start_ns + round(self._stop_s * S_NS)
-        from_ns = min(from_ns, stop_ns)
+        from_ns = min(from_ns, self.engine.scenario.start_ns + round(self._stop_s * S_NS))
         if from_ns <= self._reached_ns:
             return
         self.close()  # generator of the earlier packets

@@ -188,8 +188,8 @@ def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int)
     if (imu := engine.scenario.imu) is not None and parts.imu is not None:
         feeds.append(Samples(inertial, parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
     if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
-        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
-        feeds.append(Samples(fixes, seconds, 0, 1, max(named_ns, begin_ns)).up_to)
+        begin_ns = max(named_ns, begin_ns)
+        feeds.append(Samples(fixes, lambda first, count: range(first, first + count), 0, 1, begin_ns).up_to)
     return feeds
 
 
@@ -333,8 +333,7 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
         before = t_ns, pose
     if before is None or before[0] < begin_ns:
         found = "no poses" if before is None else f"poses until {before[0] / S_NS:.3f} s"
-        expected = f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s"
-        raise InputError(str(path), found, expected)
+        raise InputError(str(path), found, f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s")
     yield before[0], before[1] + rates
 
 

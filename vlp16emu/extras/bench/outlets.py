@@ -258,8 +258,7 @@ class SerialSink(PacketSink):
     def result(self) -> OutletResult:
         """Result so far."""
         port, counts = self._port, (self._messages, self._bytes, self._dropped)
-        pulses = self._pulses if port.has_line else None
-        return OutletResult(port.name, *counts, port.away, port.line, pulses)
+        return OutletResult(port.name, *counts, port.away, port.line, self._pulses if port.has_line else None)
 
     def _run(self) -> None:
         while (item := self._waiting.get()) is not None:

@@ -43,7 +43,6 @@ def _rows(unit: Unit, returns: Returns, column: I8) -> NDArray[np.void]:
     """Return `SLOT` (k, 16) of one return of each pulse, given by its index (k, 16) on the last axis."""
 
     def taken(values: NDArray[Any] | None) -> NDArray[Any]:
-        """Return the values (k, 16) of the given return of each pulse."""
         assert values is not None
         return np.take_along_axis(values, column[..., None], axis=-1)[..., 0]
 

@@ -215,8 +215,7 @@ def _above(size: tuple[int, int], sweep: Sweep) -> Canvas:
     """Return a canvas for a sweep seen vertically from above, up to the range of most of its points."""
     width, height = size
     corner_m = np.quantile(sweep.scan.distance_m, _SHARE) * np.array([width, height, height]) / min(width, height)
-    box_m = np.stack([-corner_m, corner_m])
-    return Canvas(box_m, 180.0, 90.0, size)
+    return Canvas(np.stack([-corner_m, corner_m]), 180.0, 90.0, size)
 
 
 def _in_sensor(sweep: Sweep) -> F8:
