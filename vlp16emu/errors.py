@@ -113,8 +113,7 @@ def readable(
         if not stat.S_ISREG(status.st_mode):
             raise kind(str(path), _KINDS[stat.S_IFMT(status.st_mode)], expected)
         if status.st_size > most_bytes:
-            found = f"found {status.st_size} bytes"
-            raise kind(str(path), found, f"{expected} of at most {most_bytes} bytes")
+            raise kind(str(path), f"found {status.st_size} bytes", f"{expected} of at most {most_bytes} bytes")
         yield
     except OSError as error:
         raise kind(str(path), (error.strerror or "cannot be read").lower(), expected) from None

@@ -7,6 +7,7 @@ columns, a decimal comma is accepted as well as a point.
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from difflib import get_close_matches
@@ -156,22 +157,16 @@ def read_table(
     lines = _decoded(path, content, error).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     records = partial(_records, path, lines, expected, error)
     known = {name for column in columns.values() for name in column.units}
-
-    def header(mark: str) -> tuple[int, list[str]]:
-        for line, (first, *others) in records(mark):
-            names = [name.lower() for name in (first.lstrip("# "), *others)]  # numpy.savetxt begins it with #
-            if known & {*names} or not first.lower().startswith(("#", "sep=")):
-                return line, names
-        return 0, []
-
     if has_header:
-        mark = max(_MARKS, key=lambda mark: len(known & {*header(mark)[1]}))
-        first, names = header(mark)
+        headers = {mark: _header(records(mark), known) for mark in _MARKS}
+        mark = max(_MARKS, key=lambda mark: len(known & {*headers[mark][1]}))
+        first, names = headers[mark]
         if not known & {*names}:  # a file of another kind is not quoted
             raise error(f"{path}, line 1", "none of the columns", expected)
         called = _columns_of(names, columns, f"{path}, line {first}", error)
     else:
-        fits = (m for m in _MARKS if len(one := header(m)[1]) == len(columns) and not any(" " in cell for cell in one))
+        firsts = ((mark, _header(records(mark), known)[1]) for mark in _MARKS)
+        fits = (mark for mark, cells in firsts if len(cells) == len(columns) and not any(" " in cell for cell in cells))
         mark, first, names, called = next(fits, " "), 0, list(columns), {name: name for name in columns}
     rows = [row for row in records(mark) if row[0] > first and not row[1][0].startswith("#")]
     if rows and has_header and len(rows[0][1]) == len(names) + 1 and rows[0][1][-1]:
@@ -201,6 +196,15 @@ def _records(
     except csv.Error as fault:
         where = f"{path}, line {reader.line_num}"
         raise error(where, str(fault), f"{expected}, with each quotation mark closed") from None
+
+
+def _header(records: Iterator[tuple[int, list[str]]], known: AbstractSet[str]) -> tuple[int, list[str]]:
+    """Return line and names of the first record with a known name, or that is no comment and no separator for Excel."""
+    for line, (first, *others) in records:
+        names = [name.lower() for name in (first.lstrip("# "), *others)]  # numpy.savetxt begins it with #
+        if known & {*names} or not first.lower().startswith(("#", "sep=")):
+            return line, names
+    return 0, []
 
 
 def _columns_of(

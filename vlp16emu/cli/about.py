@@ -78,12 +78,8 @@ def plan(scene: SceneName, making: RunOptions, *, as_json: AsJson = False) -> No
         "libraries": libraries(),
         "features": needs(engine, audited=audited),
         "world": surroundings(engine),
-        "measured": {
-            "started_s": started_s,
-            "simulated_s": measured.simulated_s,
-            "wall_s": measured.wall_s,
-            "real_time_factor": measured.real_time_factor,
-        },
+        "measured": {"started_s": started_s}
+        | {name: getattr(measured, name) for name in ("simulated_s", "wall_s", "real_time_factor")},
         "stream": stream,
     }
     if as_json:
@@ -113,9 +109,8 @@ def doctor(*, as_json: AsJson = False) -> None:
     if as_json:
         print_json({"checks": checks, **counts})
     else:
-        mends = [f"; {check.mend}" if check.mend else "" for check in checks]
-        pairs = zip(checks, mends, strict=True)
-        print_rows("this machine", {one.name: f"{one.finding:<7}  {one.found}{mend}" for one, mend in pairs})
+        mends = {check.name: f"; {check.mend}" if check.mend else "" for check in checks}
+        print_rows("this machine", {one.name: f"{one.finding:<7}  {one.found}{mends[one.name]}" for one in checks})
     if counts[Condition.PROBLEM]:
         raise typer.Exit(1)
 

@@ -86,20 +86,18 @@ def _verify_bag(file: Path, unit: str | None, slam: str, *, as_json: bool) -> No
             print(finding)
         counts = {name: len(result.of(name)) for name in result.programs}
         verdicts = {name: f"{n} finding{'s' * (n > 1)}" if n else "fit" for name, n in counts.items()}
-        print_rows(
-            f"{file}: {'fit' if not result.findings else 'not fit for all' if slam == 'all' else 'not fit'}", verdicts
-        )
+        summary = "fit" if not result.findings else "not fit for all" if slam == "all" else "not fit"
+        print_rows(f"{file}: {summary}", verdicts)
     if result.findings:
         raise typer.Exit(1)
 
 
 def _tree(result: "Verification") -> dict[str, Any]:
-    counted = {name: getattr(result, name) for name in ("position_packets", "other_frames", "lost_packets")}
+    counted = "position_packets", "other_frames", "lost_packets", "void_sentences"
     return {
         "clean": result.is_clean,
         "packets": result.data_packets,
-        **counted,
-        "void_sentences": result.void_sentences,
+        **{name: getattr(result, name) for name in counted},
         "duration_s": result.span_s,
         "rpm": result.rpm,
         "cut": result.is_cut,
@@ -140,9 +138,8 @@ def compare(
         found = [row._asdict() for row in rows]
         print_json({"files": [str(file), str(other)], "apart": apart, "statistics": found})
         return
-    print_rows(
-        f"{file} and {other}", {"": "     first     second   distance", **{row.text: _line(row) for row in rows}}
-    )
+    head = {"": "     first     second   distance"}
+    print_rows(f"{file} and {other}", head | {row.text: _line(row) for row in rows})
     print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
 
 

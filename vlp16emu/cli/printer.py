@@ -65,9 +65,9 @@ def print_rows(title: str, rows: Mapping[str, str]) -> None:
 def print_table(rows: Sequence[Sequence[str]]) -> None:
     """Print rows of cells in columns, the first aligned left and the others right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        first, *others = (text.rjust(width) for text, width in zip(row, widths, strict=True))
-        print("  ".join([row[0].ljust(len(first)), *others]))
+    for first, *others in rows:
+        cells = (text.rjust(width) for text, width in zip(others, widths[1:], strict=True))
+        print("  ".join([first.ljust(widths[0]), *cells]))
 
 
 def table_of(rows: Sequence[Any]) -> list[list[str]]:

@@ -68,7 +68,7 @@ def stream(
     from the first packet. If the engine falls behind, a line says so at once, with settings that would keep up.
     Ctrl-C ends the stream.
     """
-    host, _ = options.receiver
+    title = f"{scene} to {options.receiver[0]}"
     emulator = make_emulator(scene, making)
     scenario, is_prepared = emulator.scenario, prepare or options.prepare is not None
     options = _live_options(options, scenario)
@@ -87,15 +87,13 @@ def stream(
             options = replace(options, poses=replace(options.poses, news=progress.say))
         streamed = emulator.stream(
             **vars(options),
-            opened=lambda units: _announce(
-                f"streaming {scene} to {host}", [unit.link for unit in units], quiet=as_json
-            ),
+            opened=lambda units: _announce(f"streaming {title}", [unit.link for unit in units], quiet=as_json),
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),
             notify=lambda behind: progress.say(behind_line(behind, scenario, options.late, options.speed)),
             stop=stop,
         )
-    _close(streamed, f"{scene} to {host}", strict=strict, as_json=as_json)
+    _close(streamed, title, strict=strict, as_json=as_json)
 
 
 def replay(

@@ -68,9 +68,7 @@ class Progress:
     """
 
     def __init__(self, total_s: float, first: str = "growing the world") -> None:
-        self._total_s, self._first = total_s, first
-        self._next_s = 0.0
-        self._begun = threading.Event()
+        self._first, self._next_s, self._begun = first, 0.0, threading.Event()
         self._bar = None
         if sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console

@@ -78,7 +78,7 @@ class _Splits(Section):
     test: Fraction = 0.15
 
     @model_validator(mode="after")
-    def _sum(self) -> Self:
+    def _check_shares(self) -> Self:
         if abs(self.train + self.val + self.test - 1) > _ONE:
             raise ValueError("train, val and test that sum to 1")
         return self
@@ -333,12 +333,7 @@ def make_dataset(
     walks = walks[slice(*(asked.share or (None,)))]
     path, parts = out / "manifest{}.json".format(".{}-{}".format(*asked.share) if asked.share else ""), out / PARTS
     with _locked(out):
-        if path.exists():
-            expected = "the manifest of a dataset"
-            with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
-                text = path.read_text(encoding="utf-8")
-            if not _parsed_list(text):
-                raise OutputError(str(path), "is none of ours", expected)
+        _check_manifest(path)
         entries = {walk.number: entry for walk in walks if (entry := finished(out, walk))}
         missing = [walk for walk in walks if walk.number not in entries]
         done_s = sum(walk.scenario.duration_s for walk in walks if walk.number in entries)
@@ -363,6 +358,17 @@ def make_dataset(
         made=len(missing),
         bytes=sum(file["bytes"] for entry in entries.values() for file in entry["files"]),
     )
+
+
+def _check_manifest(path: Path) -> None:
+    """Refuse to overwrite a file that is no manifest."""
+    if not path.exists():
+        return
+    expected = "the manifest of a dataset"
+    with readable(path, expected, OutputError, most_bytes=_LARGEST_BYTES):
+        text = path.read_text(encoding="utf-8")
+    if not _parsed_list(text):
+        raise OutputError(str(path), "is none of ours", expected)
 
 
 @contextmanager

@@ -227,8 +227,11 @@ def relief(cells_xy_m: F8, height_m: HeightField) -> dict[str, float]:
     }
 
 
-def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
-    """Summarise the survey of the scene named `scene`: for any world path and named objects, for a forest also figures within the radius."""
+def summary_of(scene: str, scenario: Scenario, seen: Survey, rows: NDArray[np.void]) -> dict[str, Any]:
+    """Summarise the survey of the scene named `scene`: for any world path and named objects, for a forest also figures within the radius.
+
+    The inventory `rows` has the trees within the radius, and perhaps others.
+    """
     path_xy_m = seen.path_m[:, :2]
     length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
     named = [(seen.names[one.instance], one) for one in seen.things if one.instance in seen.names]
@@ -254,7 +257,7 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> dict[str, Any]:
     return summary | {
         "area_ha": ground_m2 / 10_000,
         "relief": relief(cells, seen.bare.height_m),
-        "trees": stand_rows(seen.inventory(seen.near), seen.species, ground_m2),
+        "trees": stand_rows(rows[np.isin(rows["id"], seen.near["id"])], seen.species, ground_m2),
         "clark_evans": clark_evans(xy_m, all_xy_m, ground_m2) if len(xy_m) > 1 else None,
         "things": _things(seen, ground_m2),
         "trees_in_reach": len(seen.trees),  # within the sensor's range
@@ -284,17 +287,18 @@ def write_survey(scene: str, scenario: Scenario, radius_m: float, wanted: Mappin
     with ExitStack() as stack:
         outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
         seen = survey(scenario, radius_m)
-        summary = summary_of(scene, scenario, seen)
+        rows = seen.inventory(seen.trees if "--inventory" in wanted else seen.near)
+        summary = summary_of(scene, scenario, seen, rows)
         for name, output in outputs.items():
             file = stack.enter_context(output.writing())
-            _write(name, file, seen)
+            _write(name, file, seen, rows)
             file.flush()  # here, so that no file gets its name if the disk is full
     return summary
 
 
-def _write(name: str, file: BinaryIO, seen: Survey) -> None:
+def _write(name: str, file: BinaryIO, seen: Survey, rows: NDArray[np.void]) -> None:
     if name == "--inventory":  # all trees within the sensor's range
-        write_csv(file, seen.inventory(seen.trees), table=seen.plants.trees)
+        write_csv(file, rows, table=seen.plants.trees)
     elif name == "--stems":  # skeletons with radii, as in a QSM
         text: dict[str, Any] = {"fmt": [*["%d"] * 4, *["%.4f"] * 5], "delimiter": ",", "comments": ""}
         np.savetxt(file, seen.stem_circles(seen.trees), header=",".join(STEM_CIRCLE.names or ()), **text)

@@ -181,7 +181,7 @@ class Storey(Section):
 
     @field_validator("species")
     @classmethod
-    def _whole(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
+    def _check_shares(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
         if abs(sum(one.share for one in species) - 1.0) > _SHARE_ERROR:
             raise ValueError("shares that sum to 1")
         return species

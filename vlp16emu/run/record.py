@@ -3,7 +3,7 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -43,9 +43,7 @@ def record(
 ) -> Recording:
     """Write the packets of a run into a file; parameters and errors as in `Emulator.record`."""
     units, truth = emulator.parts.units, TruthTo.of(options.truth)
-    paths = _paths_of_units(Path(path), len(units)) if options.split else [Path(path)]
-    for one in paths:
-        spare(emulator.files, one)  # an input of the scene is never overwritten
+    paths = _paths(emulator, Path(path), split=options.split)
     files = _files(emulator, path, paths, truth, options)
     emulator, scenario, stop = emulator.with_truth_in(truth), emulator.scenario, stop or Event()
     span_s = scenario.span_s(options.start_s, options.duration_s)
@@ -60,10 +58,7 @@ def record(
         emulator.truth(truth, span_s) as writer,
         suppress(CancelledError),
     ):
-        for packet in writer.beside(packets) if writer else packets:
-            if stop.is_set():  # between packets, so that the file ends with a whole one
-                break
-            sinks[min(packet.unit, len(sinks) - 1)].send(host.stamped(packet))
+        for packet in _written(writer.beside(packets) if writer else packets, sinks, host, stop):
             sent[packet.unit][packet.kind] += 1
             returns[packet.unit] += returns_in(packet)
             simulated_s = (packet.due_ns - begin_ns) / S_NS
@@ -87,11 +82,15 @@ def record(
     )
 
 
-def _paths_of_units(path: Path, units: int) -> list[Path]:
-    """Return a name for the capture of each unit: `walk_1.pcap` and so on after `walk.pcap`."""
-    if path == STDOUT:
+def _paths(emulator: "Emulator", path: Path, *, split: bool) -> list[Path]:
+    """Return the files to write, with `split` one for each unit: `walk_1.pcap` and so on after `walk.pcap`."""
+    if split and path == STDOUT:
         raise OutputError("-", "one standard output for the captures of all units", "the name of a file")
-    return [path.with_stem(f"{path.stem}_{number + 1}") for number in range(units)]
+    units = range(1, len(emulator.parts.units) + 1)
+    paths = [path.with_stem(f"{path.stem}_{unit}") for unit in units] if split else [path]
+    for one in paths:
+        spare(emulator.files, one)  # an input of the scene is never overwritten
+    return paths
 
 
 def _files(
@@ -102,15 +101,23 @@ def _files(
     if not is_bag:
         check_ending(paths[0])
         if options.bag is not None:
-            raise InputError(
-                "--for and --tf", f"found the capture {paths[0]}", "a bag: .mcap, .bag or a slash at the end"
-            )
+            expected = "a bag: .mcap, .bag or a slash at the end"
+            raise InputError("--for and --tf", f"found the capture {paths[0]}", expected)
         return _captures(paths, [unit.link for unit in emulator.parts.units])
     if options.split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")
     rate_hz = (truth or TruthTo(paths[0])).rate_hz
     bag: AbstractContextManager[Sequence[Any]] = door("bag")(paths[0], emulator.engine, rate_hz, options.bag)
     return bag
+
+
+def _written(packets: Iterable[Packet], sinks: Sequence[Any], host: "HostClock", stop: Event) -> Iterator[Packet]:
+    """Write packets to the file of their unit, and yield each after it is written."""
+    for packet in packets:
+        if stop.is_set():  # between packets, so that the file ends with a whole one
+            return
+        sinks[min(packet.unit, len(sinks) - 1)].send(host.stamped(packet))
+        yield packet
 
 
 @contextmanager

@@ -48,7 +48,7 @@ def stream_run(
     stop : ends the stream from another thread
     """
     (host, _), truth, pacer = options.receiver, TruthTo.of(options.truth), Pacer(options.speed)
-    http, outlets, gps_in, stop = options.http, options.outlets, options.gps_in, stop or Event()
+    http, stop = options.http, stop or Event()
     _check(options, truth)
     with ExitStack() as stack:
         enter = stack.enter_context
@@ -59,19 +59,15 @@ def stream_run(
         is_live = scenario.motion.takes_poses or options.poses is not None
         flight = enter(door("live")(emulator, options.poses)) if is_live else None
         policy = flight.prepare(stop, pacer) if flight else Late(options.late)  # waits for the first pose
-        outlets = enter(door("outlets")(outlets)) if outlets else None
+        outlets = enter(door("outlets")(options.outlets)) if options.outlets else None
         engine = replace(emulator.engine, prompt=http is not None)  # settings from there should take effect soon
         feed = enter(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
         udp = enter(_udp(emulator, options, host, progress))  # a wrong address fails before any casting
         way = outlets.open(udp, scenario.imu) if outlets else udp
         opened(units)
-        if options.prepare:
-            packets: Iterable[Packet] = door("prepared")(emulator, options, progress=preparing, stop=stop)
-        else:
-            writer = enter(emulator.truth(truth, span_s, of=feed))
-            packets = writer.beside(feed) if writer else feed
+        packets = enter(_packets(emulator, options, feed, span_s, progress=preparing, stop=stop))
         way, powered_for_s = watched(way, pacer), units[0].section.powered_for_s or 0.0
-        gps_in = gps_in and door("gps_in")(gps_in, scenario.gps, powered_for_s)
+        gps_in = options.gps_in and door("gps_in")(options.gps_in, scenario.gps, powered_for_s)
         way = enter(gps_in).sink(way) if gps_in else way  # outermost: watchers see the packets that are sent
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = len(units) * (flight.look_ahead if flight else look_ahead)
@@ -94,10 +90,20 @@ def stream_run(
     return _streamed(emulator, asked, report, udp, live, gps_in and gps_in.result, *sent)
 
 
-def _streamed(
-    emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *beside: Any
-) -> Streamed:
-    """Return the result of a stream, with `beside` as its last fields, and write its start time to the ground truth."""
+@contextmanager
+def _packets(
+    emulator: "Emulator", options: StreamOptions, feed: "PacketFeed", span_s: tuple[float, float], **hooks: Any
+) -> Iterator[Iterable[Packet]]:
+    """Yield the packets to send: prepared ones, or those of the feed, with the ground truth written beside them."""
+    if options.prepare:
+        yield door("prepared")(emulator, options, **hooks)
+    else:
+        with emulator.truth(TruthTo.of(options.truth), span_s, of=feed) as writer:
+            yield writer.beside(feed) if writer else feed
+
+
+def _streamed(emulator: "Emulator", options: StreamOptions, report: StreamReport, udp: UdpSink, *more: Any) -> Streamed:
+    """Return the result of a stream, with `more` as its last fields, and write its start time to the ground truth."""
     scenario, speed = emulator.scenario, options.speed
     if (truth := TruthTo.of(options.truth)) and report.first:  # so that live results can be compared with the truth
         times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
@@ -106,7 +112,7 @@ def _streamed(
     enough = door("keeps_up_with")(report.behind, scenario, speed) if is_known else ()
     units = (UnitSent.of(*each, report.simulated_s) for each in zip(emulator.parts.units, udp.sent, strict=True))
     asked = str(options.to), speed, options.late, tuple(units)
-    return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *beside)
+    return Streamed(About.of(emulator.name, scenario), *asked, report, tuple(enough), emulator.finding, *more)
 
 
 def _check(options: StreamOptions, truth: TruthTo | None) -> None:
@@ -218,8 +224,7 @@ class PacketFeed:
 
     def _leave_out(self, from_ns: int) -> None:
         """Continue at a UTC time, and count the packets before it as skipped."""
-        stop_ns = self.engine.scenario.start_ns + round(self._stop_s * S_NS)
-        from_ns = min(from_ns, stop_ns)
+        from_ns = min(from_ns, self.engine.scenario.start_ns + round(self._stop_s * S_NS))
         if from_ns <= self._reached_ns:
             return
         self.close()  # generator of the earlier packets

@@ -187,11 +187,11 @@ class Tally:
         from scipy.special import stdtrit  # here: the first packet must not wait for the import
 
         mean = self.squares_um2 / self.matched
-        away = self.squares_2_um4 - 2 * mean * self.squares_matched_um2 + mean**2 * self.matched_2
+        variation_um4 = self.squares_2_um4 - 2 * mean * self.squares_matched_um2 + mean**2 * self.matched_2
         # If all clusters have the same error, rounding may give a value slightly below zero.
-        relative = math.sqrt(max(away, 0.0) * self.clusters / (self.clusters - 1)) / self.squares_um2
-        carrying = self.squares_um2**2 / self.squares_2_um4
-        reach = relative * float(stdtrit(max(carrying / 4, 1.0), 0.5 + _CONFIDENCE / 2))
+        relative = math.sqrt(max(variation_um4, 0.0) * self.clusters / (self.clusters - 1)) / self.squares_um2
+        effective_clusters = self.squares_um2**2 / self.squares_2_um4
+        reach = relative * float(stdtrit(max(effective_clusters / 4, 1.0), 0.5 + _CONFIDENCE / 2))
         return self.range_rmse_m * math.exp(-reach / 2), self.range_rmse_m * math.exp(reach / 2)
 
 

@@ -31,7 +31,7 @@ from vlp16emu.types import F4, I8, Firings, Hits, PlantPart, Returns
 from vlp16emu.units import seconds_to_ns
 
 _WANTED_M = 0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01
-_ERRANT = "angle", "offset"  # models of the beam errors of the paper: for comparison, not for use
+_ERRANT = "angle", "offset"  # beam errors of LiDAR-Forest (Lu et al.): for comparison, not for use
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +192,7 @@ class BeamSetting(NamedTuple):
 
 
 def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
-    """List one ray, the paper's beam errors, fixed counts and adaptive targets, the scene's own among them."""
+    """List one ray, the beam errors of LiDAR-Forest, fixed counts and adaptive targets, the scene's own among them."""
     section = scenario.beam
     counts = sorted({*_COUNTS, section.rays} if section.model == "fixed" else _COUNTS)
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
@@ -221,7 +221,7 @@ class _SettingsBench:
         self._detections = defaultdict[str, list[Detections]](list)
         self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
 
-    def look(self, geometry: Geometry, groups: Sequence[range], pool: ThreadPoolExecutor) -> None:
+    def detect_groups(self, geometry: Geometry, groups: Sequence[range], pool: ThreadPoolExecutor) -> None:
         """Detect the groups of one window with all settings."""
         bench, aimed = self._bench, [self._bench.aimed(group) for group in groups]
 
@@ -281,13 +281,13 @@ def measure_accuracy(
     parts = assemble(scenario)
     unit = parts.units[0]
     block = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns).block
-    ladder = _SettingsBench(Bench(unit, max(_RAYS, _TIMES * unit.beam.rays)), scenario)
+    settings = _SettingsBench(Bench(unit, max(_RAYS, _TIMES * unit.beam.rays)), scenario)
     with workers(os.cpu_count() or 1, "accuracy") as pool:
         for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
-            ladder.look(geometry, groups, pool)
-            ladder.time(geometry, range(begin := groups[0].start // block * block, begin + block))
+            settings.detect_groups(geometry, groups, pool)
+            settings.time(geometry, range(begin := groups[0].start // block * block, begin + block))
             done(share)
-    summed = ladder.summed(scene, scenario.seed)
+    summed = settings.summed(scene, scenario.seed)
     if not (seen := summed.rows[0].errors).returns:
         raise RunError(f"{scene}: none of {seen.pulses} pulses has a return; nothing can be wrong")
     return summed
@@ -370,10 +370,10 @@ def _means(returns: Returns, reach_m: float) -> dict[str, float]:
 
 def departures(groups: list[dict[str, float]], explicit: list[dict[str, float]]) -> dict[str, Mean]:
     """Compare means of groups of equal size with means of the explicit world."""
-    held = dict[str, Mean]()
+    compared = dict[str, Mean]()
     for name in explicit[0]:
         own, other = (np.array([means[name] for means in of]) for of in (groups, explicit))
         off = own - other  # pulses of a group see the same trees: only groups are independent
         half = _NORMAL_95 * float(off.std(ddof=1)) / math.sqrt(len(off)) if len(off) > 1 else math.nan
-        held[name] = Mean(float(own.mean()), float(off.mean()), half)
-    return held
+        compared[name] = Mean(float(own.mean()), float(off.mean()), half)
+    return compared

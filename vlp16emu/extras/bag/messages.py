@@ -182,8 +182,7 @@ class TrueMessages:
         latitude_deg, longitude_deg, valid = said
         # Status -1 is none, service 1 is GPS, covariance 1 is approximated.
         what = (int(valid) - 1, 1), latitude_deg, longitude_deg, math.nan, self._place, 1
-        header = self._bag.header(t_ns, "gps", "/fix")
-        self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", header, *what)
+        self._bag.write("/fix", t_ns, "sensor_msgs/msg/NavSatFix", self._bag.header(t_ns, "gps", "/fix"), *what)
 
 
 def _moved_to_base(numbers: Sequence[float], sensor_T_base: NDArray[Any]) -> list[float]:

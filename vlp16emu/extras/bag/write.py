@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vlp16emu.captures import Capture, CaptureReader, Clock, PacketClock, UnitClock, chosen_unit, unit_clocks, units_in
+from vlp16emu.captures.capture import CapturedUnit, Datagram
 from vlp16emu.engine import Engine
 from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import LATEST_NS, BagFile, check_bag
@@ -123,16 +124,16 @@ class BagSink(PacketSink):
         """Return the contents of the closed bag; sha256 of several files in the order of their names."""
         path = self.bag.path
         files = sorted(path.iterdir()) if path.is_dir() else [path]
-
-        def sha256(file: Path) -> str:
-            with file.open("rb") as opened:
-                return hashlib.file_digest(opened, "sha256").hexdigest()
-
         return PcapResult(
             bytes=sum(file.stat().st_size for file in files),
-            sha256=", ".join(map(sha256, files)),
+            sha256=", ".join(map(_sha256, files)),
             messages=dict(sorted(self.bag.counts.items())),
         )
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 @contextmanager
@@ -187,8 +188,8 @@ def _feeds_of_run(engine: Engine, rate_hz: int, to: TrueMessages, begin_ns: int)
     if (imu := engine.scenario.imu) is not None and parts.imu is not None:
         feeds.append(Samples(inertial, parts.imu.read, start_ns, imu.rate_hz, begin_ns).up_to)
     if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
-        seconds: Callable[[int, int], range] = lambda first, count: range(first, first + count)  # noqa: E731
-        feeds.append(Samples(fixes, seconds, 0, 1, max(named_ns, begin_ns)).up_to)
+        begin_ns = max(named_ns, begin_ns)
+        feeds.append(Samples(fixes, lambda first, count: range(first, first + count), 0, 1, begin_ns).up_to)
     return feeds
 
 
@@ -228,28 +229,15 @@ def write_bag(
     made, frames = [one.make() for one in clocks], _frames(len(units))
     true = None if truth is None else _truth_of(truth, [every.index(one) for one in units], len(every))
 
-    def rig() -> Rig:
-        if true:
-            return Rig.of(true.rig, true.scenario, frames[0])
-        with CaptureReader(capture, units[0]) as reader:  # rotor speed of its first packets
-            next(reader.points(), None)
-            return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frames[0])
-
     with (
-        written_beside(out, options.slam, rig),
+        written_beside(out, options.slam, lambda: _rig(true, capture, units[0], frames[0])),
         BagSink(out, frames, lambda number, _: made[number], options, true) as sink,
         Capture(capture) as datagrams,
     ):
         for datagram in datagrams:
             if stop.is_set():
                 break
-            of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
-            if of is not None:
-                kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
-                try:
-                    sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
-                except PacketError as error:
-                    raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
+            _send(datagram, units, sink, capture)
     first_ns, last_ns = sink.bag.span_ns or (0, 0)
     return {
         "file": str(out),
@@ -260,6 +248,27 @@ def write_bag(
         "repeats": datagrams.repeated,  # packets left out as repeated
         "interrupted": stop.is_set(),
     }
+
+
+def _rig(true: Truth | None, capture: Path, unit: CapturedUnit, frame: str) -> Rig:
+    """Return the sensors of the ground truth; without it the unit of the capture, at the rotor speed of its first packets."""
+    if true:
+        return Rig.of(true.rig, true.scenario, frame)
+    with CaptureReader(capture, unit) as reader:
+        next(reader.points(), None)
+        return Rig(max(round(reader.summary.rpm / _SET_RPM), 1) * _SET_RPM, lidar_frame=frame)
+
+
+def _send(datagram: Datagram, units: Sequence[CapturedUnit], sink: BagSink, capture: Path) -> None:
+    """Send a datagram of one of the units to the sink; PacketError names the capture."""
+    of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
+    if of is None:
+        return
+    kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
+    try:
+        sink.send(Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number))
+    except PacketError as error:
+        raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
 
 
 def _check_stamps(capture: Path, clocks: Sequence[UnitClock]) -> None:
@@ -324,8 +333,7 @@ def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
         before = t_ns, pose
     if before is None or before[0] < begin_ns:
         found = "no poses" if before is None else f"poses until {before[0] / S_NS:.3f} s"
-        expected = f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s"
-        raise InputError(str(path), found, expected)
+        raise InputError(str(path), found, f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s")
     yield before[0], before[1] + rates
 
 

@@ -230,5 +230,4 @@ class GpsInSink(PacketSink):
         else:
             made_ns = sent_ns - (age_ns(packet) if packet.fired_ns is None else packet.due_ns - packet.fired_ns)
         line = self._line
-        stamped = restamped(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence)
-        self._sink.send(stamped)
+        self._sink.send(restamped(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence))

@@ -78,11 +78,11 @@ class Beside:
         return range(*(-(-utc_ns // S_NS) + -(-(utc_ns - PULSE_NS) // S_NS) for utc_ns in span_ns))
 
     def _sentences(self, seconds: range) -> Iterator[_Beat]:
-        def sentence(second_ns: int) -> Packet:
-            return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
-
         for second in seconds:  # with the same delay after its second as on the sensor's line
-            yield second * S_NS + self._delay_ns, partial(sentence, second * S_NS)
+            yield second * S_NS + self._delay_ns, partial(self._sentence, second * S_NS)
+
+    def _sentence(self, second_ns: int) -> Packet:
+        return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
 
     def _pulses(self, numbers: range) -> Iterator[_Beat]:
         for number in numbers:
@@ -258,8 +258,7 @@ class SerialSink(PacketSink):
     def result(self) -> OutletResult:
         """Result so far."""
         port, counts = self._port, (self._messages, self._bytes, self._dropped)
-        pulses = self._pulses if port.has_line else None
-        return OutletResult(port.name, *counts, port.away, port.line, pulses)
+        return OutletResult(port.name, *counts, port.away, port.line, self._pulses if port.has_line else None)
 
     def _run(self) -> None:
         while (item := self._waiting.get()) is not None:

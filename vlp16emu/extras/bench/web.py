@@ -97,9 +97,8 @@ class WebServer:
         except (OSError, UnicodeError) as error:
             self._socket.close()
             found = getattr(error, "strerror", None) or "no name of a host"
-            raise OutputError(
-                f"--http {host}:{port}", found.lower(), "an address of this machine and a free port"
-            ) from error
+            expected = "an address of this machine and a free port"
+            raise OutputError(f"--http {host}:{port}", found.lower(), expected) from error
         self.is_private = ip_address(self.address[0]).is_loopback
 
     @property

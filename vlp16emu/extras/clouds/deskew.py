@@ -120,12 +120,9 @@ def write_deskewed(
         chunks = reader.points()
         first = next(chunks)
         start_ns = int(first.utc_ns[0])
-        about = cloud.CloudAbout(
-            ("x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")),
-            start_utc=datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000),
-            origin=way.origin,
-            unit=way.unit,
-        )
+        comments = "x, y, z in the world by a trajectory", cloud.time_comment(f"{stamped.clock}'s")
+        start_utc = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_ns // 1000)
+        about = cloud.CloudAbout(comments, start_utc, way.origin, way.unit)
         columns = cloud.DESKEWED_COLUMNS + (truth.columns if truth else ())
         points = without_pose = last_ns = 0
         with cloud.point_file(path, columns, about, where=str(path), inputs=(capture, way.path)) as writer:
@@ -137,10 +134,7 @@ def write_deskewed(
                 if stop.is_set():
                     break
             if without_pose and not points:
-                found, ends = "poses from {:.3f} to {:.3f} s".format(*way.span_s), (start_ns, start_ns + last_ns)
-                pulses = "from {:.3f} to {:.3f} s".format(*(t_ns / S_NS for t_ns in ends))
-                by = f"by the {stamped.clock} clock (see --clock and --time-offset)"
-                raise TrajectoryError(str(way.path), found, f"poses at the pulses, {pulses} {by}")
+                raise _without_poses(way, (start_ns, start_ns + last_ns), stamped.clock)
     return {
         "file": str(path),
         "capture": str(capture),
@@ -154,6 +148,13 @@ def write_deskewed(
         "bytes": path.stat().st_size,
         "interrupted": stop.is_set(),
     }
+
+
+def _without_poses(way: Trajectory, pulses_ns: tuple[int, int], clock: str) -> TrajectoryError:
+    """Return the error of a trajectory without a pose between the first and the last pulse of a capture."""
+    poses, pulses = ("from {:.3f} to {:.3f} s".format(*s) for s in (way.span_s, [t_ns / S_NS for t_ns in pulses_ns]))
+    expected = f"poses at the pulses, {pulses} by the {clock} clock (see --clock and --time-offset)"
+    return TrajectoryError(str(way.path), f"poses {poses}", expected)
 
 
 def _blocks(

@@ -34,11 +34,10 @@ def _ns(year: int, month: int, day: int) -> int:
 
 
 _GPS_EPOCH_NS = _ns(1980, 1, 6)
-_LEAPS_NS = np.array(
+_LEAPS_NS = np.sort(
     [_ns(year, 7, 1) for year in (1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)]
     + [_ns(year, 1, 1) for year in (1988, 1990, 1991, 1996, 1999, 2006, 2009, 2017)]
 )  # instants after the leap seconds since GPS time began (IERS Bulletin C; 2016-12-31 is the last one announced)
-_LEAPS_NS.sort()
 _ADJUSTMENT_S = 1_000_000_000  # LAS specification 1.4 - R15, section 2.4, global encoding bit 0
 
 

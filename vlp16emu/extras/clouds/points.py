@@ -90,18 +90,11 @@ def write_points(
             progress(simulated_s)
             if stop.is_set():
                 break
-    sensor, wall_s = emulator.parts.units[number], time.perf_counter() - began_s
-    beams = sensor.head.beams
+    wall_s = time.perf_counter() - began_s
     return PointCloud(
+        **_sensor_of(emulator, number, simulated_s),
         file=str(path),
-        scene=emulator.name,
-        seed=scenario.seed,
         unit=asked.unit,
-        sensor=sensor.section.model,
-        beams=len(beams.elevation_deg),
-        elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
-        pulses_per_s=S_NS / beams.sequence_ns * len(beams.elevation_deg),
-        turn=turn_of(sensor.head, simulated_s),
         points=int(returns.sum()),
         returns=dict(zip(cloud.RETURN_NAMES, returns.tolist(), strict=True)),
         truth=truth,
@@ -111,6 +104,21 @@ def write_points(
         real_time_factor=simulated_s / wall_s,
         interrupted=stop.is_set(),
     )
+
+
+def _sensor_of(emulator: Emulator, number: int, simulated_s: float) -> dict[str, Any]:
+    """Return the fields of `PointCloud` for the scene and its sensor `number`, from 0."""
+    sensor = emulator.parts.units[number]
+    beams = sensor.head.beams
+    return {
+        "scene": emulator.name,
+        "seed": emulator.scenario.seed,
+        "sensor": sensor.section.model,
+        "beams": len(beams.elevation_deg),
+        "elevation_deg": (float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
+        "pulses_per_s": S_NS / beams.sequence_ns * len(beams.elevation_deg),
+        "turn": turn_of(sensor.head, simulated_s),
+    }
 
 
 def _about(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) -> cloud.CloudAbout:
@@ -129,7 +137,7 @@ def _blocks(
     scenario = engine.scenario
     labelled = labels and cloud.PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)
 
-    def made(block: Returns) -> tuple[cloud.Block, int]:
+    def points_in(block: Returns) -> tuple[cloud.Block, int]:
         t_ns = block.firings.t_ns
         points, _ = points_of(unit, block, (t_ns >= begin_ns) & (t_ns < end_ns), truth=truth)
         points["since_start_ns"] = points["t_ns"] - start_ns
@@ -139,4 +147,4 @@ def _blocks(
             points |= labelled.of(points)
         return points, min(int(t_ns[-1, 0]) + unit.head.beams.sequence_ns, end_ns) - start_ns
 
-    return map(made, engine.returns(*span_s, number, truth=truth))
+    return map(points_in, engine.returns(*span_s, number, truth=truth))

@@ -58,8 +58,7 @@ def read_sequences(path: Path) -> Sequences:
     possible for a VLP-16.
     """
     with Capture(path) as capture:
-        own = (one for one in capture if len(one.payload) == layout.DATA_BYTES)
-        packets = list(islice(own, _MOST_PACKETS))
+        packets = list(islice((one for one in capture if len(one.payload) == layout.DATA_BYTES), _MOST_PACKETS))
     if len(packets) < _LEAST_PACKETS:
         raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
     fields = np.frombuffer(b"".join(packet.payload for packet in packets), layout.DATA_PAYLOAD)

@@ -42,8 +42,7 @@ class Recorded(MotionSection):
 
     @model_validator(mode="after")
     def _times_of_kitti(self) -> Self:
-        given = sum(times is not None for times in (self.times_file, self.rate_hz))
-        if given != (self.format == "kitti"):
+        if sum(times is not None for times in (self.times_file, self.rate_hz)) != (self.format == "kitti"):
             raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")
         return self
 

@@ -75,8 +75,7 @@ def read_cloud(path: Path) -> Cloud:
 def _ply(path: Path) -> Cloud:
     import trimesh
 
-    loaded = trimesh.load(path, process=False)
-    data = loaded.metadata["_ply_raw"]["vertex"]["data"]
+    data = trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
     names = data.dtype.names if isinstance(data, np.ndarray) else data
     return {name: np.asarray(data[name]).reshape(len(data[name]), -1)[:, 0] for name in names}
 

@@ -137,8 +137,7 @@ def box_scores(found: F8, confidence: I8, true: F8) -> dict[str, float]:
     0.25 and 0.5, `box_map` the mean over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are matched by falling confidence,
     each true box once.
     """
-    order = np.argsort(-confidence, kind="stable")
-    overlap = _overlaps(found[order], true)
+    overlap = _overlaps(found[np.argsort(-confidence, kind="stable")], true)
     scores = {"box_ap_25": _average_precision(overlap, 0.25), "box_ap_50": _average_precision(overlap, 0.5)}
     return scores | {"box_map": float(np.mean([_average_precision(overlap, limit) for limit in _COCO]))}
 

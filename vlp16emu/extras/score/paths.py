@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,6 @@ def score_path(
     """
     try:
         from evo.core import metrics
-        from evo.core.filters import FilterException
     except ImportError:
         raise MissingExtraError("evo", "score", "scoring a trajectory") from None
     found = read_tum(file) if times is None else read_kitti(file, times)
@@ -46,27 +46,32 @@ def score_path(
         spans = [f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)]
         raise InputError(str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}")
     pair = _aligned(found, inside, true, alignment)
-
-    def score(metric: metrics.PE) -> tuple[float, F8]:
-        try:
-            metric.process_data(pair)
-        except (FilterException, metrics.MetricsException):
-            return math.nan, np.array([math.nan])
-        return float(metric.get_statistic(metrics.StatisticsType.rmse)), np.asarray(metric.error)
-
+    places, turns = metrics.PoseRelation.translation_part, metrics.PoseRelation.rotation_angle_deg
     over = {"delta": RPE_DELTA_M, "delta_unit": metrics.Unit.meters, "all_pairs": True}
-    ate_m, errors_m = score(metrics.APE(metrics.PoseRelation.translation_part))
+    ate_m, errors_m = _errors(metrics.APE(places), pair)
     scores = {
         "ate_m": ate_m,
         "ate_max_m": float(errors_m.max()),
-        "rpe_m": score(metrics.RPE(metrics.PoseRelation.translation_part, **over))[0],
-        "rpe_deg": score(metrics.RPE(metrics.PoseRelation.rotation_angle_deg, **over))[0],
+        "rpe_m": _errors(metrics.RPE(places, **over), pair)[0],
+        "rpe_deg": _errors(metrics.RPE(turns, **over), pair)[0],
     }
     for length_m in DRIFT_M:
-        far = metrics.RPE(metrics.PoseRelation.translation_part, **over | {"delta": length_m})
-        scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(score(far)[1])) / length_m
+        _, errors_m = _errors(metrics.RPE(places, **over | {"delta": length_m}), pair)
+        scores[f"drift_{length_m:g}m_percent"] = 100.0 * float(np.mean(errors_m)) / length_m
     scores["stamp_offset_s"] = stamp_offset_s(found, true)
     return scores, int(inside.sum()), int((~inside).sum())
+
+
+def _errors(metric: Any, pair: Any) -> tuple[float, F8]:
+    """Return RMSE and errors (n,) by a metric of evo, NaN if the pair of trajectories has none."""
+    from evo.core.filters import FilterException
+    from evo.core.metrics import MetricsException, StatisticsType
+
+    try:
+        metric.process_data(pair)
+    except (FilterException, MetricsException):
+        return math.nan, np.array([math.nan])
+    return float(metric.get_statistic(StatisticsType.rmse)), np.asarray(metric.error)
 
 
 def stamp_offset_s(found: RecordedPoses, true: Trajectory) -> float:

@@ -199,10 +199,10 @@ def _yaml(file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str
 
 
 def _json_file(file: ConfigFile, leaves: Leaves, _head: Sequence[str]) -> Iterator[str]:
-    def bare(tree: dict[str, Any]) -> dict[str, Any]:
-        return {key: bare(value) if isinstance(value, dict) else value[0] for key, value in tree.items()}
+    def without_remarks(tree: dict[str, Any]) -> dict[str, Any]:
+        return {key: without_remarks(value) if isinstance(value, dict) else value[0] for key, value in tree.items()}
 
-    yield json.dumps(bare(_tree(file, leaves)), indent=2)
+    yield json.dumps(without_remarks(_tree(file, leaves)), indent=2)
 
 
 def _lua(_file: ConfigFile, leaves: Leaves, head: Sequence[str]) -> Iterator[str]:

@@ -127,18 +127,15 @@ def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns:
                 yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
 
     def position(unit: Unit) -> Iterator[Packet]:
-        for number, due_ns in (
-            positions_due(scenario, unit, start_ns, stop_ns) if isinstance(unit.section, Sensor) else ()
-        ):
-            yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
+        if isinstance(unit.section, Sensor):
+            for number, due_ns in positions_due(scenario, unit, start_ns, stop_ns):
+                yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
 
     streams = (stream(unit) for unit in units for stream in (data, position))
     return heapq.merge(*streams, key=lambda packet: packet.due_ns)
 
 
-_TUM_HEADER = (
-    "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
-)
+_TUM_HEAD = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
 _GNSS_COLUMNS = (
     *("t_utc_s", "valid", "cover", "true_latitude_deg", "true_longitude_deg", "true_height_m"),
     *("true_east_m_s", "true_north_m_s", "latitude_deg", "longitude_deg", "speed_m_s", "course_deg"),
@@ -198,7 +195,7 @@ class Truth:
             from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
             self._trajectories = [self._trajectory(unit, from_ns) for unit in self._units]
             self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
-            self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
+            self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEAD) for unit in wanted}
             self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
             self._returns = dict[int, SlotTable]()
             for unit in self._units if to.per_return else ():
@@ -221,7 +218,7 @@ class Truth:
             raise failed
 
     def _trajectory(self, unit: Unit, from_ns: int) -> "Samples[str]":
-        append, at = self._begun(_file("trajectory", unit), _TUM_HEADER), (self._scenario.start_ns, self._to.rate_hz)
+        append, at = self._begun(_file("trajectory", unit), _TUM_HEAD), (self._scenario.start_ns, self._to.rate_hz)
         return Samples(append, lambda *part: tum_rows(true_motion(unit.motion, *at, *part)), *at, from_ns)
 
     def _finish(self) -> None:
@@ -270,8 +267,7 @@ class Truth:
         self._write_events()
         for number, firsts_ns in self._firsts_ns.items():
             if firsts_ns:
-                true = self._units[number].motion.kinematics_at(np.array(firsts_ns))
-                self._packets[number](tum_rows(true))
+                self._packets[number](tum_rows(self._units[number].motion.kinematics_at(np.array(firsts_ns))))
                 firsts_ns.clear()
 
     def _write_events(self) -> None:

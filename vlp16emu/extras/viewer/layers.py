@@ -41,22 +41,26 @@ def coloured(scan: Scan, layer: str, species: Mapping[int, str]) -> tuple[U1, En
         return colours_of_scale(values, *scale[:2]), scale
     labels: NDArray[Any] = getattr(scan.labels, {"class": "semantic", "natural": "species"}.get(layer, layer))
     different, which = np.unique(labels, return_inverse=True)
-    named, other, of_instance = _named(layer, species), ("", colour_of_kind("ground")), layer == "instance"
+    if layer == "instance":
+        return np.array([_instance_rgb(n) for n in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()], None
+    named, other = _named(layer, species), ("", colour_of_kind("ground"))
     shown = (named[n] for n in different.tolist() if n in named)
-    legend = None if of_instance else {name.replace("_", " ").capitalize(): colour for name, colour in shown}
+    legend = {name.replace("_", " ").capitalize(): colour for name, colour in shown}
     if layer == "natural":
         surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
         for name in ("semantic", "part", "species"):
             surfaces[name] = getattr(scan.labels, name)
         return surface_colours(surfaces, species), legend
+    colours = [named.get(n, other)[1] for n in different.tolist()]
+    return np.array(colours, np.uint8).reshape(-1, 3)[which.ravel()], legend
 
-    def rgb(value: int) -> Rgb:
-        if not of_instance or not value:
-            return (140, 140, 140) if of_instance else named.get(value, other)[1]
-        red, green, blue = colorsys.hsv_to_rgb(value * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (value % 2))
-        return round(255 * red), round(255 * green), round(255 * blue)
 
-    return np.array([rgb(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()], legend
+def _instance_rgb(instance: int) -> Rgb:
+    """Return a colour unlike those of neighbouring numbers; grey for 0, which is no instance."""
+    if not instance:
+        return 140, 140, 140
+    red, green, blue = colorsys.hsv_to_rgb(instance * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (instance % 2))
+    return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def colours_of_scale(values: F8, least: float, most: float) -> U1:

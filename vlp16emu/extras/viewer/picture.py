@@ -131,18 +131,19 @@ def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Sou
         way, inputs = Trajectory(trajectory, 1), [capture, trajectory]
         begin_s, end_s = way.span_s
         way_m = way.poses_at((1e9 * np.linspace(begin_s + 1e-3, end_s - 1e-3, _STATIONS)).astype(np.int64))[1]
+    return Source(islice(_sweeps_of_capture(capture, way, span), 1 if way is None else None), way_m, {}, inputs)
 
-    def sweeps() -> Iterator[Sweep]:
-        first_ns, stop_s = None, math.inf if span.duration_s is None else span.start_s + span.duration_s
-        for scan in decode(capture):
-            first_ns = scan.start_ns if first_ns is None else first_ns
-            since_s = (scan.start_ns - first_ns) / 1e9
-            if since_s >= stop_s:
-                return
-            if since_s >= span.start_s and (way is None or way.has(scan.t_ns).all()):
-                yield by_trajectory(scan, way)
 
-    return Source(islice(sweeps(), 1 if way is None else None), way_m, {}, inputs)
+def _sweeps_of_capture(capture: Path, way: Trajectory | None, span: Span) -> Iterator[Sweep]:
+    """Yield the revolutions in a span since the first one; with a trajectory those that it covers whole."""
+    first_ns, stop_s = None, math.inf if span.duration_s is None else span.start_s + span.duration_s
+    for scan in decode(capture):
+        first_ns = scan.start_ns if first_ns is None else first_ns
+        since_s = (scan.start_ns - first_ns) / 1e9
+        if since_s >= stop_s:
+            return
+        if since_s >= span.start_s and (way is None or way.has(scan.t_ns).all()):
+            yield by_trajectory(scan, way)
 
 
 def source_of_scene(emulator: Emulator, span: Span) -> Source:
@@ -214,8 +215,7 @@ def _above(size: tuple[int, int], sweep: Sweep) -> Canvas:
     """Return a canvas for a sweep seen vertically from above, up to the range of most of its points."""
     width, height = size
     corner_m = np.quantile(sweep.scan.distance_m, _SHARE) * np.array([width, height, height]) / min(width, height)
-    box_m = np.stack([-corner_m, corner_m])
-    return Canvas(box_m, 180.0, 90.0, size)
+    return Canvas(np.stack([-corner_m, corner_m]), 180.0, 90.0, size)
 
 
 def _in_sensor(sweep: Sweep) -> F8:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -143,14 +144,7 @@ class CaptureSweeps:
         if wanted not in self._held and (self._reading is None or wanted < self._next):
             self.close()
             truth = None if self._folder is None else CaptureTruth(self._folder, self._number, None)
-
-            def labels(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
-                if truth is None:
-                    return {}
-                rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
-                return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}
-
-            self._reading, self._next = self._scans(labels), 0
+            self._reading, self._next = self._scans(partial(_labels, truth)), 0
         while self._reading is not None and wanted not in self._held:
             self._held[self._next] = next(self._reading)
             self._next += 1
@@ -170,3 +164,11 @@ class CaptureSweeps:
         for scan in cut_scans(chunk_of(chunk, labels_of(chunk)) for chunk in reader.points()):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
+
+
+def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
+    """Return the labels (n,) of the points of a chunk by field of `Labels`; none without ground truth."""
+    if truth is None:
+        return {}
+    rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
+    return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}

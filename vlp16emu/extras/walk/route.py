@@ -19,9 +19,9 @@ _MAX_SPEED_M_S = 10.0  # a sprint
 _KNOT_S = 0.1  # between knots: a start or a stop takes half a second, a pace (assumption)
 _DEGREE = 5
 _REACH = 3  # knots to either side that a quintic B-spline averages
-_CELL_M = 0.02
-_LOOKS = 4  # length over which acceleration is constant before smoothing, and how often turns are looked up in it
-_BLOCK = 16_384
+_CELL_M = 0.02  # length of a cell, in which acceleration is constant before smoothing
+_LOOKS = 4  # places of a cell at which the turn of the path is looked up
+_BLOCK = 16_384  # places that are looked up together
 _LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together
 _HALVINGS = 24  # of the range of cruise speeds, if the run time is given
 

@@ -138,6 +138,7 @@ def _read_ascii(path: Path) -> Grid:
                 raise GeometryError(f"{path}, line {line[0]}", found, f"{' or '.join(keys)} and a number")
 
         def cells(first: str) -> Iterator[str]:
+            """Yield the rows of heights; messages name the last `line` that was read."""
             nonlocal line
             yield first
             for line in lines:

@@ -48,10 +48,8 @@ def placements(place_m: F8, world_R_thing: F8, size: F8) -> F8:
 def together(groups: Sequence[PlacedThings]) -> PlacedThings:
     """Join groups of things of one layer, in order; none of them are trees."""
     keys = [key for one in groups for key in one.keys]
-    world_T_shape, surfaces = (
-        np.concatenate([getattr(one, name) for one in groups]) for name in ("world_T_shape", "surfaces")
-    )
-    return PlacedThings(keys, world_T_shape, surfaces)
+    world_T_shape = np.concatenate([one.world_T_shape for one in groups])
+    return PlacedThings(keys, world_T_shape, np.concatenate([one.surfaces for one in groups]))
 
 
 def turned(azimuth_deg: F8) -> F8:

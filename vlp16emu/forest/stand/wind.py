@@ -34,15 +34,15 @@ ALONG, ACROSS = 0, 1  # components of the gusts' speed: along the mean wind, and
 _LINES = 256
 _SLOWEST = 0.003  # reduced frequency (f L / U) below which one line represents the rest: 1.2 % of the energy
 _FASTEST_HZ = 5.0  # frequency above which one line represents the rest: no tree follows it
-_DEVIATION = (1.0, 0.8)
-_LENGTH = (1.0, 2.7 / 8.1)  # lengths of the components over the length along the wind (IEC 61400-1 ed. 3, table B.1)
+_DEVIATION = (1.0, 0.8)  # standard deviations of the components over that along the wind, and below their lengths
+_LENGTH = (1.0, 2.7 / 8.1)  # over that along the wind (IEC 61400-1 ed. 3, table B.1)
 _DECAY = 10.0
 """Decay of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
 (Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
 KNOT_NS = 100_000_000
 """Time between knots, with linear motion in between. A tree that sways with amplitude A at f is then off by up to
-A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz; faster gusts made it up to 2.2 times as much. The cost of
-opening a window grows with the number of knots."""
+A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz, and with faster gusts up to 2.2 times as much. The cost
+of opening a window grows with the number of knots."""
 _AIR_KG_M3 = 1.2
 _FRICTION_SHARE = 0.3
 """Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
@@ -56,7 +56,7 @@ _GREEN_WOOD_KG_M3 = 900.0  # density of stems with bark and sap; assumption, fre
 _CROWN_MASS = 0.3
 """Mass of branches and leaves over the stem's (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors
 of 1.3 for conifers, 1.4 for broadleaved trees)."""
-_SECTIONS = 16
+_SECTIONS = 16  # of a stem, for its moment of inertia
 
 
 class Lines(NamedTuple):
