@@ -90,11 +90,18 @@ def write_points(
             progress(simulated_s)
             if stop.is_set():
                 break
-    wall_s = time.perf_counter() - began_s
+    sensor, wall_s = emulator.parts.units[number], time.perf_counter() - began_s
+    beams = sensor.head.beams
     return PointCloud(
-        **_sensor_of(emulator, number, simulated_s),
         file=str(path),
+        scene=emulator.name,
+        seed=scenario.seed,
         unit=asked.unit,
+        sensor=sensor.section.model,
+        beams=len(beams.elevation_deg),
+        elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
+        pulses_per_s=S_NS / beams.sequence_ns * len(beams.elevation_deg),
+        turn=turn_of(sensor.head, simulated_s),
         points=int(returns.sum()),
         returns=dict(zip(cloud.RETURN_NAMES, returns.tolist(), strict=True)),
         truth=truth,
@@ -104,21 +111,6 @@ def write_points(
         real_time_factor=simulated_s / wall_s,
         interrupted=stop.is_set(),
     )
-
-
-def _sensor_of(emulator: Emulator, number: int, simulated_s: float) -> dict[str, Any]:
-    """Return the fields of `PointCloud` for the scene and its sensor `number`, from 0."""
-    sensor = emulator.parts.units[number]
-    beams = sensor.head.beams
-    return {
-        "scene": emulator.name,
-        "seed": emulator.scenario.seed,
-        "sensor": sensor.section.model,
-        "beams": len(beams.elevation_deg),
-        "elevation_deg": (float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
-        "pulses_per_s": S_NS / beams.sequence_ns * len(beams.elevation_deg),
-        "turn": turn_of(sensor.head, simulated_s),
-    }
 
 
 def _about(scenario: Scenario, number: int, scheme: cloud.LabelScheme | None) -> cloud.CloudAbout:
