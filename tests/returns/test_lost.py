@@ -58,6 +58,14 @@ def test_a_step_of_brightness_costs_a_record():
     assert 0.05 < (last > codes).mean() < 0.36
 
 
+def test_lost_records_exceed_100_at_retroreflectors():
+    """A fifth of the records that are lost where a pulse comes from a wall to a retroreflector, between all on mrpt and 3 of 20 on three units."""
+    surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
+    out = seen(table(0.5, 8.0), np.full((8000, LASERS, 1), 3.0), surface)
+    codes = out.reflectivity[10::20, :, 0][lost(out)[10::20]]
+    assert 0.15 < (codes > 100).mean() < 0.25
+
+
 @pytest.mark.parametrize(
     ("sheet", "least", "most"), [("plants", 0.12, 0.5), ("one", 0.0, 0.004), ("ground", 0.0, 0.004)]
 )
