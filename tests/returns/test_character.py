@@ -56,20 +56,18 @@ def test_bright_codes_are_coarse_and_dark_ones_sticky():
     assert (np.diff(dark, axis=0) == 0).mean() > 0.8
 
 
-def test_heavy_tails_have_their_law():
-    """Scatter of a real unit is as without heavy tails, and the distribution is that of z (1 + 0.007 z**2), by Kolmogorov and Smirnov."""
-    even = Noise(preset="ideal").model_dump() | {"range_noise_m": 0.02}
-    plain, heavy = (
-        wall(even | {"preset": preset}, 3000).distance_m[..., 0].astype(float) for preset in ("ideal", "unit")
-    )
-    plain, heavy = (of - of.mean(axis=0) for of in (plain, heavy))  # ranges of a real unit depend on reflectivity
-    scatter = heavy.std(axis=0)
-    assert np.log(scatter).std() == pytest.approx(0.08, rel=0.5)  # and its lasers are not equally noisy
-    plain, heavy = plain.ravel(), (heavy / scatter).ravel()
-    assert stats.kurtosis(heavy, fisher=False) == pytest.approx(3.175, rel=0.03)
-    z = plain / plain.std()
-    same = stats.ks_2samp(heavy, z * (1 + 0.007 * z**2) / np.sqrt(1.042735))
-    assert same.pvalue > 0.01
+def test_range_noise_is_gaussian_and_reflectivity_has_heavy_tails():
+    """Ranges of a real unit are Gaussian at each laser, by Kolmogorov and Smirnov; changes of reflectivity have a kurtosis of 6.6."""
+    even = Noise(preset="ideal").model_dump() | {"range_noise_m": 0.02, "reflectivity_noise": 4.0}
+    plain, real = (wall(even | {"preset": preset}, 3000, reflectance=0.5) for preset in ("ideal", "unit"))
+    plain_m, real_m = (of.distance_m[..., 0].astype(float) for of in (plain, real))
+    assert np.log(real_m.std(axis=0)).std() == pytest.approx(0.08, rel=0.5)  # its lasers are not equally noisy
+    z, plain_z = ((of - of.mean(axis=0)) / of.std(axis=0) for of in (real_m, plain_m))
+    assert stats.kurtosis(z.ravel(), fisher=False) == pytest.approx(3.0, abs=0.07)
+    assert stats.ks_2samp(z.ravel(), plain_z.ravel()).pvalue > 0.01
+    assert stats.kurtosis(plain.reflectivity[..., 0].ravel(), fisher=False) == pytest.approx(3.0, rel=0.05)
+    kurtosis = stats.kurtosis(real.reflectivity[..., 0].astype(float), axis=0, fisher=False)
+    assert kurtosis.mean() == pytest.approx(6.57, rel=0.1)
 
 
 def test_units_differ_in_their_white_errors():

@@ -38,7 +38,10 @@ def test_an_even_wall_is_nearly_whole():
 
 
 def test_a_step_of_brightness_costs_a_record():
-    """Units lose 10 to 95 % of the records at a sharp step up by a factor of 9, fewer down, hardly any at one of 1.5; lost records up have high codes."""
+    """Units lose 10 to 95 % of the records at a sharp step up by a factor of 9, fewer down, 1 to 4 % at one of 1.5 by its height alone.
+
+    Lost records up have high codes, at most 100 on matt surfaces; in dual return some are higher in the last return, as on nebula.
+    """
     surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
     many, few = (
         [seen(table(low, 0.6), np.full((8000, LASERS, 1), 3.0), surface, seed=s) for s in range(10)]
@@ -48,9 +51,19 @@ def test_a_step_of_brightness_costs_a_record():
     assert 0.1 < up.min() < 0.4
     assert 0.4 < up.max() < 0.95
     assert 0.01 < down.mean() < 0.5 * up.max()
-    assert np.mean([lost(out)[10::20].mean() for out in few]) < 0.02
-    codes = np.concatenate([out.reflectivity[10::20, :, 0][lost(out)[10::20]] for out in many])
-    assert 40 < np.median(codes) <= 100
+    assert 0.01 < np.mean([lost(out)[10::20].mean() for out in few]) < 0.04
+    codes, last = (np.concatenate([out.reflectivity[10::20, :, i][lost(out)[10::20]] for out in many]) for i in (0, 1))
+    assert 40 < np.median(codes) <= codes.max() <= 100
+    assert (last >= codes).all()
+    assert 0.05 < (last > codes).mean() < 0.36
+
+
+def test_lost_records_exceed_100_at_retroreflectors():
+    """A fifth of the records that are lost where a pulse comes from a wall to a retroreflector, between all on mrpt and 3 of 20 on three units."""
+    surface = (np.arange(8000) // 10 % 2)[:, None, None] + np.zeros((1, LASERS, 1), int)
+    out = seen(table(0.5, 8.0), np.full((8000, LASERS, 1), 3.0), surface)
+    codes = out.reflectivity[10::20, :, 0][lost(out)[10::20]]
+    assert 0.15 < (codes > 100).mean() < 0.25
 
 
 @pytest.mark.parametrize(
@@ -101,7 +114,10 @@ def test_blocks_make_the_whole():
 
 
 def test_no_returns_beside_returns_are_raised():
-    """More often the brighter the return is (mrpt, nebula, 2014: 0.01 to 0.1 at 10, 0.33 to 0.82 at 70), by about its code, mostly alone."""
+    """More often the brighter the return is (mrpt, nebula, 2014: 0.01 to 0.1 at 10, 0.33 to 0.82 at 70), by about its code, mostly alone.
+
+    With a return on one side only, 0.42 to 1.33 % are above 100 on four units, whatever its code.
+    """
     range_m = np.full((16_000, LASERS, 1), np.inf)
     range_m[::16] = 3.0
     share, ratio = [], []
@@ -112,6 +128,7 @@ def test_no_returns_beside_returns_are_raised():
         raised = codes > 1.5 * np.maximum(base, 1)
         share.append(raised.mean())
         ratio.append(np.quantile(codes[raised] / (100 * reflectance), [0.25, 0.5, 0.75]))
+        assert 0.0042 < (codes > 100).mean() < 0.0133
     assert 0.01 < share[0] < 0.15
     assert 0.3 < share[1] < 0.85
     np.testing.assert_allclose(ratio[1], [0.52, 0.78, 1.3], rtol=0.2)

@@ -24,14 +24,7 @@ from vlp16emu.returns.echoes import (
     highest_peak,
 )
 from vlp16emu.returns.lost import lose, raised
-from vlp16emu.returns.noise import (
-    NO_RETURN_KNOTS,
-    RANGE_TAIL,
-    REFLECTIVITY_TAIL,
-    heavier,
-    range_sigma_m,
-    reflectivity_byte,
-)
+from vlp16emu.returns.noise import NO_RETURN_KNOTS, REFLECTIVITY_TAIL, heavier, range_sigma_m, reflectivity_byte
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
@@ -218,16 +211,14 @@ def _mark_silent(
             for column in range(3):
                 silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
             if silent:
-                code, higher, alone = no_return[j], -1.0, False
+                code, higher = no_return[j], -1.0
                 if rates.raise_code > 0.0:
                     rows = i, i // block * block, min((i // block + 1) * block, distance_m.shape[0])
-                    higher, alone = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
+                    higher = raised(rates, (key, first, j), rows, no_return[j], distance_m, reflectivity)
                 if higher < 0.0 and knots.shape[0] > 0:
                     wandered = knots[knot, j] + rest * (knots[knot + 1, j] - knots[knot, j])
                     code = min(code * max(1.0, np.floor(wandered)), _MOST_NO_RETURN)
-                reflectivity[i, j, :_SECOND] = np.uint8(code)
-                for column in range(_LAST if alone else _STRONGEST, _SECOND if higher > 0.0 else 0):
-                    reflectivity[i, j, column] = np.uint8(higher)
+                reflectivity[i, j, :_SECOND] = np.uint8(higher if higher > 0.0 else code)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -312,7 +303,7 @@ def _measure(
     measured_m = range_m + error_m + constants.range_walk_m * (shown - _UNSHIFTED_CODE)
     sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * shown
     if constants.heavy_tails:
-        range_noise, other_noise = heavier(range_noise, RANGE_TAIL), heavier(other_noise, REFLECTIVITY_TAIL)
+        other_noise = heavier(other_noise, REFLECTIVITY_TAIL)
     counts = sigma * other_noise
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * share * range_sigma_m(constants, reflectance, amplitude)
@@ -378,7 +369,6 @@ def _write(
         sigma_m = share * range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:  # noise may put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
-            drawn = heavier(drawn, RANGE_TAIL) if constants.heavy_tails else drawn
             if at_m + error_m + drawn * sigma_m > constants.max_range_m:
                 _leave_out(peaks, chosen, peak)
     for column in range(3):

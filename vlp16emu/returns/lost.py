@@ -22,19 +22,19 @@ from vlp16emu.trig import ZERO
 from vlp16emu.types import F4, F8, U1, U4
 
 _EDGE = ZERO + Purpose.NO_RETURN
-_SPANS = (0.12, 0.5), (0.06, 1.0), (0.2, 1.0), (0.005, 0.025), (0.0004, 0.0025), (35.0, 120.0)
-"""Spans of the rates over units, in this order: pulses that hit two surfaces with half of the light each; large steps up; large steps down;
-black pulses nearer than 4 m: 1.1 % at codes 0 and 1, 0.2 to 1.1 % at 1 to 3, 0.4 to 2.9 % at 3 to 6, 0.1 to 0.4 % at 6 to 10; all pulses:
-0.03 to 0.12 % at codes from 50; and the code of a return near which half of the no-returns are raised. Measured losses on one surface, up by
-factors of 2 to 4, 4 to 8 and 8 to 16 of code: einride 0.013, 0.22, 0.68; mrpt 0.022, 0.019, 0.036; nebula 0.005, 0.007, 0.028; down by 4 to
-8, 8 to 16 and 16 to 32: einride 0.06, 0.15, 0.42; nebula 0.03, 0.06, 0.18; mrpt 0.05, 0.21 for the first two."""
+_SPANS = (0.12, 0.5), (0.06, 1.0), (0.2, 1.0), (0.005, 0.025), (0.0004, 0.0025), (35.0, 120.0), (0.5, 0.9)
+"""Spans of the rates over units, in the order of `LossRates`: pulses that hit two surfaces with half of the light each; large steps up; large
+steps down; black pulses nearer than 4 m: 1.1 % at codes 0 and 1, 0.2 to 1.1 % at 1 to 3, 0.4 to 2.9 % at 3 to 6, 0.1 to 0.4 % at 6 to 10; all
+pulses: 0.03 to 0.12 % at codes from 50; the code of a return near which half of the no-returns are raised; and steps up by 100 codes, for any
+factor. Measured losses on one surface, up by factors of 2 to 4, 4 to 8 and 8 to 16 of code: einride 0.013, 0.22, 0.68; mrpt 0.022, 0.019,
+0.036; nebula 0.005, 0.007, 0.028; down by 4 to 8, 8 to 16 and 16 to 32: einride 0.06, 0.15, 0.42; nebula 0.03, 0.06, 0.18; mrpt 0.05, 0.21
+for the first two. By height, at factors below 4: up by 20 to 30, 30 to 45 and more codes 0.007, 0.029 and 0.070 on mrpt, 0.009, 0.004 and
+0.008 on nebula, 2 of 49, 1 of 19 and 0 of 12 on the unit of 2014, and with factors below 3 on einride 0.001, 0 and 0.016. Units are drawn like
+mrpt and 2014; on einride and nebula a step by texture alone loses less."""
 _UP_AT, _DOWN_AT = 0.7, 30.0
 """With x = half the factor minus one: x**4 for steps up, x**2 for steps down, at which half of the rate is reached. At an edge the code
 changes over two or three pulses (beam of 12.7 mm and 3 mrad, 3.5 mrad from pulse to pulse), so its factor between two pulses is less than
 across the edge: einride's 0.04, 0.41 and 0.81 across the edge become 0.09, 0.37 and 0.84 by this law."""
-_BRIGHT = 0.045
-"""Loss at a step up by 100 codes, for any factor, on a unit that loses all large steps up; it grows as the unit loses fewer of these: steps up
-by 20 codes and factors below 2 lose 0.017, 0.008, 0 and 0 of the records of mrpt, nebula, einride and 2014."""
 _FLOOR, _POWER_GAIN = 1.0, 0.5
 """Code that is added to both sides of a factor, as codes are integers; and the share of a step that the power follows in one pulse (assumption:
 two pulses in a row are lost a fifth as often as one, at steps on einride)."""
@@ -53,11 +53,14 @@ return, raised no-returns correlate by 0.50, 0.72, 0.39 and 0.66 (mrpt, einride,
 _TWICE = 12.0
 """Code of a return next to which half of the raised no-returns are twice the code of their laser: 0.63, 0.14, 0.38 and 0.47 at codes 15 to 40,
 0.25, 0.06, 0.11 and 0.07 at 40 to 100 (the same units)."""
-_UNEQUAL = 0.03
-"""Share of raised pairs of dual return in which only one block is raised: 0.065 % of all pairs without range."""
-_NEARLY_WHITE, _FULL = 88.0, 255.0
-"""Code from which too much light shows as more than 100, and the largest code: next to returns of 60 to 90, codes over 100 are 0.39, 0.08, 0.04
-and 0 of the no-returns on mrpt, einride, nebula and 2014; next to returns of 90 to 100, 0.67, 0.43, 0.08 and 0.07."""
+_UNEQUAL_AT, _SECOND_SHARE = 212.0, 1.1
+"""Code at which all records of dual return that are too bright would differ between blocks, and the code of the last return over that of the
+strongest, plus one step: of nebula's raised records between two returns, 0.03 of 203 below 60, 0.21 of 62 below 100 and 0.36 of 22 above are
+unequal, the last one always higher; of those that follow a return without another behind, 0 of 237, 2 of 116 and 6 of 12; elsewhere 1 of 53 000."""
+_DIFFUSE, _FULL, _GLARE, _GLARE_BESIDE = 100.0, 255.0, 0.2, 0.0079
+"""Largest code of a matt surface, largest of all, and shares of lost records above the first: of those too bright on a retroreflector (24 of 25
+beside codes above 100 on mrpt, 3 of 20 on the others), and of no-returns with a return on one side only, whatever its code: 0.0128, 0.0113,
+0.0042 and 0.0133 on mrpt, einride, nebula and 2014. Lost records between two returns exceed 100 at glossy places, which no scene of ours has."""
 _DIGITS = 1048576.0
 """Scale of a normal number; the fraction behind its first 20 binary digits is uniform, and has no visible effect on the value."""
 
@@ -71,9 +74,8 @@ def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
     raised : True if no-returns next to returns are raised
     """
     drawn = uniform(seed, Purpose.LOSS, 0, len(_SPANS), 1 << 16).tolist()
-    *rates, code = (low * power(high / low, z) for (low, high), z in zip(_SPANS, drawn, strict=True))
-    step, up, *others = (share * rate for rate in rates)
-    return LossRates._make([step, share * _BRIGHT / rates[1], up, *others, code if raised else 0.0])
+    *rates, code, bright = (low * power(high / low, z) for (low, high), z in zip(_SPANS, drawn, strict=True))
+    return LossRates._make([*(share * rate for rate in rates), code if raised else 0.0, share * bright])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -157,16 +159,18 @@ def lose(
         return
     shown = 0.0
     if lost < jump and is_up:  # too bright: the height of the peak is measured, its range is not
-        shown = np.float64(reflectivity[0]) * (0.7 + 1.6 * how)
-        shown = _multiple(min(shown, 100.0 if code < _NEARLY_WHITE else _FULL), no_return)
+        most = _FULL if reflectivity[0] > _DIFFUSE and lost < _GLARE * jump else _DIFFUSE
+        shown = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * how), no_return, most)
     for column in range(3):
         distance_m[column], reflectivity[column] = 0.0, np.uint8(shown if column < 2 else 0.0)
+    if shown > 0.0 and dual and np.sqrt(64.0 * how - np.floor(64.0 * how)) * _UNEQUAL_AT < shown:
+        reflectivity[1] = np.uint8(_multiple(_SECOND_SHARE * shown + no_return, no_return, _FULL))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _multiple(code: float, no_return: float) -> float:
-    """Return the integer multiple of the laser's no-return code that is nearest to `code`."""
-    return min(np.floor(np.rint(code / no_return) * no_return), _FULL) if no_return > 0.0 else code
+def _multiple(code: float, no_return: float, most: float) -> float:
+    """Return the integer multiple of the laser's no-return code that is nearest to `code`, at most `most`."""
+    return min(np.floor(np.rint(code / no_return) * no_return) if no_return > 0.0 else code, most)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -177,10 +181,8 @@ def raised(
     no_return: float,
     distance_m: F4,
     reflectivity: U1,
-) -> tuple[float, bool]:
+) -> float:
     """Return the raised code of a no-return next to a return, 0 if not raised, -1 if no return is near.
-
-    Also return True if in dual return only one block has it.
 
     Parameters
     ----------
@@ -189,7 +191,7 @@ def raised(
     distance_m, reflectivity : (k, L, 3)
     """
     (seed, first, laser), (row, begin, stop) = key, rows
-    most, alone = -1.0, False
+    most, sides, glare = -1.0, 0, 0.0
     for side in range(2):
         share = 1.0
         for away in range(1, _REACH + 1):
@@ -209,7 +211,10 @@ def raised(
                     if drawn * (_TWICE + code) < _TWICE:
                         ratio = 0.0
                     most = max(most, code * ratio, 2.0 * no_return)
-                    alone = (64.0 * how) % 1.0 < _UNEQUAL
+                if away == 1:
+                    sides, glare = sides + 1, 64.0 * how - np.floor(64.0 * how)
                 break
             share *= _CONTINUES  # a farther record is raised only if the nearer one is
-    return _multiple(most, no_return) if most > 0.0 else most, alone
+    if sides == 1 and glare < _GLARE_BESIDE:
+        return _multiple(_DIFFUSE + (_FULL - _DIFFUSE) * glare / _GLARE_BESIDE, no_return, _FULL)
+    return _multiple(most, no_return, _DIFFUSE) if most > 0.0 else most

@@ -63,7 +63,7 @@ class Noise(Preset):
 
     preset: Literal["ideal", "typical", "datasheet", "unit"] = "unit"
     """Values of all keys that are not set: `typical` has only white errors and constant errors per laser. `unit` draws a unit like the
-    measured ones, and has three more of their properties: heavy tails of white errors, ranges that depend slightly on
+    measured ones, and has three more of their properties: heavy tails of white errors of reflectivity, ranges that depend slightly on
     reflectivity, and gains that differ between sectors."""
     range_noise_m: _Metres = 0.0065
     """White range noise, one sigma, at a reflectivity of 20; it falls with the fourth root of the reflectivity, as on four real units."""
@@ -156,12 +156,12 @@ class LossRates(NamedTuple):
     """Rates at which a unit loses records, see `vlp16emu.returns.lost`; 0 for none."""
 
     step: float
-    bright: float
     up: float
     down: float
     dark: float
     any: float
     raise_code: float  # code of a return next to which half of the no-returns are raised; 0 for none
+    bright: float  # at a step up by 100 codes, for any factor
 
 
 class DetectorConstants(NamedTuple):
@@ -184,6 +184,6 @@ class DetectorConstants(NamedTuple):
     range_noise_m: float
     reflectivity_noise: float
     reflectivity_noise_share: float
-    heavy_tails: bool
+    heavy_tails: bool  # of reflectivity
     range_walk_m: float  # per code of reflectivity
     lost: LossRates
