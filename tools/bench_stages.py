@@ -16,7 +16,7 @@ from vlp16emu import Emulator
 from vlp16emu.engine.windows import BLOCK, SEGMENT, STEPS
 from vlp16emu.packets import pack_data
 from vlp16emu.raycast.caster import Geometry
-from vlp16emu.raycast.texture import textured
+from vlp16emu.raycast.texture import add_texture
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import SEQUENCE_NS
@@ -75,14 +75,12 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
 
     hits = cast(far_m)
 
-    def vary() -> list[Hits]:
-        seed = emulator.parts.world.seed
-        return [textured(f, h, opened.surfaces, seed) for f, h in zip(firings, hits, strict=True)]
-
-    varied = vary()
+    def vary() -> None:  # once more at each repeat
+        for f, h in zip(firings, hits, strict=True):
+            add_texture(f, h, opened.surfaces, emulator.parts.world.seed)
 
     def find() -> list[Returns]:
-        met = zip(firings, varied, strict=True)
+        met = zip(firings, hits, strict=True)
         return [detect(f, h, opened.surfaces, unit.detector, truth=False) for f, h in met]
 
     returns = find()

@@ -100,6 +100,7 @@ def test_clocks_of_packet_0_are_in_report_and_truth(cli, listeners, ports, tmp_p
     line = "stream", "static_bench", "--duration", "0.1", *gps, *ports, "--now", "--truth", tmp_path / "truth"
     began_ns = time.time_ns()
     report = cli(*line, *how, "--json").tree["sent"]
+    ended_ns = time.time_ns()
     position = listeners[1].end()
     times = json.loads((tmp_path / "truth" / "time.json").read_text())
     assert times == {"moved_s": report["moved_s"], "speed": 1.0, "packet_0": report["first"]}
@@ -107,7 +108,7 @@ def test_clocks_of_packet_0_are_in_report_and_truth(cli, listeners, ports, tmp_p
     assert first["sensor_ns"] == pytest.approx(first["truth_ns"] + report["moved_s"] * 10**9, abs=1000)
     stamp_us = int.from_bytes(position[0][198:202], "little")
     assert stamp_us + STAMP_LEAD_NS // 1000 == first["sensor_ns"] // 1000 % (3600 * 10**6)
-    assert began_ns < first["sensor_ns"] <= first["host_ns"] < first["sensor_ns"] + 50_000_000  # other programs
+    assert began_ns < first["sensor_ns"] <= first["host_ns"] < ended_ns
     assert "\n  packet 0 left     " in cli(*line, *how).out
 
 

@@ -1,9 +1,11 @@
 """Patches of brighter and darker surface, and relief."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.texture import _STRENGTH, textured
+from vlp16emu.raycast.texture import _STRENGTH, add_texture
 from vlp16emu.types import SURFACE, Firings, Hits, PlantPart
 
 FAR_M = 30.0
@@ -16,6 +18,12 @@ def pulses(at_m, origin_m=(0.0, 0.0, 0.0)):
     firings = Firings.rays(0, np.array(origin_m), (away / range_m[:, None])[:, None])
     met = np.zeros((len(at_m), 1), np.uint32), np.full((len(at_m), 1), 0.5, np.float32)
     return firings, Hits.one_ray_each(range_m.astype(np.float32)[:, None], *met)
+
+
+def textured(firings, hits, surfaces, seed):
+    varied = deepcopy(hits)
+    add_texture(firings, varied, surfaces, seed)
+    return varied
 
 
 def factors(at_m, texture=0.1, *, reflectance=0.4, seed=3, part=PlantPart.NONE, **more):

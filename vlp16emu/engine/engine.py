@@ -21,7 +21,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.gnss import Receiver
 from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position, position_due_ns
 from vlp16emu.raycast.caster import Geometry, sky_cover
-from vlp16emu.raycast.texture import textured
+from vlp16emu.raycast.texture import add_texture
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.scenario import Scenario
@@ -46,7 +46,7 @@ class Job:
 
 
 Tap = Callable[[Job, Firings, Hits, Geometry], None]
-"""Observer of a job's pulses and their hits, called on the thread that cast them."""
+"""Observer of a job's pulses and their hits, called on the thread that cast them; texture is added to the hits after it returns."""
 
 
 def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
@@ -56,8 +56,9 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
     for tap in taps:
         tap(job, firings, hits, geometry)
-    light, optics = textured(firings, hits, geometry.surfaces, job.texture_seed), unit.optics
-    light = optics.dimmed(firings, light) if optics else light
+    add_texture(firings, hits, geometry.surfaces, job.texture_seed)
+    optics = unit.optics
+    light = optics.dimmed(firings, hits) if optics else hits
     returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth, block=job.block)
     return optics.received(returns) if optics else returns
 

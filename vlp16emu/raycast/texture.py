@@ -1,7 +1,6 @@
 """Texture and relief: brighter and darker patches on bark, ground and walls, and slightly uneven walls."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +37,8 @@ _Known = tuple[I8, F8]
 """Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of relief."""
 
 
-def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> Hits:
-    """Return hits with the texture and relief of each surface: local changes of brightness and range.
+def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
+    """Add the texture and relief of each surface to hits, in place: local changes of brightness and range.
 
     Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves
     hits along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
@@ -50,33 +49,23 @@ def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int
     seed : seed of the world
     """
     if not (surfaces["texture"].any() or surfaces["relief_m"].any()):
-        return hits
-    range_m = hits.range_m.copy() if surfaces["relief_m"].any() else hits.range_m
-    out = replace(hits, range_m=range_m, cos_incidence=hits.cos_incidence.copy())
-    columns = [np.ascontiguousarray(surfaces[name]) for name in ("texture", "reflectance", "relief_m")]
-    grid_m = np.where(surfaces["part"] == PlantPart.NONE, _GRID_M, _BARK_GRID_M)
-    rays, lasers = (hits.count, hits.range_m, hits.surface), hits.count.shape[1]
+        return
+    per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
+    looks = np.stack([*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m], axis=1)
+    rays, lasers = (hits.count, hits.range_m, hits.surface, hits.cos_incidence), hits.count.shape[1]
     known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
-    _texture(firings.origin_m, firings.direction, rays, *columns, grid_m, seed, known, out.range_m, out.cos_incidence)
-    return out
+    _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _texture(
-    origin_m: F8,
-    direction: F8,
-    rays: tuple[U2, F4, U4],
-    texture: F4,
-    reflectance: F4,
-    relief_m: F4,
-    grid_m: F8,
-    seed: int,
-    known: _Known,
-    out_m: F4,
-    cosine: F4,
-) -> None:
-    """Add the relief to the ranges (n,) of the sub-rays of pulses (k, L), and multiply their cosines by the texture."""
-    (count, range_m, met), stop = rays, ZERO
+def _texture(origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4, seed: int, known: _Known) -> None:
+    """Add the relief to the ranges of the sub-rays of pulses (k, L), and multiply their cosines by the texture.
+
+    Parameters
+    ----------
+    looks : (m, 4) texture, reflectance, relief and patches per metre of each surface, in one line of the cache
+    """
+    (count, range_m, met, cosine), stop = rays, ZERO
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
             start, stop = stop, stop + int(count[i, j])
@@ -85,25 +74,24 @@ def _texture(
                 if not range_m[ray] < np.inf:
                     continue
                 row, at_m = met[ray], np.float64(range_m[ray])
-                if texture[row] != 0.0:
+                texture, reflectance, relief_m, per_m = looks[row, 0], looks[row, 1], looks[row, 2], looks[row, 3]
+                if texture != 0.0:
                     if abs(range_m[ray] - patch_m) > _SAME_M:
                         patch_m = at_m
-                        drawn, strength = _of_patch(seed, 1.0 / grid_m[row], origin_m, direction, i, j, at_m, 0, known)
+                        drawn, strength = _of_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known)
                         patch = _SPREAD * (2.0 * drawn - 1.0) * strength
                     slant = 0.5 + 0.5 / max(np.float64(cosine[ray]), _FLATTEST)
-                    more = texture[row] * slant * patch
-                    bright = 1.0 + more if more >= 0.0 else 1.0 / (1.0 - more)
-                    cosine[ray] *= np.float32(min(bright, max(1.0, 1.0 / reflectance[row])))
-                if relief_m[row] > 0.0:
+                    more = texture * slant * patch
+                    bright = min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
+                    cosine[ray] *= np.float32(bright)
+                if relief_m > 0.0:
                     finer = 1.0
                     while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:
                         finer *= 2.0
                     drawn, strength = _of_patch(seed, finer / _RELIEF_GRID_M, origin_m, direction, i, j, at_m, 2, known)
                     even = 2.0 * drawn - 1.0
                     square = even * even
-                    out_m[ray] += (
-                        relief_m[row] * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
-                    )
+                    range_m[ray] += relief_m * _STANDING_OUT * (square * square * even) * (_EVEN + _UNEVEN * strength)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
