@@ -11,7 +11,7 @@ from vlp16emu.types import PlantPart, Semantic
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SPRUCE = ["sensor.max_range_m=14.0", "sensor.return_mode=strongest", "seed=3"]
+SPRUCE = ["sensor.max_range_m=12.0", "world.terrain.rough_rms_m=0", "sensor.return_mode=strongest", "seed=3"]
 WALK_S = 3.0
 
 

@@ -158,9 +158,9 @@ def test_still_air_moves_nothing():
 def test_a_medium_out_of_sight_is_not_made(monkeypatch):
     """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they are."""
     forbid(monkeypatch, (FarCaster, "medium"))
-    next(Emulator(birch("sensor.max_range_m=8", "world.near_m=8"), threads=1).returns(0.0, SPAN_S))
+    next(Emulator(birch("sensor.max_range_m=5", "world.near_m=5"), threads=1).returns(0.0, SPAN_S))
     with pytest.raises(TouchedError):
-        next(Emulator(birch("sensor.max_range_m=8", "world.near_m=7.9"), threads=1).returns(0.0, SPAN_S))
+        next(Emulator(birch("sensor.max_range_m=5.1", "world.near_m=5"), threads=1).returns(0.0, SPAN_S))
 
 
 STEPS = """

@@ -28,6 +28,7 @@ kind = "static"
 kind = "forest"
 species_file = "plants.toml"
 stems_per_ha = 150
+terrain = { relief = "flat" }
 species = [{ species = "grey_alder", share = 1.0, dbh_cm = 16.0, height_m = 15.0 }]
 regeneration = { stems_per_ha = 200 }
 logs = { per_ha = 60 }

@@ -155,13 +155,14 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
         "beam.model=none",
         "noise.preset=ideal",
         "world.near_m=inf",
-        "sensor.max_range_m=8",
-        "world.stems_per_ha=120",
+        "sensor.max_range_m=7",
+        "world.stems_per_ha=80",
+        "world.terrain.rough_rms_m=0",
     ]
     settings.append("duration_s=0.5")
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
-    assert command(["forest", "spruce_walk", *options, "--radius", "8", "--glb", str(tmp_path / "twin.glb")]) == 0
+    assert command(["forest", "spruce_walk", *options, "--radius", "7", "--glb", str(tmp_path / "twin.glb")]) == 0
     table = parquet.read_table(tmp_path / "t" / "returns.parquet")
     rows = table.filter(compute.less(table["range_m"], 6.5))
     rows = rows.take(np.random.default_rng(1).choice(len(rows), 150, replace=False))

@@ -204,6 +204,7 @@ SMALL = (
     "sensor.max_range_m=6",
     "world.near_m=5",
     "world.stems_per_ha=30",
+    "world.terrain.rough_rms_m=0",
     "world.species=[{species='scots_pine',share=1,dbh_cm=28,height_m=22}]",
     "world.regeneration.species=['scots_pine']",
     "world.regeneration.stems_per_ha=200",

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from woods import LINES
 
 from vlp16emu.engine import assemble
 from vlp16emu.raycast.caster import caster
@@ -20,7 +21,7 @@ REACH_M = 27.0
 @pytest.fixture(scope="module")
 def forest():
     """Parts of a thin birch stand with a sensor that stands still, without noise."""
-    settings = [STATIC, "seed=5", "world.stems_per_ha=200", f"sensor.max_range_m={REACH_M}"]
+    settings = [STATIC, *LINES, f"sensor.max_range_m={REACH_M}"]
     return assemble(load("birch_walk", settings, ideal=True))
 
 

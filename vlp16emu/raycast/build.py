@@ -193,7 +193,7 @@ class Placed:
     def __init__(self, window: Window, meshes: Sequence[EmbreeMesh], workers: Executor) -> None:
         self.window, self.meshes, self._workers = window, meshes, workers
         self.motion, self._moving = motion_of(window)
-        counts = [len(mesh.boxes_m) for mesh in meshes]
+        counts = np.array([len(mesh.boxes_m) for mesh in meshes], np.int64)
         self.placement = np.repeat(np.arange(len(meshes)), counts)  # (n,) placement of each piece
         self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])
         """Boxes (n, 2, 3) of pieces, in coordinates of the shape."""
@@ -237,7 +237,7 @@ class Placed:
         return scene
 
 
-def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I8]:
+def _buffers(meshes: Sequence[EmbreeMesh], counts: I8) -> tuple[U8, I8]:
     """Concatenate the buffers of the distinct meshes of placements; return them and the first row of each piece."""
     first, tables, stop = dict[int, int](), [np.zeros((0, 2), np.uint64)], 0
     for mesh in meshes:
@@ -247,7 +247,7 @@ def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I
             stop += len(tables[-1])
     begin = np.array([first[id(mesh)] for mesh in meshes], np.int64)
     each = np.array([mesh.buffers.shape[1] for mesh in meshes], np.int64)
-    piece = np.arange(sum(counts)) - np.repeat(np.cumsum(counts) - counts, counts)
+    piece = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     return np.concatenate(tables), np.repeat(begin, counts) + piece * np.repeat(each, counts)
 
 

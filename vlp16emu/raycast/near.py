@@ -76,7 +76,7 @@ class EmbreeGeometry:
             firings.direction,
             beam_axis_of(firings, beam) if beam.has_width else np.empty((0, 0, 0)),
             self._placed.motion.times(firings.t_ns),
-            near_m,
+            np.ascontiguousarray(near_m),
             float(reach_m),
             float(far_m),
             _by_sectors(firings.azimuth_deg),

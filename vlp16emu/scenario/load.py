@@ -5,6 +5,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
+from functools import cache
 from importlib import resources
 from itertools import chain
 from pathlib import Path
@@ -155,12 +156,17 @@ def _converted(setting: _Setting) -> _Setting:
     return setting._replace(value=_converted_value(setting.value, kinds), rivals=rivals)
 
 
+@cache
+def _hints(section: type[Section]) -> dict[str, Any]:
+    return get_type_hints(section, include_extras=True)
+
+
 def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
     """List the possible types of a key in tables of some kinds."""
     found = []
     for kind in kinds:
         if isinstance(kind, type) and issubclass(kind, Section):
-            hints = get_type_hints(kind, include_extras=True)
+            hints = _hints(kind)
             names = (name for name, field in kind.model_fields.items() if key == (field.alias or name))
             found += [part for name in names for part in _parts_of(hints[name])]
     return found
@@ -287,7 +293,7 @@ def named_files(scenario: object) -> list[Path]:
     """Return the files named in a scenario or a part of it: poses, waypoints, heights, trees, meshes."""
     own, parts = list[Path](), list(scenario) if isinstance(scenario, list | tuple) else []
     if isinstance(scenario, Section):
-        kinds, parts = get_type_hints(type(scenario), include_extras=True), [inner for _, inner in scenario]
+        kinds, parts = _hints(type(scenario)), [inner for _, inner in scenario]
         named = (key for key, inner in scenario if isinstance(inner, str))
         own = [Path(getattr(scenario, key)) for key in named if SceneFile in (kinds[key], *get_args(kinds[key]))]
     return [*own, *(file for part in parts for file in named_files(part))]

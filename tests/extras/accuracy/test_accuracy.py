@@ -83,7 +83,8 @@ SMALL = (
     "motion={kind='static',x_m=0.0,y_m=0.0}",
     "seed=5",
     "world.stems_per_ha=100",
-    "sensor.max_range_m=12",
+    "world.terrain.rough_rms_m=0",
+    "sensor.max_range_m=8",
     "sensor.eccentricity_deg=0.0",
     "sensor.azimuth_noise_deg=0.0",
     "duration_s=1",
@@ -92,12 +93,12 @@ SMALL = (
 
 def test_worlds_are_compared_by_means(monkeypatch):
     """Each distance, that of the scene among them, is a setting; beyond the reach nothing departs, and the explicit one is last."""
-    monkeypatch.setattr("vlp16emu.extras.accuracy.sweep._NEAR_M", (14.0, math.inf))
-    found = measure_foliage(load("birch_walk", [*SMALL, "world.near_m=7.5"]), pulses=256)
-    names = [f"world.near_m={near_m}" for near_m in ("7.5", "14", "inf")]
+    monkeypatch.setattr("vlp16emu.extras.accuracy.sweep._NEAR_M", (9.0, math.inf))
+    found = measure_foliage(load("birch_walk", [*SMALL, "world.near_m=5.5"]), pulses=256)
+    names = [f"world.near_m={near_m}" for near_m in ("5.5", "9", "inf")]
     assert [level.name for level in found] == names
-    assert [level.name for level in found if level.in_use] == ["world.near_m=7.5"]
-    assert load("birch_walk", [names[0]]).world.near_m == 7.5
+    assert [level.name for level in found if level.in_use] == ["world.near_m=5.5"]
+    assert load("birch_walk", [names[0]]).world.near_m == 5.5
     assert all(level.us_per_pulse > 0 for level in found)
     assert found[1].means == found[2].means
     seen = found[2].means["with a return, %"]

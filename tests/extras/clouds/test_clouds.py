@@ -7,6 +7,7 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
+from woods import THIN
 
 from vlp16emu import Emulator
 from vlp16emu.errors import MissingExtraError
@@ -20,9 +21,7 @@ pytest.importorskip("lazrs")
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SETTINGS = {
-    "seed": 5,
-    "world.stems_per_ha": 150,
+SETTINGS = THIN | {
     "sensor.max_range_m": 12.0,
     "sensor.return_mode": "dual",
     "gps.height_m": 312.5,

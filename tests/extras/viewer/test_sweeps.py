@@ -5,6 +5,7 @@ from contextlib import closing
 import dpkt
 import numpy as np
 import pytest
+from woods import LINES, THIN
 
 from vlp16emu import Emulator
 from vlp16emu.extras.survey import survey
@@ -28,7 +29,7 @@ FLAG = 42 + 100  # of the second block, in a frame
 def run(tmp_path_factory):
     """Folder with a capture of half a second of a walk, and its truth; and the emulator."""
     folder = tmp_path_factory.mktemp("capture")
-    settings = {"world.stems_per_ha": 150, "seed": 5, "sensor.max_range_m": 12.0, "beam.model": "none"}
+    settings = THIN | {"sensor.max_range_m": 12.0, "beam.model": "none"}
     emulator = Emulator("birch_walk", settings)
     truth = TruthTo(folder / "truth", per_return=True)
     emulator.record(folder / "walk.pcap", start_s=4.0, duration_s=0.5, truth=truth)
@@ -152,7 +153,7 @@ def test_a_slim_stem_stands_where_the_stem_stands():
 
 def test_stems_are_drawn_with_their_crowns_only():
     """Nothing is drawn farther from a path than the radius and the width of a crown: no bare stems beyond."""
-    dense = ["world.stems_per_ha=900", "sensor.max_range_m=15.0", "duration_s=5.0"]
+    dense = [*LINES, "world.stems_per_ha=900", "duration_s=5.0"]
     seen = survey(load("birch_walk", dense), 10.0)
     path = Polyline(seen.path_m[:, :2])
     farthest_m = [

@@ -83,11 +83,24 @@ def _product(a: F8, b: F8) -> F8:
 
 
 @numba.njit(cache=True, nogil=True)
+def _dot(a: F8, b: F8, first: int, stop: int) -> float:
+    total = 0.0
+    for n in range(first, stop):
+        total += a[n] * b[n]
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
 def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
     """Position and quaternion (7,) of a knot, and their change per second."""
-    value, rate, turning = knot[:7].copy(), np.empty(7), np.zeros(4)
-    turning[:3] = 0.5 * knot[10:]
-    rate[:3], rate[3:] = knot[7:10], _product(knot[3:7], turning)
+    value, rate, turning = np.empty(7), np.empty(7), np.zeros(4)
+    for a in range(7):  # operations on whole arrays compile for seconds
+        value[a] = knot[a]
+    for a in range(3):
+        rate[a], turning[a] = knot[7 + a], 0.5 * knot[10 + a]
+    change = _product(knot[3:7], turning)
+    for a in range(4):
+        rate[3 + a] = change[a]
     return value, rate
 
 
@@ -95,8 +108,9 @@ def _pose_and_rates(knot: F8) -> tuple[F8, F8]:
 def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
     """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
     (value, rate), (end_value, end_rate) = _pose_and_rates(begin), _pose_and_rates(end)
-    if (value[3:] * end_value[3:]).sum() < 0.0:
-        end_value[3:], end_rate[3:] = -end_value[3:], -end_rate[3:]
+    if _dot(value, end_value, 3, 7) < 0.0:
+        for a in range(3, 7):
+            end_value[a], end_rate[a] = -end_value[a], -end_rate[a]
     for a in range(7):
         slope = (end_value[a] - value[a]) / step_s
         out[0, a] = (rate[a] + end_rate[a] - 2.0 * slope) / (step_s * step_s)
@@ -107,11 +121,12 @@ def _fill_piece(begin: F8, end: F8, step_s: float, out: F8) -> None:
 @numba.njit(cache=True, nogil=True)
 def turn_between(old: F8, new: F8) -> F8:
     """Return the shortest rotation vector (3,), in body axes, from one quaternion (4,) to another."""
-    q = _product(np.append(-old[:3], old[3]), new)
+    q = _product(np.array([-old[0], -old[1], -old[2], old[3]]), new)
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = -1.0 if q[3] < 0.0 else 1.0
     angle = 2.0 * atan2(sine, abs(q[3]))
-    return q[:3] * (sign * (2.0 if sine < _SMALL else angle / sine))
+    scale = sign * (2.0 if sine < _SMALL else angle / sine)
+    return np.array([q[0] * scale, q[1] * scale, q[2] * scale])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -121,13 +136,20 @@ def _extrapolated(seen: F8, since_s: float) -> F8:
     if late_s > 0.0:
         share = exp(-late_s / _COAST_S)
         moving_s = _COAST_S + _COAST_S * (1.0 - share)
-    turn = moving_s * seen[10:]
-    angle = math.sqrt((turn * turn).sum())
-    cosine, sine = cos_sin(0.5 * angle)
-    turned = turn * (0.5 - angle * angle / 48.0 if angle < _SMALL else sine / angle)
-    out = np.empty(STATE)
-    out[:3], out[7:] = seen[:3] + moving_s * seen[7:10], share * seen[7:]
-    out[3:7] = _product(seen[3:7], np.append(turned, cosine))
+    out, turn, square = np.empty(STATE), np.zeros(4), 0.0
+    for a in range(3):
+        out[a], turn[a] = seen[a] + moving_s * seen[7 + a], moving_s * seen[10 + a]
+        square += turn[a] * turn[a]
+    angle = math.sqrt(square)
+    turn[3], sine = cos_sin(0.5 * angle)
+    scale = 0.5 - angle * angle / 48.0 if angle < _SMALL else sine / angle
+    for a in range(3):
+        turn[a] *= scale
+    turned = _product(seen[3:7], turn)
+    for a in range(4):
+        out[3 + a] = turned[a]
+    for a in range(7, STATE):
+        out[a] = share * seen[a]
     return out
 
 
@@ -149,22 +171,27 @@ def follow(state: F8, seen: F8, since_s: float, step_s: float, smoothing_s: floa
     value, rate = _pose_and_rates(state)
     wanted, wanted_rate = _pose_and_rates(_extrapolated(seen, since_s))
     target, target_rate = _pose_and_rates(_extrapolated(seen, since_s + step_s))
-    if (value[3:] * wanted[3:]).sum() < 0.0:
-        value[3:], rate[3:] = -value[3:], -rate[3:]
-    error, change = value - wanted, rate - wanted_rate
-    off_m, off_rad = math.sqrt((error[:3] * error[:3]).sum()), 2.0 * math.sqrt((error[3:] * error[3:]).sum())
-    per_s = np.empty(7)
-    per_s[:3] = 1.0 / (smoothing_s * max(1.0, off_m / GAP_M))
-    per_s[3:] = 1.0 / (smoothing_s * max(1.0, off_rad / GAP_RAD))
-    # e'' + 2 w e' + w^2 e = 0
-    push = change + per_s * error
+    sign = 1.0 if _dot(value, wanted, 3, 7) >= 0.0 else -1.0
+    error, change = np.empty(7), np.empty(7)
     for a in range(7):
-        fade = exp(-per_s[a] * step_s)
-        target[a] += (error[a] + push[a] * step_s) * fade
-        target_rate[a] += (change[a] - per_s[a] * push[a] * step_s) * fade
-    length = math.sqrt((target[3:] * target[3:]).sum())
-    out = np.empty(STATE)
-    out[:3], out[3:7], out[7:10] = target[:3], target[3:] / length, target_rate[:3]
+        flip = sign if a > 2 else 1.0
+        error[a], change[a] = flip * value[a] - wanted[a], flip * rate[a] - wanted_rate[a]
+    off_m, off_rad = math.sqrt(_dot(error, error, 0, 3)), 2.0 * math.sqrt(_dot(error, error, 3, 7))
+    # e'' + 2 w e' + w^2 e = 0
+    for a in range(7):
+        per_s = 1.0 / (smoothing_s * max(1.0, off_m / GAP_M if a < 3 else off_rad / GAP_RAD))
+        push, fade = change[a] + per_s * error[a], exp(-per_s * step_s)
+        target[a] += (error[a] + push * step_s) * fade
+        target_rate[a] += (change[a] - per_s * push * step_s) * fade
+    length = math.sqrt(_dot(target, target, 3, 7))
+    out, back = np.empty(STATE), np.empty(4)
+    for a in range(3):
+        out[a], out[7 + a] = target[a], target_rate[a]
+    for a in range(3, 7):
+        out[a] = target[a] / length
+        back[a - 3] = out[a] if a == 6 else -out[a]
     # The rate of the unit quaternion in body axes; its last component changes only the length.
-    out[10:] = 2.0 / length * _product(np.append(-out[3:6], out[6]), target_rate[3:])[:3]
+    turning = _product(back, target_rate[3:])
+    for a in range(3):
+        out[10 + a] = 2.0 / length * turning[a]
     return out
