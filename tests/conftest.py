@@ -5,7 +5,6 @@ import sys
 import tempfile
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from fcntl import LOCK_EX, flock
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
@@ -120,25 +119,6 @@ def _things_of_halls():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(EmbreeCaster, "__init__", begun)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _kernels_are_compiled_once():
-    """Let a worker that needs a kernel which another one is compiling wait for its file."""
-    from vlp16emu.kernels.compiler import KernelDispatcher
-
-    compiled = KernelDispatcher.compile
-
-    def once(kernel, types):
-        if KernelDispatcher.depth:  # for a kernel that calls it, which has its lock
-            return compiled(kernel, types)
-        with Path(os.environ[WOODS], kernel.py_func.__qualname__ + ".lock").open("w") as lock:
-            flock(lock, LOCK_EX)
-            return compiled(kernel, types)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(KernelDispatcher, "compile", once)
         yield
 
 
