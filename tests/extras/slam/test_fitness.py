@@ -195,7 +195,7 @@ def test_each_damage_is_found(rest, tmp_path, name):
 def test_a_bag_of_a_real_sensor(tmp_path, capsys):
     """A capture of a real unit becomes a bag that is fit for what needs no inertial unit and no transforms, and the others say which."""
     if not CAPTURE.exists():
-        pytest.skip("no shared captures")
+        pytest.skip("no real captures beside the repository")
     write_bag(CAPTURE, tmp_path / "real.mcap")
     assert run(["verify", f"{tmp_path}/real.mcap", "--for", "all", "--json"]) == 1
     programs_found = json.loads(capsys.readouterr().out)["programs"]
