@@ -34,8 +34,8 @@ ALONG, ACROSS = 0, 1  # components of the gusts' speed: along the mean wind, and
 _LINES = 256
 _SLOWEST = 0.003  # reduced frequency (f L / U) below which one line represents the rest: 1.2 % of the energy
 _FASTEST_HZ = 5.0  # frequency above which one line represents the rest: no tree follows it
-_DEVIATION = (1.0, 0.8)  # standard deviations of the components over that along the wind, and below their lengths
-_LENGTH = (1.0, 2.7 / 8.1)  # over that along the wind (IEC 61400-1 ed. 3, table B.1)
+_DEVIATION = (1.0, 0.8)  # standard deviations of the components along and across the wind, relative to the first
+_LENGTH = (1.0, 2.7 / 8.1)  # their length scales, likewise (IEC 61400-1 ed. 3, table B.1)
 _DECAY = 10.0
 """Decay of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
 (Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
