@@ -63,6 +63,7 @@ beside codes above 100 on mrpt, 3 of 20 on the others), and of no-returns with a
 0.0042 and 0.0133 on mrpt, einride, nebula and 2014. Lost records between two returns exceed 100 at glossy places, which no scene of ours has."""
 _DIGITS = 1048576.0
 """Scale of a normal number; the fraction behind its first 20 binary digits is uniform, and has no visible effect on the value."""
+_ANEW = 64.0  # the fraction of a uniform number times this is uniform too, and as good as independent
 
 
 def loss_rates(seed: int, share: float, *, raised: bool) -> LossRates:
@@ -102,6 +103,11 @@ def two_surfaces(rays: SubRays, sheet: U4, start: int, stop: int) -> float:
             if abs(range_m[ray] - at_m) > _STEP_M and (own == 0 or sheet[met[ray]] != own):
                 other += light
     return other / total if total > 0.0 else 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _fraction(x: float) -> float:
+    return x - np.floor(x)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -145,14 +151,14 @@ def lose(
         jump *= calm
     black, near = max(0.0, 1.0 - code / _BLACK), min(1.0, _NEAR_M / range_m)
     sure = jump + rates.any + rates.dark * black * near * near
-    lost = noise[0] * _DIGITS - np.floor(noise[0] * _DIGITS)  # no further number is drawn
+    lost = _fraction(noise[0] * _DIGITS)  # no further number is drawn
     if lost >= sure:
         if lost >= sure + calm * rates.step or pulse[3] - pulse[2] < 2:
             return
         share = two_surfaces(*pulse)
         if lost >= sure + calm * rates.step * 4.0 * share * (1.0 - share):
             return
-    how = noise[1] * _DIGITS - np.floor(noise[1] * _DIGITS)
+    how = _fraction(noise[1] * _DIGITS)
     if dual and how < _EVEN_ALONE and lost >= jump:
         column = 1 if how >= _ODD_ALONE else 2 if distance_m[0] == distance_m[1] and distance_m[2] > 0.0 else 0
         distance_m[column], reflectivity[column] = 0.0, np.uint8(no_return)
@@ -163,7 +169,7 @@ def lose(
         shown = _multiple(np.float64(reflectivity[0]) * (0.7 + 1.6 * how), no_return, most)
     for column in range(3):
         distance_m[column], reflectivity[column] = 0.0, np.uint8(shown if column < 2 else 0.0)
-    if shown > 0.0 and dual and np.sqrt(64.0 * how - np.floor(64.0 * how)) * _UNEQUAL_AT < shown:
+    if shown > 0.0 and dual and np.sqrt(_fraction(_ANEW * how)) * _UNEQUAL_AT < shown:
         reflectivity[1] = np.uint8(_multiple(_SECOND_SHARE * shown + no_return, no_return, _FULL))
 
 
@@ -212,7 +218,7 @@ def raised(
                         ratio = 0.0
                     most = max(most, code * ratio, 2.0 * no_return)
                 if away == 1:
-                    sides, glare = sides + 1, 64.0 * how - np.floor(64.0 * how)
+                    sides, glare = sides + 1, _fraction(_ANEW * how)
                 break
             share *= _CONTINUES  # a farther record is raised only if the nearer one is
     if sides == 1 and glare < _GLARE_BESIDE:
