@@ -254,6 +254,33 @@ def test_a_loaded_kernel_needs_no_compiler():
     assert ["numba.np.npyimpl" in modules.split() for modules in runs] == [True, False]
 
 
+INTERRUPTED_LOAD = """
+import signal
+from numba.core.codegen import JITCodeLibrary
+from vlp16emu.random import normal
+
+class Interrupted:
+    def __set__(self, library, code):
+        pass
+    def __get__(self, library, owner):
+        del JITCodeLibrary._compiled_object
+        signal.raise_signal(signal.SIGINT)
+
+JITCodeLibrary._compiled_object = Interrupted()
+try:
+    normal(1, 2, 0, 2)
+except KeyboardInterrupt:
+    print("interrupted", normal(1, 2, 0, 2).shape)
+"""
+
+
+def test_a_signal_while_a_kernel_is_loaded_interrupts():
+    """Ctrl-C in LLVM's call for a kernel's code, which cannot propagate it, raises KeyboardInterrupt; the kernel can be loaded again."""
+    for program in ("from vlp16emu.random import normal; normal(1, 2, 0, 2)", INTERRUPTED_LOAD):
+        said = subprocess.check_output([sys.executable, "-c", program], text=True, stderr=subprocess.DEVNULL)
+    assert said == "interrupted (2,)\n"
+
+
 def test_the_target_is_fixed(monkeypatch):
     """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is named."""
     assert cpu_target.target_context.codegen().magic_tuple()[1:] == compiler._target()

@@ -87,6 +87,9 @@ def _loaded(
     library._set_compiled_object(code)
     library._finalize_final_module()
     codegen._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
+    # LLVM calls Python for the code: what a signal's handler raises there is lost, and the kernel has no address.
+    if not library.get_pointer_to_function(described.llvm_cpython_wrapper_name):
+        raise KeyboardInterrupt
     entry = context.get_executable(library, described, environment)
     for inner in environments:
         codegen.set_env(inner.env_name, inner)
