@@ -124,11 +124,25 @@ def load(*_, **__):
 
 scenario.load = load
 """
+INTERRUPTED_CHECK = """
+import os, signal
+import vlp16emu.scenario as scenario
+from vlp16emu.errors import InputError
+
+def load(*_, **__):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except BaseException:
+        raise InputError("a", found="b", expected="c")
+
+scenario.load = load
+"""
 
 
-def test_a_signal_while_a_class_is_made_ends_the_run(program):
-    """Python up to 3.11 wraps what a signal raises in `__set_name__`, as in imports, into a RuntimeError: still 130 and no line."""
-    process = program("record", "static_bench", "x.pcap", before=INTERRUPTED_IMPORT)
+@pytest.mark.parametrize("before", [INTERRUPTED_IMPORT, INTERRUPTED_CHECK])
+def test_a_signal_from_which_a_library_makes_another_error_ends_the_run(program, before):
+    """Python up to 3.11 wraps what a signal raises in `__set_name__`, as in imports, into a RuntimeError; a check that it meets fails: still 130 and no line."""
+    process = program("record", "static_bench", "x.pcap", before=before)
     assert process.communicate(timeout=100) == ("", "")
     assert process.returncode == 130
 

@@ -79,6 +79,8 @@ def run(arguments: Sequence[str]) -> int:
         app = program([first] if first and is_verb else DOORS["verbs"])  # the others need not be loaded
         return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
     except Vlp16emuError as error:
+        if _was_interrupted.is_set():  # a library has made another error of the interrupt
+            return INTERRUPTED
         _print_error(str(error))
         return error.exit_code
     except typer.TyperException as error:  # the command line itself is wrong
