@@ -94,6 +94,7 @@ SURFACE = np.dtype(
         ("species", "<u2"),  # 0 none, else number in the species table
         ("texture", "<f4"),  # relative local variation of reflectance, one sigma
         ("relief_m", "<f4"),  # local offset from its mesh, one sigma
+        ("roughness", "<f4"),  # root mean square slope of the facets of a glossy coat; 0 for a matt surface
     ]
 )
 """One row of a window's surface table."""

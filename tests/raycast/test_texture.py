@@ -123,3 +123,33 @@ def test_relief_moves_what_is_met(places_m):
     assert one_m.std() == pytest.approx(0.004, rel=0.05)
     assert np.corrcoef(one_m, off_m(places_m + [0.01, 0.0, 0.0]))[0, 1] > 0.7
     assert abs(np.corrcoef(one_m, off_m(places_m + [0.5, 0.0, 0.0]))[0, 1]) < 0.03
+
+
+def shine(cosine, roughness, reflectance=0.3):
+    """What a coat adds to the cosine of incidence."""
+    surfaces = np.zeros(1, SURFACE)
+    surfaces["roughness"], surfaces["reflectance"] = roughness, reflectance
+    firings, hits = pulses(np.full((len(cosine), 3), 5.0))
+    hits.cos_incidence[:] = cosine
+    return textured(firings, hits, surfaces, 3).cos_incidence - hits.cos_incidence
+
+
+def test_gloss_is_the_light_of_the_facets_that_face_the_sensor():
+    """Of facets with random slopes, those within 1.5 degrees of the pulse mirror it into a cone four times as large, 4 % of it."""
+    slope, within_rad = np.random.default_rng(5).normal(0.0, 0.2 / np.sqrt(2.0), (2_000_000, 2)), np.radians(1.5)
+    normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1) / np.sqrt(
+        1.0 + (slope**2).sum(axis=1, keepdims=True)
+    )
+    cone_sr = 2.0 * np.pi * (1.0 - np.cos(within_rad))
+    angle = np.radians([0.0, 5.0, 10.0, 15.0, 20.0])
+    for at, found in zip(angle, 0.3 * shine(np.cos(angle), 0.2), strict=True):
+        faces = normal @ [np.sin(at), 0.0, np.cos(at)] > np.cos(within_rad)
+        area = (faces / normal[:, 2]).mean() / np.cos(at)
+        assert found == pytest.approx(np.pi * 0.04 * area / (4.0 * cone_sr), rel=0.05)
+
+
+def test_gloss_ends_at_white():
+    """A smooth coat makes a surface white where it is seen straight on, and leaves retroreflectors and slanted surfaces as they are."""
+    assert shine(np.array([1.0]), 0.05) == pytest.approx(1.0 / 0.3 - 1.0)
+    assert not shine(np.array([1.0]), 0.05, reflectance=200.0).any()
+    assert not shine(np.array([0.01, 0.5]), 0.05).any()

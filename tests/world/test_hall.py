@@ -9,7 +9,7 @@ from vlp16emu.types import Semantic
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 
-CRATE = HallBox(name="crate", centre_m=(-6.0, -5.0, 0.5), size_m=(2.0, 1.0, 1.0), reflectance=0.3)
+CRATE = HallBox(name="crate", centre_m=(-6.0, -5.0, 0.5), size_m=(2.0, 1.0, 1.0), reflectance=0.3, roughness=0.1)
 POLE = HallPole(name="pole", foot_m=(6.0, 0.0, 0.0), diameter_m=0.35, height_m=6.0)
 BALL = HallSphere(name="ball", centre_m=(4.0, -5.0, 1.5), diameter_m=1.0, reflectance=0.8)
 TRACK_M = np.array([[0.2, 0.1, 1.5]])
@@ -17,7 +17,7 @@ TRACK_M = np.array([[0.2, 0.1, 1.5]])
 
 def make_hall(boxes=(CRATE,), poles=(POLE,), spheres=(BALL,)):
     size = {"length_m": 30.0, "width_m": 18.0, "height_m": 6.0}
-    return HallWorld(Hall(kind="hall", **size, boxes=[*boxes], poles=[*poles], spheres=[*spheres]))
+    return HallWorld(Hall(kind="hall", **size, wall_roughness=0.2, boxes=[*boxes], poles=[*poles], spheres=[*spheres]))
 
 
 def solid_of(key, offset=(0, 0, 0)):
@@ -31,13 +31,14 @@ def solid_of(key, offset=(0, 0, 0)):
 
 
 def test_everything_has_a_surface_of_its_own_and_a_name():
-    """Floor is ground without instance; walls and things have their reflectance, instance and name."""
+    """Floor is ground without instance; walls and things have their reflectance, coat, instance and name."""
     hall = make_hall()
     window = hall.window(TRACK_M)
     assert window.first_surface.tolist() == [0, 2, 3, 4]
     assert window.surfaces["semantic"].tolist() == [Semantic.GROUND] + [Semantic.OTHER] * 4
     assert window.surfaces["instance"].tolist() == [0, 1, 2, 3, 4]
     assert window.surfaces["reflectance"] == pytest.approx([0.6, 0.6, 0.3, 0.5, 0.8])
+    assert window.surfaces["roughness"] == pytest.approx([0.2, 0.2, 0.1, 0.0, 0.0])
     assert hall.names == {1: "walls", 2: "crate", 3: "pole", 4: "ball"}
     assert [hall.materials[m] for m in window.surfaces["material"]] == ["room", "room", "box", "pole", "sphere"]
     assert window.world_T_shape[:, :, 3].tolist() == [[0, 0, 3], [-6, -5, 0.5], [6, 0, 0], [4, -5, 1.5]]

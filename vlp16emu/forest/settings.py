@@ -22,7 +22,7 @@ from vlp16emu.settings import (
     Table,
     merged,
 )
-from vlp16emu.world.settings import MeshSource, Texture, WorldSection
+from vlp16emu.world.settings import MeshSource, Roughness, Texture, WorldSection
 
 Season = Literal["leaf_on", "leaf_off"]  # with leaves, or as in winter: broadleaves bare, needles on
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
@@ -372,6 +372,9 @@ class Woods(WorldSection):
     """Relative variation (one sigma) of the reflectance of ground, bark and stones over patches of about 0.08 m on bark and
     0.2 m elsewhere; leaves have none, as each has its own angle. Assumption: neighbouring returns then scatter as with real
     sensors in rooms and streets."""
+    leaf_roughness: Roughness | None = None
+    """Root mean square slope of the facets of the leaves' coat; none for matt leaves. Dry leaves have 0.18 to 0.56 (Comar et al. 2014,
+    doi:10.1016/j.rse.2013.11.021), a film of water less: with 0.1, leaves seen straight on are white."""
     species_file: SceneFile | None = None
     """File with the user's plants, in the form of the program's `forest/species.toml`, numbered from 1000."""
     tree_models: list[TreeModelFile] = Field(default_factory=list)

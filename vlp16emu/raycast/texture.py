@@ -1,4 +1,4 @@
-"""Texture and relief: brighter and darker patches on bark, ground and walls, and slightly uneven walls."""
+"""Texture, relief and gloss: brighter and darker patches on bark, ground and walls, slightly uneven walls, and shine at normal incidence."""
 
 import math
 
@@ -32,26 +32,30 @@ _STANDING_OUT = math.sqrt(11.0)
 """Half-width for the fifth power of a uniform distribution: most of a wall is flat, few parts stand out far."""
 _EVEN, _UNEVEN = 0.213, 0.8519
 """Least relief of an area over the setting, and the addition by its contrast: areas differ, with a mean square of one."""
+_COAT = 0.04  # Fresnel reflectance at normal incidence for a refractive index of 1.5, as of paint, varnish and wax
 _TEXTURE = ZERO + Purpose.TEXTURE
 _Known = tuple[I8, F8]
 """Last cells (4, L, 3) hit by each laser, and their draws (4, L): patch and area, of texture and of relief."""
 
 
 def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int) -> None:
-    """Add the texture and relief of each surface to hits, in place: local changes of brightness and range.
+    """Add the texture, relief and gloss of each surface to hits, in place: local changes of brightness and range.
 
     Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves
     hits along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
+    Gloss is the light that facets of a coat mirror back along the pulse (Walter et al., EGSR 2007, equations 20 and 25: Beckmann's
+    distribution), less than the brightness of a white surface too: real units send hardly any codes between 100 and those of retroreflectors.
 
     Parameters
     ----------
     surfaces : (m,) `SURFACE`, the window's table
     seed : seed of the world
     """
-    if not (surfaces["texture"].any() or surfaces["relief_m"].any()):
+    if not any(surfaces[name].any() for name in ("texture", "relief_m", "roughness")):
         return
     per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
-    looks = np.stack([*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m], axis=1)
+    steepness = np.divide(1.0, surfaces["roughness"], out=np.zeros_like(per_m), where=surfaces["roughness"] > 0.0) ** 2
+    looks = np.stack([*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m, steepness], axis=1)
     rays, lasers = (hits.count, hits.range_m, hits.surface, hits.cos_incidence), hits.count.shape[1]
     known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
     _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
@@ -63,7 +67,7 @@ def _texture(origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4
 
     Parameters
     ----------
-    looks : (m, 4) texture, reflectance, relief and patches per metre of each surface, in one line of the cache
+    looks : (m, 5) texture, reflectance, relief, patches per metre and inverse square of the roughness of each surface, in one line of the cache
     """
     (count, range_m, met, cosine), stop = rays, ZERO
     for i in range(count.shape[0]):
@@ -75,15 +79,21 @@ def _texture(origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4
                     continue
                 row, at_m = met[ray], np.float64(range_m[ray])
                 texture, reflectance, relief_m, per_m = looks[row, 0], looks[row, 1], looks[row, 2], looks[row, 3]
+                slope, steepness = max(np.float64(cosine[ray]), _FLATTEST), np.float64(looks[row, 4])
                 if texture != 0.0:
                     if abs(range_m[ray] - patch_m) > _SAME_M:
                         patch_m = at_m
                         drawn, strength = _of_patch(seed, np.float64(per_m), origin_m, direction, i, j, at_m, 0, known)
                         patch = _SPREAD * (2.0 * drawn - 1.0) * strength
-                    slant = 0.5 + 0.5 / max(np.float64(cosine[ray]), _FLATTEST)
+                    slant = 0.5 + 0.5 / slope
                     more = texture * slant * patch
                     bright = min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
                     cosine[ray] *= np.float32(bright)
+                if steepness > 0.0:
+                    square = slope * slope
+                    shine = 0.25 * _COAT * steepness * exp((1.0 - 1.0 / square) * steepness) / (square * square * slope)
+                    white = max(cosine[ray], np.float32(1.0 / reflectance))
+                    cosine[ray] = min(cosine[ray] + np.float32(shine / reflectance), white)
                 if relief_m > 0.0:
                     finer = 1.0
                     while finer * at_m < _RELIEF_FROM_M and finer < _FINEST:

@@ -52,6 +52,7 @@ class HallWorld:
         surfaces = np.zeros(2 + len(things), SURFACE)
         surfaces["reflectance"] = [section.wall_reflectance] * 2 + [thing.brightness for thing in things]
         surfaces["texture"] = [section.texture] * 2 + [thing.texture for thing in things]
+        surfaces["roughness"] = [section.wall_roughness or 0.0] * 2 + [thing.roughness or 0.0 for thing in things]
         surfaces["relief_m"][:2] = section.relief_m  # things in it have exact shapes
         surfaces["material"] = [0, 0, *[1] * len(boxes), *[2] * len(poles), *[3] * len(spheres)]
         surfaces["semantic"] = Semantic.OTHER

@@ -219,7 +219,7 @@ def test_a_size_that_tells_of_a_wrong_unit_is_refused(tmp_path, size, unit, mess
 
 
 TRACK_M = np.array([[0.0, 0.0, 1.5], [3.0, 0.0, 1.5]])
-LEAVES = MeshPart(name="leaves", part="leaf", reflectance=0.5)
+LEAVES = MeshPart(name="leaves", part="leaf", reflectance=0.5, roughness=0.3)
 TRIANGLE = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32))
 
 
@@ -231,7 +231,7 @@ def tree_of(*places, one_thing=True, parts=(LEAVES,)):
     """Stem and leaves about a centre 2 m over the file's origin and 1 m east of it."""
     meshes = (("leaves", TRIANGLE), ("stem", TRIANGLE))
     mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0)
-    kind = {"semantic": "tree", "part": "stem", "reflectance": 0.4, "one_thing": one_thing}
+    kind = {"semantic": "tree", "part": "stem", "reflectance": 0.4, "roughness": 0.5, "one_thing": one_thing}
     section = MeshFile(file="tree.obj", unit="m", up="z", parts=[*parts], places=[*places], **kind)
     return section, mesh
 
@@ -316,6 +316,7 @@ def test_parts_may_differ_from_the_rest():
     """A part has its own appearance where one is given and the file's where not; a part that is not there is refused."""
     rows = surfaces_of(*tree_of(place(0, 0)))
     assert rows["reflectance"] == pytest.approx([0.5, 0.4])
+    assert rows["roughness"] == pytest.approx([0.3, 0.5])
     assert rows["part"].tolist() == [PlantPart.LEAF, PlantPart.STEM]
     assert (rows["semantic"] == Semantic.TREE).all()
     with pytest.raises(GeometryError, match=r"tree.obj: parts: found 'leafs'; expected one of leaves, stem"):

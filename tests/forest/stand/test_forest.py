@@ -63,6 +63,15 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, shape, track_m):
     assert stems == trees["id"].tolist()
 
 
+def test_leaves_have_the_coat_of_the_scene_and_nothing_else_has(make_forest, track_m):
+    """`leaf_roughness` is that of all leaves, wood and ground are matt; leaves have no texture."""
+    rows = make_forest(leaf_roughness=0.1, texture=0.2).window(track_m).surfaces
+    is_leaf = rows["part"] == PlantPart.LEAF
+    assert is_leaf.any()
+    assert rows["roughness"] == pytest.approx(0.1 * is_leaf)
+    assert rows["texture"] == pytest.approx(0.2 * ~is_leaf)
+
+
 def test_stems_and_crowns_are_where_the_records_say(forest, shape, track_m):
     """The tip of a stem's mesh, the top of its crown's axis and the tree record agree to a millimetre.
 

@@ -41,6 +41,7 @@ def surfaces_of(section: MeshFile, mesh: UserMesh) -> NDArray[np.void]:
     for row, part in zip(surfaces, (own.get(name, section) for name in names), strict=True):
         brightness = part.brightness
         row["reflectance"] = section.brightness if brightness is None else brightness
+        row["roughness"] = part.roughness or section.roughness or 0.0
         row["semantic"] = Semantic[(part.semantic or section.semantic).upper()]
         row["part"] = PlantPart[(part.part or section.part).upper()]
     return surfaces

@@ -219,7 +219,9 @@ class ForestWorld:
                 placed.trees["id"] = numbers
             number += len(placed.keys)
         tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
-        tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture)
+        is_leaf = tile.surfaces["part"] == PlantPart.LEAF
+        tile.surfaces["texture"] = np.where(is_leaf, 0.0, self.section.texture)
+        tile.surfaces["roughness"] = np.where(is_leaf, self.section.leaf_roughness or 0.0, 0.0)
         return tile
 
     def _grown(self, ix: int, iy: int) -> Trees:
