@@ -25,9 +25,9 @@ _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
 _MOST_PARITY, _BALANCED = 0.4, 0.6
-_RANGE_WALK_MM = 0.18
-"""Largest change of range per code of reflectivity, uniform over units: 0.08, 0.16, -0.03 and -0.16 on four real units
-(protocol/README.md, "The character of a unit", also for the next constant)."""
+_RANGE_WALK_MM = -0.06, 0.18
+"""Change of range per code of reflectivity, uniform over units: 0.08, 0.16 and -0.03 on three real units; -0.16, but of few pulses, on that
+of 2014; the correlation of both noises is -0.01 to 0.14 (protocol/README.md, "The character of a unit", also for the next constant)."""
 _LASER_NOISE_SPREAD = 0.08
 """Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and nebula, without the
 part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors of 45 deg."""
@@ -76,7 +76,8 @@ class UnitDetector:
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
         own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()  # log-normal: no error below 0
-        walk = 2.0 * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0]) - 1.0
+        least_walk, most_walk = _RANGE_WALK_MM
+        walk_mm = least_walk + (most_walk - least_walk) * float(uniform(seed, Purpose.UNIT_NOISE, 2, 1)[0])
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(
             seed=seed,
@@ -94,7 +95,7 @@ class UnitDetector:
             reflectivity_noise=noise.reflectivity_noise * own[1],
             reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
             heavy_tails=noise.is_real,
-            range_walk_m=1e-3 * (_RANGE_WALK_MM * noise.is_real) * walk,
+            range_walk_m=1e-3 * walk_mm * noise.is_real,
             lost=loss_rates(seed, noise.records_lost, raised=noise.records_lost > 0.0 and noise.no_return_reflectivity),
         )
         no_return = (
