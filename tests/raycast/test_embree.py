@@ -114,6 +114,16 @@ def test_no_number_of_embree_reaches_a_hit(workers, monkeypatch, model):
     lab.assert_same_bits(true, lab.opened(workers).cast(*cast))
 
 
+def test_embree_reads_corners_only_until_a_scene_is_committed(workers, monkeypatch):
+    """With numbers that are none in the arrays of corners that Embree was given, every hit has the same bits."""
+    cast, given = (lab.pulses(256), lab.NEAR_M, lab.FAR_M), []
+    monkeypatch.setattr(build, "widened", lambda *faces: given.append(widened(*faces)) or given[-1])
+    true = (scene := lab.opened(workers)).cast(*cast)
+    for wider_m in given:
+        wider_m[:] = np.nan
+    lab.assert_same_bits(true, scene.cast(*cast))
+
+
 def test_the_layout_of_arrays_does_not_matter(workers):
     """Meshes whose vertices and faces are views with gaps, or stored by columns, are met in the bits of plain ones."""
 

@@ -45,7 +45,7 @@ move less there: long needles of margin beyond each tip would cost a tenth of ca
 
 
 class EmbreeMesh:
-    """A shape and the committed scenes of its requested pieces, which share buffers with numpy.
+    """A shape and the committed scenes of its requested pieces.
 
     Parameters
     ----------
@@ -60,7 +60,6 @@ class EmbreeMesh:
             self.buffers[:, mesh, 0] = vertices_m.ctypes.data
             self.buffers[:, mesh, 1] = triangles.ctypes.data + triangles.strides[0] * self._begin[:-1, mesh]
         self._scenes, self._building = dict[int, int](), threading.Lock()
-        self._wider = list[NDArray[np.generic]]()  # Embree holds their addresses
 
     def scene(self, piece: int) -> int:
         """Return the address of the scene of a piece; build it at the first call.
@@ -77,11 +76,14 @@ class EmbreeMesh:
     def _built(self, begin: I8, stop: I8) -> int:
         lib, device = rtc.library(), rtc.device()
         scene, _ = _new_scene(self)
+        read = list[NDArray[np.generic]]()
+        """Arrays that Embree reads until the scene is committed: only compact scenes refer to them later, others hold corners of
+        their own (Embree 4, `rtcSetSharedGeometryBuffer`)."""
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, triangles = self.faces[number]
             wider_m = widened(vertices_m, triangles[begin[number] : stop[number]])
             corners = _counting(len(wider_m) - 1)
-            self._wider += [wider_m, corners]
+            read += [wider_m, corners]
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_TRIANGLE)
             for kind, layout, data, rows in (
                 (rtc.BUFFER_VERTEX, rtc.FORMAT_FLOAT3, wider_m, len(wider_m) - 1),

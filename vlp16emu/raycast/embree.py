@@ -43,6 +43,10 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcIntersect8": (None, [c_void_p, c_void_p, c_void_p, c_void_p]),
 }
 
+_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 20
+"""Parameter of glibc's `mallopt`, and its value: larger arrays have pages of their own. By default the limit grows to 32 MB, and
+arrays of that size leave holes: an eighth of the memory of a recording of `scenes/reference_forest`."""
+
 _MAKING = threading.Lock()
 _ERRORS = {1: "unknown error", 2: "invalid argument", 3: "invalid operation", 4: "out of memory", 5: "unsupported CPU"}
 
@@ -76,6 +80,7 @@ def library() -> ctypes.CDLL:
     from llvmlite import binding
 
     path = library_path()
+    give_memory_back()
     try:
         lib = ctypes.CDLL(str(path))
         for name, (result, arguments) in _SIGNATURES.items():
@@ -108,8 +113,12 @@ def _new_device() -> int:
 
 
 def give_memory_back() -> None:
-    """Return freed memory to the system, if the allocator is glibc, whose fragmentation would grow for ever."""
+    """Return freed memory to the system, from now on that of large arrays at once.
+
+    It has an effect if the allocator is glibc, whose fragmentation would grow for ever.
+    """
     if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
+        libc.mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
         libc.malloc_trim(0)
 
 
