@@ -43,9 +43,9 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcIntersect8": (None, [c_void_p, c_void_p, c_void_p, c_void_p]),
 }
 
-_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 20
-"""Parameter of glibc's `mallopt`, and its value: larger arrays have pages of their own. By default the limit grows to 32 MB, and
-arrays of that size leave holes: an eighth of the memory of a recording of `scenes/reference_forest`."""
+_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 22
+"""Parameter of glibc's `mallopt`, and its value: larger arrays have pages of their own, huge ones, as numpy asks for from this size on.
+By default the limit grows to 32 MB, and arrays of that size leave holes: a tenth of the memory of a recording of `scenes/reference_forest`."""
 
 _MAKING = threading.Lock()
 _ERRORS = {1: "unknown error", 2: "invalid argument", 3: "invalid operation", 4: "out of memory", 5: "unsupported CPU"}

@@ -55,7 +55,9 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
         return
     per_m = np.where(surfaces["part"] == PlantPart.NONE, 1.0 / _GRID_M, 1.0 / _BARK_GRID_M).astype(np.float32)
     steep = np.divide(1.0, surfaces["roughness"], out=np.zeros_like(per_m), where=surfaces["roughness"] > 0.0)
-    looks = np.stack([*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m, steep * steep], axis=1)
+    looks = np.stack(
+        [*(surfaces[name] for name in ("texture", "reflectance", "relief_m")), per_m, steep * steep], axis=1
+    )
     rays, lasers = (hits.count, hits.range_m, hits.surface, hits.cos_incidence), hits.count.shape[1]
     known = np.full((4, lasers, 3), np.iinfo(np.int64).min), np.empty((4, lasers))
     _texture(firings.origin_m, firings.direction, rays, looks, seed, known)
