@@ -50,7 +50,7 @@ def birch(*settings):
 def test_a_beam_without_width_has_no_footprint(monkeypatch):
     """Without width no axis across the beam is made and no sub-ray laid or cast; with it both are."""
     axes = []
-    monkeypatch.setattr(page, "detect", lambda firings, *_, **__: axes.append(firings.beam_axis))
+    monkeypatch.setattr(page, "add_texture", lambda firings, *_: axes.append(firings.beam_axis))
     first()
     first("beam.model=adaptive")
     assert axes[0] is None

@@ -56,8 +56,8 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
     for tap in taps:
         tap(job, firings, hits, geometry)
-    firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
     add_texture(firings, hits, geometry.surfaces, job.texture_seed)
+    firings = replace(firings, beam_axis=None)  # a quarter of the memory of returns that wait
     optics = unit.optics
     light = optics.dimmed(firings, hits) if optics else hits
     returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth, block=job.block)
