@@ -149,7 +149,8 @@ def test_gloss_is_the_light_of_the_facets_that_face_the_sensor():
 
 
 def test_gloss_ends_at_white():
-    """A smooth coat makes a surface white where it is seen straight on, and leaves retroreflectors and slanted surfaces as they are."""
+    """A smooth coat makes a surface white where it is seen straight on, and leaves retroreflectors, black and slanted surfaces as they are."""
     assert shine(np.array([1.0]), 0.05) == pytest.approx(1.0 / 0.3 - 1.0)
-    assert not shine(np.array([1.0]), 0.05, reflectance=200.0).any()
+    for reflectance in (0.0, 200.0):
+        assert not shine(np.array([1.0]), 0.05, reflectance=reflectance).any()
     assert not shine(np.array([0.01, 0.5]), 0.05).any()

@@ -44,7 +44,8 @@ def add_texture(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: 
     Brightness scales the cosine of incidence, up to the brightness of a white surface. Relief moves
     hits along the pulse. Both are taken on the axis of the pulse, at the range of the sub-ray.
     Gloss is the light that facets of a coat mirror back along the pulse (Walter et al., EGSR 2007, equations 20 and 25: Beckmann's
-    distribution), less than the brightness of a white surface too: real units send hardly any codes between 100 and those of retroreflectors.
+    distribution). It too ends at the brightness of a white surface: real units send hardly any codes between 100 and those of
+    retroreflectors. A surface without reflectance stays black.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def _texture(origin_m: F8, direction: F8, rays: tuple[U2, F4, U4, F4], looks: F4
                     more = texture * slant * patch
                     bright = min(1.0 + more, max(1.0, 1.0 / reflectance)) if more >= 0.0 else 1.0 / (1.0 - more)
                     cosine[ray] *= np.float32(bright)
-                if steepness > 0.0:
+                if steepness > 0.0 and reflectance > 0.0:
                     square = slope * slope
                     shine = 0.25 * _COAT * steepness * exp((1.0 - 1.0 / square) * steepness) / (square * square * slope)
                     white = max(cosine[ray], np.float32(1.0 / reflectance))
