@@ -126,7 +126,7 @@ def test_relief_moves_what_is_met(places_m):
 
 
 def shine(cosine, roughness, reflectance=0.3):
-    """What a coat adds to the cosine of incidence."""
+    """Return the increase of the cosine of incidence by a coat."""
     surfaces = np.zeros(1, SURFACE)
     surfaces["roughness"], surfaces["reflectance"] = roughness, reflectance
     firings, hits = pulses(np.full((len(cosine), 3), 5.0))
@@ -135,7 +135,7 @@ def shine(cosine, roughness, reflectance=0.3):
 
 
 def test_gloss_is_the_light_of_the_facets_that_face_the_sensor():
-    """Of facets with random slopes, those within 1.5 degrees of the pulse mirror it into a cone four times as large, 4 % of it."""
+    """Gloss equals the light of random facets within 1.5 degrees of the pulse, which reflect 4 % of it into a cone four times as large."""
     slope, within_rad = np.random.default_rng(5).normal(0.0, 0.2 / np.sqrt(2.0), (2_000_000, 2)), np.radians(1.5)
     normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1) / np.sqrt(
         1.0 + (slope**2).sum(axis=1, keepdims=True)

@@ -76,9 +76,9 @@ class EmbreeMesh:
     def _built(self, begin: I8, stop: I8) -> int:
         lib, device = rtc.library(), rtc.device()
         scene, _ = _new_scene(self)
+        # Embree reads these arrays until the scene is committed: only compact scenes refer to them later, others hold corners
+        # of their own (Embree 4, `rtcSetSharedGeometryBuffer`).
         read = list[NDArray[np.generic]]()
-        """Arrays that Embree reads until the scene is committed: only compact scenes refer to them later, others hold corners of
-        their own (Embree 4, `rtcSetSharedGeometryBuffer`)."""
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, triangles = self.faces[number]
             wider_m = widened(vertices_m, triangles[begin[number] : stop[number]])
