@@ -17,10 +17,10 @@ RESOLUTION_M, NOISE_M, ERROR_M = 1.0, 0.3, 0.05
 
 @pytest.fixture(scope="module", params=["typical", "ideal"])
 def pairs(request):
-    """Blocks (n, 12) of one revolution as on the wire, and strongest, last and second strongest (n, 6, 32, 3) in steps of distance."""
+    """Blocks (n, 12) of more than one revolution as on the wire, and strongest, last and second strongest (n, 6, 32, 3) in steps of distance."""
     emulator = Emulator("birch_walk", [*LINES, *OWN, f"noise.preset={request.param}"])
-    sent = [packet.payload for packet in emulator.packets(0.0, 0.1) if len(packet.payload) == DATA_PAYLOAD.itemsize]
-    returned = np.concatenate([r.distance_m for r in emulator.returns(0.0, 0.1)])[: 12 * len(sent)]
+    sent = [packet.payload for packet in emulator.packets(0.0, 0.12) if len(packet.payload) == DATA_PAYLOAD.itemsize]
+    returned = np.concatenate([r.distance_m for r in emulator.returns(0.0, 0.12)])[: 12 * len(sent)]
     steps = np.rint(returned.astype(float) / DISTANCE_LSB_M).reshape(len(sent), 6, 32, 3)
     return np.frombuffer(b"".join(sent), DATA_PAYLOAD)["blocks"], steps
 

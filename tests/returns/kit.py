@@ -4,9 +4,11 @@ import numpy as np
 
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.returns.detector import UnitDetector
-from vlp16emu.types import SURFACE, Firings, Hits, ReturnMode
+from vlp16emu.sensor.beams import BEAM_TABLES
+from vlp16emu.types import SURFACE, Firings, Hits, ReturnMode, SensorModel
 
 LASERS = 16
+ELEVATION_DEG = BEAM_TABLES[SensorModel.VLP_16].elevation_deg
 DETECTOR = Detector.model_fields.keys()
 
 
@@ -20,7 +22,7 @@ def detector(noise=None, *, seed=1, mode=ReturnMode.DUAL, min_range_m=0.5, max_r
         mode=mode,
         min_range_m=min_range_m,
         max_range_m=max_range_m,
-        lasers=LASERS,
+        elevation_deg=ELEVATION_DEG,
         power_up_ns=0,
     )
 

@@ -243,7 +243,7 @@ def _unit(scenario: Scenario, number: int, mount: Mount, motion: Motion) -> Unit
         mode=mode,
         min_range_m=section.min_range_m,
         max_range_m=section.max_range_m,
-        lasers=len(head.beams.elevation_deg),
+        elevation_deg=head.beams.elevation_deg,
         power_up_ns=_power_up_ns(scenario, section),
     )
     timeline, gps, beam = Timeline(head, (Stretch(0, None, mode, None),)), _gps_input(scenario), beam_of(scenario, seed)

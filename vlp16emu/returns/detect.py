@@ -87,7 +87,6 @@ def detect(
         detector.drift_m(firings.t_ns[:, 0]),
         detector.gain,
         detector.codes,
-        firings.azimuth_deg[:, 0] // 45.0 % 2.0,
         np.zeros(lasers) if detector.no_return is None else detector.no_return,
         _sheets(surfaces),
     )
@@ -112,7 +111,7 @@ def _sheets(surfaces: NDArray[np.void]) -> U4:
 
 
 class _Errors(NamedTuple):
-    """Properties of a unit, as in `UnitDetector`; `drift_m` and `sector` (k,) by firing sequence, `sheet` (m,) by surface."""
+    """Properties of a unit, as in `UnitDetector`; `drift_m` (k,) by firing sequence, `sheet` (m,) by surface."""
 
     bias_m: F8
     noise_share: F8
@@ -120,7 +119,6 @@ class _Errors(NamedTuple):
     drift_m: F8
     gain: F8
     codes: U1
-    sector: F8
     no_return: F8
     sheet: U4
 
@@ -151,7 +149,7 @@ def _detect(
     rates, before = constants.lost, noise[2:]
     for i in range(rays.counts.shape[0]):
         n = first + i
-        slot, sector = 24 * n % 5, np.int64(errors.sector[i])
+        slot = 24 * n % 5
         if i % block == 0:
             before[0], before[1:] = -1.0, 0.0
         if (
@@ -162,7 +160,7 @@ def _detect(
         for j in range(lasers):
             start, stop = stop, stop + int(rays.counts[i, j])
             error_m = errors.bias_m[j] + errors.drift_m[i] + errors.beat_m[(slot + j) % 5]
-            own = error_m, errors.noise_share[j], errors.gain[sector, j], errors.codes[j]
+            own = error_m, errors.noise_share[j], errors.gain[j], errors.codes[j]
             lit = gather(constants, rays, start, stop, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, rays.range_m)

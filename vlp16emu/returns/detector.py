@@ -31,7 +31,6 @@ of 2014; the correlation of both noises is -0.01 to 0.14 (protocol/README.md, "T
 _LASER_NOISE_SPREAD = 0.08
 """Spread of the logarithm of the white range noise over lasers: 0.076, 0.121 and 0.079 on mrpt, einride and nebula, without the
 part due to chance; the noise of lasers correlates by 0.44, 0.37 and 0.37 between sectors of 45 deg."""
-_SECTOR_GAIN_SPREAD = 0.04  # half the difference of gains between even and odd sectors of 45 deg, one sigma
 _WARM_UP_S = 900.0  # time constant (assumption)
 
 
@@ -42,7 +41,7 @@ class UnitDetector:
     constants: DetectorConstants
     range_bias_m: F8  # (L,)
     range_noise_share: F8  # (L,) white range noise of each laser relative to the unit's
-    gain: F8  # (2, L) factor on reflectivity, in even and odd sectors of 45 deg
+    gain: F8  # (L,) factor on reflectivity
     range_beat_m: F8  # (5,) error of the range by (24 sequence + laser) mod 5
     parity: F8 | None  # (L,) share of odd distance codes minus one half; None if it is one half
     codes: U1  # (L, 100 * CODE_PARTS + 1) code that is sent for each reflectivity, from `sent_codes`
@@ -62,7 +61,7 @@ class UnitDetector:
         mode: ReturnMode,
         min_range_m: float,
         max_range_m: float,
-        lasers: int,
+        elevation_deg: F8,
         power_up_ns: int,
     ) -> Self:
         """Draw the constant errors of a unit, and convert the settings of a run to the form that kernels take.
@@ -72,7 +71,9 @@ class UnitDetector:
         seed : seed of the unit
         mode : return mode; in strongest return mode, other echoes are not searched
         min_range_m, max_range_m : nearer echoes are blanked, farther echoes are lost
+        elevation_deg : (L,) nominal elevations of the lasers
         """
+        lasers = len(elevation_deg)
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
         own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()  # log-normal: no error below 0
@@ -108,7 +109,7 @@ class UnitDetector:
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
             range_noise_share=exp(_LASER_NOISE_SPREAD * noise.is_real * normal(seed, Purpose.UNIT_NOISE, 0, lasers, 1)),
-            gain=gain(seed, lasers, noise.gain_spread, _SECTOR_GAIN_SPREAD * noise.is_real),
+            gain=gain(seed, noise.gain_spread, elevation_deg),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
             codes=sent_codes(seed, lasers, noise.reflectivity_step),
@@ -132,7 +133,7 @@ class UnitDetector:
         codes = sent_codes(0, len(none), 0.0)
         nothing_more = None, codes, None, self.multiples[:0]
         return type(self)(
-            constants, none, one[0], one, np.zeros(5), *nothing_more, Noise(preset="ideal"), self.power_up_ns
+            constants, none, one, one, np.zeros(5), *nothing_more, Noise(preset="ideal"), self.power_up_ns
         )
 
     def drift_m(self, t_ns: I8) -> F8:

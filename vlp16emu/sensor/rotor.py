@@ -26,9 +26,12 @@ _LAG, _LEAD, _LEADS_FROM_RPM = 0.945, 1.17, 750.0
 """Mean speed of the reading between two lines over the true speed. Shares of the faster speed are 0.15, 0.06 and 0.43 at 300, 500 and 600 rpm, and
 0.93 at 1200 rpm, where the reading waits at the last code of a line. The speed at which the lag changes to a lead is an assumption."""
 _RATE_ERROR = 0.2464  # deficit of 5/8 of a hundredth of a degree in 2.304 us relative to 600 rpm
-_SLOW_SHARES = 0.95, 0.61, 0.22, 0.47
-"""Share of readings at the lower speed after each of four consecutive lines, at 600 rpm (mrpt, nebula, einride: within 0.05 of these)."""
+_SLOW_SHARES, _SHARE_SPREAD = (0.91, 0.64, 0.245, 0.455), 0.8
+"""Share of readings at the lower speed after each of four consecutive lines, at 600 rpm: 0.90 to 0.98, 0.52 to 0.76, 0.15 to 0.29 and 0.38 to 0.52
+on four real units; and the width of its draw over share times (1 - share). The variance of steps is 0.52 to 0.57 on these units, of
+which 0.538 and 0.562 are the best measured; these shares have 0.51 to 0.59."""
 _SLOW = sum(_SLOW_SHARES) / len(_SLOW_SHARES)
+_MOST_SIGMAS = 1.9  # limit of the error of the mean speed: 0.93 rpm on the slowest of four real units, mrpt
 _HALF_WIDTH = math.sqrt(3.0)  # half-width of a uniform distribution, in standard deviations
 _PITCH_DEG = 0.05
 """Spacing of the lines on real units: codes modulo five repeat (protocol/README.md, "The character of a unit")."""
@@ -84,15 +87,16 @@ class Swing:
         """Sample the swings of one unit at 600 rpm: one of the mean speed over minutes, two within seconds, and one within a turn.
 
         One unit (einride) deviated by 0.04 deg from constant speed within half a second, others by 0.02. Between 6.5 and 20 cycles per turn
-        the errors of mrpt, einride, nebula and the unit of 2014 are 0.37, 0.39, 0.76 and 0.37 cdeg (RMS); the reading alone has 0.2.
+        the errors of mrpt, einride, nebula and the unit of 2014 are 0.37, 0.39, 0.76 and 0.37 cdeg (RMS); the reading alone has 0.2. Their
+        lines are at 7 to 13 cycles.
 
         Parameters
         ----------
         is_exact : True if the error of the mean speed at the start is exactly `error_rpm`; else this is one sigma
         """
         draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 11)
-        within_s, fast_deg_per_rpm = 0.1 / (6.5 + 13.5 * draws[8]), 0.045 + 0.075 * draws[9] * draws[9]
-        sigmas = normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1)
+        within_s, fast_deg_per_rpm = 0.1 / (6.5 + 7.5 * draws[8]), 0.045 + 0.075 * draws[9] * draws[9]
+        sigmas = np.clip(normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1), -_MOST_SIGMAS, _MOST_SIGMAS)
         sigma, phase_rad = (1.0, 0.0) if is_exact else (float(sigmas[0]), (draws[1] - 0.5) * 0.5)
         wanted = (
             (error_rpm * sigma, 60.0 + 120.0 * draws[0], phase_rad),
@@ -132,6 +136,7 @@ class Encoder:
     def of_unit(cls, section: Lidar, seed: int) -> Self:
         """Sample the encoder of one unit; with `rotation_spread` also its unit-to-unit deviations."""
         spread, own = section.rotation_spread, uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 12)
+        shares = np.array(_SLOW_SHARES)
         factor, turned_deg = 1.0 + spread * (2.0 * own[:3] - 1.0), 360.0 * own[3:6] * (spread > 0.0)
         return cls(
             seed=seed,
@@ -144,7 +149,7 @@ class Encoder:
             pitch_deg=_PITCH_DEG * (section.preset == "unit"),
             rate_error=section.encoder_rate_error,
             first_deg=math.floor(20.0 * own[6]) / 100,
-            slow_shares=np.clip(_SLOW_SHARES + spread * (0.3 * own[8:] - 0.15), 0.0, 1.0).tolist(),
+            slow_shares=(shares + spread * _SHARE_SPREAD * shares * (1.0 - shares) * (own[8:] - 0.5)).tolist(),
         )
 
     def read(self, angle_deg: F8, first: int, clock_ns: I8, rpm: F8 | float) -> F8:

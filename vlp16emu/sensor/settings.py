@@ -19,7 +19,7 @@ _PRESETS: dict[str, dict[str, object]] = {
     "steady": {},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "azimuth_noise_deg": 0.0017,
+        "azimuth_noise_deg": 0.00145,
         "twice_per_turn_deg": 0.0078,
         "hum_deg": 0.0019,
         "rotation_spread": 0.45,
@@ -70,11 +70,11 @@ class Lidar(Preset):
     eccentricity_phase_deg: Degrees = 40.0
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
-    """White error of each azimuth reading, one sigma; for an encoder with lines, the time error of a line at 600 rpm: 0.0017 is a uniform
-    spread over 1.6 us, at all speeds. 0 switches it off."""
-    encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.24
+    """White error of each azimuth reading, one sigma; for an encoder with lines, the time error of a line at 600 rpm: 0.00145 is a uniform
+    spread over 1.4 us, at all speeds. 0 switches it off."""
+    encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.246
     """Relative deficit of the reading's speed between two encoder lines at 600 rpm, in some readings; in the others it is too high by 0.85 of
-    this. 0.24 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1, 5/4 and 2 hundredths of a degree in 2.304 us."""
+    this. 0.246 on real units, where both speeds are one of 3/8, 1/2, 5/8, 1, 5/4 and 2 hundredths of a degree in 2.304 us."""
     twice_per_turn_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Amplitude of the encoder's twice-per-revolution error; real units show 0.006 to 0.010. 0 switches it off."""
     hum_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.0
@@ -83,8 +83,8 @@ class Lidar(Preset):
     rotation_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Unit-to-unit spread of the amplitudes of these three errors, relative; above 0 their phases are random too."""
     speed_error_rpm: Annotated[float, Field(ge=-3, le=3)] = 0.0
-    """Error of the mean speed at 600 rpm, one sigma, in proportion at other speeds; exact without `rotation_spread`, positive is fast.
-    It swings over minutes; a phase lock removes it."""
+    """Error of the mean speed at 600 rpm, one sigma, at most 1.9 of them, in proportion at other speeds; exact without `rotation_spread`,
+    positive is fast. It swings over minutes; a phase lock removes it."""
     speed_wander_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Amplitude of the change of speed within seconds, at 600 rpm, in proportion at other speeds."""
     powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] | None = None

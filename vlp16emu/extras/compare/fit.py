@@ -19,13 +19,12 @@ from vlp16emu.extras.compare.table import REAL
 from vlp16emu.returns import Noise
 from vlp16emu.sensor.settings import Sensor
 
-_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
+_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.111, 3.55
 _LEVEL = 80.0  # middle of the reflectivities whose neighbours are compared
 _EQUAL_STEPS, _COARSEST, _FROM, _TOP = 2.9, 5.0, 30.0, 90.0
 """Step of bright codes over the product of their scatter and the share of equal neighbours, from our own packets;
 greatest step; reflectivities at which the step is 1 and at which the key gives it."""
 _ELSE_MM = 2.6  # white error from the detector and the 2 mm of a code, beside the setting; from our own packets
-_HALF_GAIN = 0.04  # difference of the gain between sectors, which the spread that both sectors share does not contain
 _LEAST_SILENT = 50
 _MOST_LOST = 2.0
 _HALF_DEG_PER_US = 0.0018  # half of the turn of a rotor at 600 rpm in a microsecond
@@ -64,7 +63,7 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     if "residue.odd_spread" in found:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "reflectivity.gain_spread" in found:
-        out["gain_spread"] = round(min(math.hypot(found["reflectivity.gain_spread"], _HALF_GAIN), 0.3), 3)
+        out["gain_spread"] = round(min(found["reflectivity.gain_spread"], 0.3), 3)
     middles = {name: math.sqrt(REAL[name].low * REAL[name].high) for name in found if name.startswith("lost.")}
     if middles:
         shares = [found[name] / of for name, of in middles.items()]
