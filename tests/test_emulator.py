@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from woods import THIN
 from vlp16emu import Emulator
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.packets import DATA_PAYLOAD
-from vlp16emu.scenario import load
+from vlp16emu.scenario import find, load
 from vlp16emu.types import PacketKind
 
 BLOCK_S = 1920 * 55_296e-9
@@ -58,6 +59,13 @@ def test_packets_leave_in_order_at_the_manuals_rate(mode):
     assert set(np.diff(data_ns)) == {663_552 if mode == "dual" else 1_327_104}
     position = [packet for packet in packets if packet.kind is PacketKind.POSITION]
     assert 65 <= len(position) <= 81
+
+
+def test_a_path_is_a_file_whatever_its_name(tmp_path, monkeypatch):
+    """A `Path` without a folder or a suffix is read, and spared as an input."""
+    monkeypatch.chdir(tmp_path)
+    (scene := Path("bench")).write_bytes(find("static_bench").read_bytes())
+    assert Emulator(scene).files == (scene,)
 
 
 def test_walk_ends_where_its_path_ends(birch):

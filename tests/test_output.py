@@ -119,7 +119,10 @@ def refusing(*_, **__):
     raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
-@pytest.mark.parametrize(("owner", "name", "stand_in"), [(Path, "open", refusing), (os, "access", lambda *_: False)])
+@pytest.mark.parametrize(
+    ("owner", "name", "stand_in"),
+    [(Path, "open", refusing), (Path, "iterdir", refusing), (os, "access", lambda *_: False)],
+)
 def test_without_the_right_to_write_the_earlier_file_stays(tmp_path, monkeypatch, owner, name, stand_in):
     """A folder that takes no new file, and a file that must not be written, are refused in one line: written straight, the earlier would be lost."""
     path = tmp_path / "x"
@@ -128,7 +131,7 @@ def test_without_the_right_to_write_the_earlier_file_stays(tmp_path, monkeypatch
         patch.setattr(owner, name, stand_in)
         with pytest.raises(OutputError, match="Permission denied; expected a file that can be written"):
             OutputFile(path)
-    assert path.read_bytes() == b"earlier"
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"earlier", [path])
 
 
 def test_a_file_system_without_locks_is_reported(tmp_path, monkeypatch, caplog):

@@ -180,6 +180,9 @@ def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
     assert user_store.__wrapped__().most_bytes == 1_000_000_000
     monkeypatch.setenv("VLP16EMU_CACHE_MB", "50")
     assert user_store.__wrapped__().most_bytes == 50_000_000
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr("os.path.expanduser", lambda name: name)  # no HOME, and a user whom the system does not know
+    assert user_store.__wrapped__().own is None
     for wrong in ("lots", "nan", "inf"):
         monkeypatch.setenv("VLP16EMU_CACHE_MB", wrong)
         assert user_store.__wrapped__().most_bytes == 1_000_000_000

@@ -101,7 +101,7 @@ def test_times_keep_all_their_digits(tmp_path):
     times = lambda text: (path.write_text(text), read_table(path, columns, "t", InputError, has_header=False).times_ns("t_s"))[1]  # noqa: E731  # fmt: skip
     assert times("1403636579.763555527\n1,5e-9\n".replace(",", ".")) == [1403636579763555527, 2]
     for text, message in (
-        ("soon", "found 'soon'; expected a time in seconds"),
+        *((text, f"found '{text}'; expected a time in seconds") for text in ("soon", "1_7", "1e999999")),
         ("1e300", "expected at most 4611686018 s"),
     ):
         with pytest.raises(InputError, match=f"line 1, column t_s: .*{message}"):

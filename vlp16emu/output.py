@@ -184,7 +184,7 @@ def _new_file(final: Path, where: str, buffering: int) -> BinaryIO:
     file = part.open("xb", buffering)  # never truncates a file or follows a link
     try:
         claim(file.fileno(), part, final, where)
-    except OutputError:
+    except (OutputError, OSError):  # the latter in a folder that cannot be listed
         part.unlink()
         file.close()
         raise

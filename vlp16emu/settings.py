@@ -29,17 +29,21 @@ from vlp16emu.doors import DOORS, added, door, has_door
 DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
 _DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII)
 """A dotted key that is too deep: parsing time grows with the square of its names."""
+_LONG_NUMBER = re.compile(
+    r"\b0[xob][0-9a-fA-F_]{3500}"
+)  # Python does not print integers of more than 4300 decimal digits
 
 
 def toml(text: str) -> dict[str, Any]:
     """Parse TOML.
 
-    Raises ValueError if it is not valid, or a key has more than `DEEPEST` names; RecursionError if lists or tables are
-    nested much deeper.
+    Raises ValueError if it is not valid, a key has more than `DEEPEST` names, or a number thousands of digits;
+    RecursionError if lists or tables are nested much deeper.
     """
-    if deep := _DEEP_KEY.search(text):
-        line = text.count("\n", 0, deep.start()) + 1
-        raise ValueError(f"a key with more than {DEEPEST} names (at line {line})")
+    for refused, what in ((_DEEP_KEY, f"a key with more than {DEEPEST} names"), (_LONG_NUMBER, "too long a number")):
+        if found := refused.search(text):
+            line = text.count("\n", 0, found.start()) + 1
+            raise ValueError(f"{what} (at line {line})")
     return tomllib.loads(text)
 
 

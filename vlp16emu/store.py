@@ -58,9 +58,8 @@ class Store:
 
     def __init__(self, folder: Path | None, suffix: str, most_bytes: int) -> None:
         self.folder, self.suffix, self.most_bytes = folder, suffix, most_bytes
-        self._unsummed_bytes = (
-            most_bytes  # bytes written since sizes were last summed; starts at the limit because of other runs
-        )
+        # bytes written since sizes were last summed; starts at the limit because of other runs
+        self._unsummed_bytes = most_bytes
         self._writer: ThreadPoolExecutor | None = None
 
     @cached_property
@@ -169,9 +168,12 @@ def digest_of(sources: Iterable[str], *more: object) -> str:
     return digest.hexdigest()
 
 
-def user_folder(name: str) -> Path:
-    """Return a folder in the user's cache, at the system's location."""
-    return user_cache_path("vlp16emu", appauthor=False) / name
+def user_folder(name: str) -> Path | None:
+    """Return a folder in the user's cache, at the system's location; None for a user without a home."""
+    try:
+        return user_cache_path("vlp16emu", appauthor=False) / name
+    except RuntimeError:  # no HOME, and a user whom the system does not know, as in containers
+        return None
 
 
 @cache

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
@@ -98,9 +98,9 @@ class Table:
         """Return times in seconds as nanoseconds (n,), with all digits: float64 would keep UTC to a microsecond only."""
         times_ns = []
         for row, cell in enumerate(self.cells[column]):
-            try:
-                t_ns = Decimal(self._pointed(row, column, cell)).scaleb(9)
-            except InvalidOperation:
+            try:  # `Decimal` alone would allow underscores
+                t_ns = Decimal(self._pointed(row, column, cell).replace("_", "?")).scaleb(9)
+            except ArithmeticError:
                 raise self.error(self.where(row, column), f"found {cell!r}", "a time in seconds") from None
             if not t_ns.is_finite() or abs(t_ns) > _LARGEST_NS:
                 raise self.error(self.where(row, column), f"found {cell}", f"at most {_LARGEST_NS // S_NS} s")

@@ -377,6 +377,9 @@ def test_units_of_one_address_differ_by_mac(tmp_path):
     ]
     read(tmp_path, pcap(*streams[0], *streams[1], DATA[:26] + b"\1\2\3\4" + DATA[30:42] + bytes(1206)))
     assert [str(one) for one in units_in(tmp_path / "some.pcap")] == ["192.168.1.201:2368"]
+    rare = [mac[:26] + b"\1\2\3\4" + mac[30:42] + payload(i) for mac, i in ((DATA, 100), (other, 101))]
+    read(tmp_path, pcap(*(DATA[:42] + payload(i) for i in range(100)), *rare))
+    assert [str(one) for one in units_in(tmp_path / "some.pcap")] == ["1.2.3.4:2368", "192.168.1.201:2368"]
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,7 @@ WRONG = [
     (RECORD, "--start", "-1", "a number from 0 to 604800"),
     (RECORD, "--start", "11", "less than the scene's 10 s, or a --duration"),
     (RECORD, "--threads", "1.5", "a whole number from 0 to 1024"),
+    (RECORD, "--threads", "9" * 350, "a whole number from 0 to 1024"),
     (RECORD, "--truth-rate", "0", "a whole number from 1 to 10000"),
     (STREAM, "--data-port", "-1", "a whole number from 0 to 65535"),
     (STREAM, "--position-port", "65536", "a whole number from 0 to 65535"),
@@ -80,7 +81,7 @@ BAD = [
     ("record static_bench {tmp}/no/x.pcap", 2, "{tmp}/no/x.pcap: No such file or directory; expected a file that can be "),
     ("record static_bench /dev/full --duration 1", 1, "/dev/full: No space left on device at packet 1; no file is written"),
     *(
-        (f"{line} {option} {found}", 2, f"{option}: found {found}; expected {expected}\n")
+        (f"{line} {option} {found}", 2, f"{option}: found {found if len(found) < 99 else found[:111] + '...'}; expected {expected}\n")
         for line, option, found, expected in WRONG
     ),
     *(

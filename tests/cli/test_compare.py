@@ -36,7 +36,7 @@ def test_a_fitted_unit_goes_into_a_scene(cli, captures, tmp_path):
     """What `fit` prints is what it writes, and its tables are settings of a scene."""
     printed = cli("fit", captures / "a.pcap").out
     assert cli("fit", captures / "a.pcap", "--out", tmp_path / "unit.toml").code == 0
-    assert (tmp_path / "unit.toml").read_text() == printed
+    assert (tmp_path / "unit.toml").read_text() == printed == cli("fit", captures / "a.pcap", "--out", "-").out
     tables = tomllib.loads(printed)
     settings = {f"{table}.{key}": value for table, keys in tables.items() for key, value in keys.items()}
     assert load("birch_walk", settings).noise.range_beat_m == tables["noise"]["range_beat_m"]

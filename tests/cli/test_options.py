@@ -100,3 +100,4 @@ def test_options_that_are_settings_agree_with_the_page():
     key = schema()["properties"]["duration_s"]
     assert (duration.option.gt, duration.option.le) == (key["exclusiveMinimum"], key["maximum"])
     assert runs.StreamOptions(to="10.0.0.1:2370").receiver == ("10.0.0.1", 2370)
+    assert runs.StreamOptions(to="").receiver == ("", None)  # an empty variable of a script; `UdpSink` refuses it

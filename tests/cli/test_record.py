@@ -63,8 +63,11 @@ def test_a_walk_that_is_cut_off_says_how_much_of_it_there_is(cli, tmp_path):
 
 
 def test_a_recording_goes_through_a_pipe(main_here, cli, tmp_path):
-    """To - the file's bytes go to standard output, nothing else does, and the report goes to stderr."""
+    """To - the file's bytes go to standard output, nothing else does, and the report goes to stderr, also by its other name."""
     options = "--duration", "0.1", "--json"
+    with (tmp_path / "report").open("w") as stdout:
+        assert main_here("record", "static_bench", "/dev/stdout", *options, stdout=stdout)[1].startswith("{")
+    assert not (tmp_path / "report").read_bytes()
     with (tmp_path / "out").open("w") as stdout:
         code, err = main_here("record", "static_bench", "-", *options, stdout=stdout)
     out, report = (tmp_path / "out").read_bytes(), json.loads(err)
@@ -145,18 +148,20 @@ def until(process, line):
 
 
 def test_ctrl_c_does_not_wait_for_the_world(cli, monkeypatch, tmp_path):
-    """Ctrl-C while the world grows ends the run at once, with a report and a capture without packets."""
-    path, end = tmp_path / "x.pcap", threading.Event()
+    """Ctrl-C while the world grows ends the run at once; an earlier recording and its ground truth stay."""
+    path, truth, end = tmp_path / "x.pcap", tmp_path / "truth", threading.Event()
+    cli("record", "static_bench", path, "--truth", truth, "--duration", "0.1")
+    before = [file.read_bytes() for file in (path, *sorted(truth.iterdir()))]
 
     def grow(*_):
         signal.raise_signal(signal.SIGINT)
         end.wait()
 
     monkeypatch.setattr("vlp16emu.engine.windows.window_of", grow)
-    outcome = cli("record", "static_bench", path, "--json")
+    outcome = cli("record", "static_bench", path, "--truth", truth, "--json")
     end.set()
-    assert (outcome.code, outcome.err, path.stat().st_size) == (130, "", 24)
-    assert [outcome.tree[key] for key in ("interrupted", "packets", "bytes")] == [True, 0, 24]
+    assert (outcome.code, outcome.out, outcome.err, sorted(tmp_path.iterdir())) == (130, "", "", [truth, path])
+    assert [file.read_bytes() for file in (path, *sorted(truth.iterdir()))] == before
 
 
 def test_a_second_ctrl_c_waits_for_nothing(program, tmp_path):

@@ -353,10 +353,12 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
     unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
     where : the option's name in error lines
 
-    Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, or if there are
-    several and none is named.
+    Raises CaptureError if the file is not a capture or is damaged; InputError if there is no such unit, if there are
+    several and none is named, or if one of a pipe is named, as a pipe can be read only once.
     """
-    units, others = ([], False) if path.is_fifo() else _units_and_others(path)  # a pipe can be read only once
+    if path.is_fifo() and unit is not None:
+        raise InputError(where, f"found {unit} for the pipe {path}", "a file, which can be read twice")
+    units, others = ([], False) if path.is_fifo() else _units_and_others(path)
     if not units or (unit is None and len(units) == 1):
         return units[0] if others and units else None
     for number, known in enumerate(units, start=1):
@@ -401,5 +403,6 @@ def _units_and_others(path: Path, *, required: bool = False) -> tuple[list[Captu
 def _macs(streams: dict[bytes, _Stream], least: float) -> list[bytes]:
     """Return the MAC addresses of sensors that send at the same time; empty if one sensor replaces another."""
     busy = {mac: stream for mac, stream in streams.items() if stream.packets >= least}
-    latest_first, earliest_last = (max(one.first for one in busy.values()), min(one.last for one in busy.values()))
-    return sorted(busy) if len(busy) > 1 and latest_first < earliest_last else [b""]
+    if len(busy) > 1 and max(one.first for one in busy.values()) < min(one.last for one in busy.values()):
+        return sorted(busy)
+    return [b""]

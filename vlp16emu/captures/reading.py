@@ -132,8 +132,13 @@ def unit_clocks(
 def packet_clock(
     path: Path, unit: CapturedUnit | None, name: str | None = None, *, where: str = "clock"
 ) -> PacketClock:
-    """Return the clock for the packets of one unit, as `unit_clocks`; by default a pipe has the sensor's clock."""
-    if path.is_fifo() and name != Clock.GPS and (name is None or name in tuple(Clock)):
+    """Return the clock for the packets of one unit, as `unit_clocks`; by default a pipe has the sensor's clock.
+
+    Raises InputError for "gps" of a pipe, whose packets cannot be read again after its sentences.
+    """
+    if path.is_fifo() and name in (None, *Clock):
+        if name == Clock.GPS:
+            raise InputError(where, f"found gps for the pipe {path}", "sensor or host, or a file")
         return PacketClock(Clock(name or Clock.SENSOR))
     return unit_clocks(path, [unit], name, where=where)[0].make()
 
@@ -218,9 +223,8 @@ class Summary:
     records_per_scan: int | None  # Median of complete revolutions, no-returns included; None without a complete one
     range_m: dict[str, float] | None  # Minimum, median and maximum of the returns; None without returns
     start_utc: str  # Stamp of the first data packet in the capture
-    duration_s: (
-        float  # From the first data packet to the last, by the sensor's clock; by the host's if the sensor's jumps
-    )
+    duration_s: float
+    """From the first data packet to the last, by the sensor's clock; by the host's if the sensor's jumps."""
     clock: Clock  # Time source of UTC
     host_ahead_s: float  # Capture stamp minus the sensor's clock in the nearest hour, at the first data packet
     gps: dict[str, str] | None  # Pulse and sentence of the last position packet

@@ -10,6 +10,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Collection, Sequence
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -91,7 +92,7 @@ def run(arguments: Sequence[str]) -> int:
     except MemoryError as error:
         _print_error(f"out of memory: {error}" if str(error) else "out of memory")
         return 1
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, CancelledError):  # the latter if a run was stopped before its first packet
         return INTERRUPTED
 
 

@@ -157,7 +157,7 @@ def fit(
     The beat of its ranges has its phase at the capture's first pulse. At most a minute is read.
     """
     from vlp16emu.extras.compare import fitted, read_sequences
-    from vlp16emu.output import OutputFile, spare
+    from vlp16emu.output import STDOUT, OutputFile, spare
 
     if out is not None:
         spare((file,), out)
@@ -166,7 +166,7 @@ def fit(
         for name, table in fitted(read_sequences(file)).items()
     }
     text = "\n".join(f"[{name}]\n{lines}" for name, lines in tables.items())
-    if out is None:
+    if out is None or out == STDOUT:
         print(text, end="")
         return
     with OutputFile(out, where=f"--out {out}") as output, output.writing() as opened:

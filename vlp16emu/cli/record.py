@@ -38,19 +38,20 @@ def record(
     """Record a scene into a pcap file, or a bag.
 
     The file holds data and position packets in order of sending, in the frames of a real sensor and
-    stamped with simulated time. Ctrl-C ends it early and leaves a valid file. While it is written, its name is
-    OUT.xxxxxxxx.part; after kill -9 that file holds all complete packets.
+    stamped with simulated time. Ctrl-C ends it early and leaves a valid file, before the first packet none. While it is
+    written, its name is OUT.xxxxxxxx.part; after kill -9 that file holds all complete packets.
     """
     from vlp16emu.output import STDOUT
 
-    if Path(out) == STDOUT and sys.stdout is None:
+    is_stdout = Path(out) in (STDOUT, Path("/dev/stdout"))
+    if is_stdout and sys.stdout is None:
         raise OutputError("standard output", "closed", "a file or a pipe")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, making)
     with running(emulator, "recording", options) as hooks:
         recording = emulator.record(out, **vars(options), **hooks)
     recording = replace(recording, wall_s=time.perf_counter() - began_s)  # time of the whole command
-    with redirect_stdout(sys.stderr) if Path(out) == STDOUT else nullcontext():
+    with redirect_stdout(sys.stderr) if is_stdout else nullcontext():
         finish(recording, as_json=as_json)
 
 

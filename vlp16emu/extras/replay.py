@@ -1,6 +1,7 @@
 """Replay of captures at their own pace, and of runs that are recorded before they are sent, so that the engine cannot be too slow."""
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from ipaddress import IPv4Address, ip_address
@@ -177,7 +178,10 @@ def prepared(emulator: Emulator, options: StreamOptions, **hooks: Any) -> Iterat
     # Stamps are due times, without the errors of a recording host's clock.
     scenario = emulator.scenario.model_copy(update={"capture": CaptureClock(preset="ideal")})
     asked = RecordOptions(duration_s=options.duration_s, truth=options.truth)
-    record(emulator.with_engine(replace(emulator.engine, scenario=scenario)), path, asked, **hooks)
+    try:
+        record(emulator.with_engine(replace(emulator.engine, scenario=scenario)), path, asked, **hooks)
+    except CancelledError:  # stopped before the first packet
+        return iter(())
     return packets_of([unit.link for unit in emulator.engine.parts.units], path)
 
 

@@ -74,7 +74,8 @@ class Emulator:
         """Engine that makes the packets."""
         is_named = isinstance(scene, str | Path)
         self.name = str(scene) if is_named else scenario.title  # Name, path or title of the scene
-        self.files = (*([find(str(scene))] if is_named else []), *named_files(scenario))
+        own = [scene if isinstance(scene, Path) else find(str(scene))] if is_named else []
+        self.files = (*own, *named_files(scenario))
         """Input files of the run; no output replaces them."""
 
     @property
@@ -190,12 +191,13 @@ class Emulator:
         path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output;
             a bag with .mcap, .bag, or as a new folder with a slash at its end
         progress : called with the simulated seconds so far, packet by packet
-        stop : ends the recording from another thread; the file is valid
+        stop : ends the recording from another thread; the file is valid, and there is none before the first packet
         options : fields of `RecordOptions`: `start_s`, `duration_s`, `split`, `truth`, `bag`
 
         Raises InputError for a wrong option; OutputError if file or folder cannot be written, or are an input of
         the scene, or if the name belongs to another format; ScenarioError if the sensor has no packets; TrajectoryError if
-        the walk ends before the span; RunError if the disk is full; the packets before it are kept.
+        the walk ends before the span; RunError if the disk is full; the packets before it are kept; CancelledError, and
+        earlier files stay, if `stop` is set before the first packet.
         """
         return record(self, path, RecordOptions(**options), progress=progress, stop=stop)
 

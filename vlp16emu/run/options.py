@@ -55,7 +55,7 @@ class Option:
         limits = (operator.ge, self.ge), (operator.gt, self.gt), (operator.le, self.le), (operator.lt, self.lt)
         if kind in (int, float):
             kept = [holds(value, limit) for holds, limit in limits if limit is not None]
-            is_right = math.isfinite(value) and all(kept)
+            is_right = abs(value) < math.inf and all(kept)  # `math.isfinite` fails for an integer above 1e308
         else:
             is_right = not self.words or value in self.words
         if not is_right:
@@ -261,7 +261,7 @@ class SendOptions(Options):
 
         Raises InputError if the port is invalid, or given twice.
         """
-        to = self.to or ("127.0.0.1" if self.interface is None else "255.255.255.255")
+        to = self.to if self.to is not None else "127.0.0.1" if self.interface is None else "255.255.255.255"
         host, colon, port = to.partition(":")
         if not colon:
             return to, self.data_port

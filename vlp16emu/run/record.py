@@ -52,17 +52,15 @@ def record(
     began_s, simulated_s = time.perf_counter(), 0.0
     sent, returns = [Counter[PacketKind]() for _ in units], [0] * len(units)
     begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
-    with (
-        emulator.engine.windows.stopped_by(stop),
-        files as sinks,
-        emulator.truth(truth, span_s) as writer,
-        suppress(CancelledError),
-    ):
-        for packet in _written(writer.beside(packets) if writer else packets, sinks, host, stop):
-            sent[packet.unit][packet.kind] += 1
-            returns[packet.unit] += returns_in(packet)
-            simulated_s = (packet.due_ns - begin_ns) / S_NS
-            progress(simulated_s)
+    with emulator.engine.windows.stopped_by(stop), files as sinks, emulator.truth(truth, span_s) as writer:
+        with suppress(CancelledError):
+            for packet in _written(writer.beside(packets) if writer else packets, sinks, host, stop):
+                sent[packet.unit][packet.kind] += 1
+                returns[packet.unit] += returns_in(packet)
+                simulated_s = (packet.due_ns - begin_ns) / S_NS
+                progress(simulated_s)
+        if stop.is_set() and not any(sent):
+            raise CancelledError  # earlier files stay
     interrupted = stop.is_set()
     simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
     written, run_s = [sink.result for sink in sinks], emulator.parts.motion.run_time_s

@@ -39,7 +39,7 @@ class PcapSink(PacketSink):
 
     Each record is passed to the operating system in one write, so a killed program leaves a file NAME.xxxxxxxx.part that is
     readable to its last whole packet. After an error other than `KeyboardInterrupt` the file also stays under that name
-    and ends with a whole packet, and an earlier file NAME is unchanged. No file is left without packets.
+    and ends with a whole packet, and an earlier file NAME is unchanged. An error leaves no file without packets.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class PcapSink(PacketSink):
         self._links = links
         self._sent, self._bytes, self._failed = 0, 0, False
         self._hash = hashlib.sha256()
-        self._output = OutputFile(path, buffering=0)
+        self._output = OutputFile(path, where="standard output" if self._is_stdout else None, buffering=0)
         self._file = self._output.file
         try:
             self._write(_FILE_HEADER)

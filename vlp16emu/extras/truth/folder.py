@@ -8,6 +8,7 @@ import shutil
 import stat
 import weakref
 from collections.abc import Collection
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
@@ -58,7 +59,7 @@ class TruthFolder:
             self._close = weakref.finalize(self, os.close, opened)
             try:
                 claim(opened, self.path, self._final, self._where)
-            except OutputError:
+            except (OutputError, OSError):
                 self.path.rmdir()
                 self._close()
                 raise
@@ -76,7 +77,7 @@ class TruthFolder:
         try:
             if (error is None and not self._failed) or isinstance(error, KeyboardInterrupt):
                 self._keep()
-            elif isinstance(error, InputError | MissingExtraError):
+            elif isinstance(error, InputError | MissingExtraError | CancelledError):
                 shutil.rmtree(self.path, ignore_errors=True)
         finally:
             self._close()
