@@ -67,11 +67,19 @@ def test_the_table_is_of_this_program(row):
     assert len(types) == len(inspect.signature(kernel.py_func).parameters)
 
 
-def compiled_by_a_program(tmp_path, folder):
+KILLS = """
+import os
+from vlp16emu.kernels import compiler
+read, parent = compiler._signature, os.getpid()
+compiler._signature = lambda row: read(row) if os.getpid() == parent else os.kill(os.getpid(), 9)
+"""
+
+
+def compiled_by_a_program(tmp_path, folder, before=""):
     """What a program of its own prints that compiles the kernels of two groups, and what it complains of."""
     (tmp_path / "table.json").write_text(json.dumps(ROWS))
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    command = [sys.executable, "-c", PROGRAM]
+    command = [sys.executable, "-c", before + PROGRAM]
     done = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
     return done.stdout.splitlines(), done.stderr
 
@@ -88,3 +96,8 @@ def test_without_a_safe_folder_nothing_is_compiled_before(tmp_path):
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     assert compiled_by_a_program(tmp_path, tmp_path / "open")[0] == ["(0, 3)", "(0, 3)", "(0, 4)"]
+
+
+def test_processes_that_are_killed_are_not_waited_for(tmp_path):
+    """The system kills a process that has no memory left: the run goes on without it."""
+    assert compiled_by_a_program(tmp_path, tmp_path / "kernels", KILLS) == (["(0, 3)", "(0, 3)", "(0, 4)"], "")

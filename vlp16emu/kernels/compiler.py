@@ -152,6 +152,7 @@ def _prepare() -> None:
 _prepare()
 
 _ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+_POLL_S = 1.0  # interval at which children are looked after
 
 
 def table(group: str | None = None) -> list[dict[str, Any]]:
@@ -169,7 +170,7 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     if not missing:
         return
     yield 0, len(missing)
-    from multiprocessing import get_context  # here: usually all are on disk
+    from multiprocessing import TimeoutError, active_children, get_context  # here: usually all are on disk
 
     # Children are forks, so that they need not load numba again; with other threads forks would not be safe.
     if user_kernels().own is None or threading.active_count() > 1:
@@ -179,16 +180,23 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
     # A child that a signal meets before `_ignore_signals` would end as this process does.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
+    before, others = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS), active_children()
     try:
         pool = get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    children = [child for child in active_children() if child not in others]
     with pool:
-        done = 0
-        for count in pool.imap_unordered(_compile, files.values()):
-            done += count
-            yield done, len(missing)
+        done, counts = 0, pool.imap_unordered(_compile, files.values())
+        while done < len(missing):
+            try:
+                done += counts.next(_POLL_S)
+            except TimeoutError:
+                # The result of a child that the system killed, for its memory, never comes: the run compiles the rest.
+                if not all(child.is_alive() for child in children):
+                    return
+            else:
+                yield done, len(missing)
 
 
 def decoded(text: Any) -> Any:
