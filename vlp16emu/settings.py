@@ -29,9 +29,8 @@ from vlp16emu.doors import DOORS, added, door, has_door
 DEEPEST = 100  # greatest nesting of tables and lists, and number of names in a dotted key
 _DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII)
 """A dotted key that is too deep: parsing time grows with the square of its names."""
-_LONG_NUMBER = re.compile(
-    r"\b0[xob][0-9a-fA-F_]{3500}"
-)  # Python does not print integers of more than 4300 decimal digits
+_LONG_NUMBER = re.compile(r"\b0[xob][0-9a-fA-F_]{3500}")
+"""An integer that may have more than 4300 decimal digits, which Python does not print."""
 
 
 def toml(text: str) -> dict[str, Any]:

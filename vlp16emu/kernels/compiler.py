@@ -170,7 +170,7 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     if not missing:
         return
     yield 0, len(missing)
-    from multiprocessing import TimeoutError, active_children, get_context  # here: usually all are on disk
+    import multiprocessing  # here: usually all are on disk
 
     # Children are forks, so that they need not load numba again; with other threads forks would not be safe.
     if user_kernels().own is None or threading.active_count() > 1:
@@ -180,18 +180,18 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     for row in missing:
         files.setdefault(row["kernel"].partition(":")[0], []).append(row)
     # A child that a signal meets before `_ignore_signals` would end as this process does.
-    before, others = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS), active_children()
+    before, others = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS), multiprocessing.active_children()
     try:
-        pool = get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
+        pool = multiprocessing.get_context("fork").Pool(min(usable_cores(), len(files)), _ignore_signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    children = [child for child in active_children() if child not in others]
+    children = [child for child in multiprocessing.active_children() if child not in others]
     with pool:
         done, counts = 0, pool.imap_unordered(_compile, files.values())
         while done < len(missing):
             try:
                 done += counts.next(_POLL_S)
-            except TimeoutError:
+            except multiprocessing.TimeoutError:
                 # The result of a child that the system killed, for its memory, never comes: the run compiles the rest.
                 if not all(child.is_alive() for child in children):
                     return

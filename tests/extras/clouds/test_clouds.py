@@ -3,7 +3,9 @@
 import shutil
 import subprocess
 import sys
+from concurrent.futures import CancelledError
 from datetime import UTC, date, datetime
+from threading import Event
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, label_scheme, point_file
 from vlp16emu.extras.clouds.las import adjusted_gps_s, echoes_of, local_wkt
 from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.types import PlantPart, Semantic
 
 laspy = pytest.importorskip("laspy")
@@ -166,6 +169,18 @@ def test_a_missing_library_is_named(monkeypatch, tmp_path):
     with pytest.raises(MissingExtraError, match=r"pip install 'vlp16emu\[cloud\]'"):
         write_points(Emulator("static_bench"), tmp_path / "a.laz", duration_s=0.05)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stop_before_the_first_block_replaces_nothing(tmp_path):
+    """A run that ends before there is a point, or a sample of truth, leaves an earlier file, and makes no folder."""
+    (stop := Event()).set()
+    emulator, earlier = Emulator("static_bench"), tmp_path / "x.csv"
+    earlier.write_text("mine")
+    for write, to in ((write_points, earlier), (write_truth, tmp_path / "truth")):
+        with pytest.raises(CancelledError):
+            write(emulator, to, stop=stop)
+    assert [*tmp_path.iterdir()] == [earlier]
+    assert earlier.read_text() == "mine"
 
 
 def test_a_file_without_points_can_be_read(tmp_path):

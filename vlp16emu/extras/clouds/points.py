@@ -60,12 +60,13 @@ def write_points(
     ----------
     path : .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists
     progress : called with the simulated seconds so far, block by block
-    stop : ends the file from another thread; it is valid
+    stop : ends the file from another thread; it is valid, and there is none before the first block
     options : fields of `PointOptions`
 
     Raises InputError if there is no such unit or scheme, or the suffix names no format; MissingExtraError if the
     library for a format is not installed; OutputError if file or folder cannot be written, or are an input of the
-    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then incomplete.
+    scene; TrajectoryError if the walk ends before the span; RunError if the disk is full: the file is then incomplete;
+    CancelledError, and earlier files stay, if `stop` is set before the first block.
     """
     path, began_s, asked = Path(path), time.perf_counter(), PointOptions(**options)
     number, scenario, stop = emulator.number(asked.unit), emulator.scenario, stop or Event()
@@ -75,21 +76,19 @@ def write_points(
     columns = cloud.SCENE_COLUMNS + cloud.TRUTH_COLUMNS * truth + cloud.LABEL_COLUMNS * bool(scheme)
     returns, simulated_s = np.zeros(3, np.int64), 0.0
     file = cloud.point_file(path, columns, _about(scenario, number, scheme), where=str(path), inputs=emulator.files)
-    with (
-        emulator.engine.windows.stopped_by(stop),
-        file as writer,
-        emulator.truth(asked.truth_to, span_s) as folder,
-        suppress(CancelledError),
-    ):
-        for block, end_ns in blocks:
-            writer.write(block)
-            returns += np.bincount(block["return_number"], minlength=3)
-            simulated_s = end_ns / S_NS - begin_s
-            if folder:
-                folder.up_to(begin_s + simulated_s)
-            progress(simulated_s)
-            if stop.is_set():
-                break
+    with emulator.engine.windows.stopped_by(stop), file as writer, emulator.truth(asked.truth_to, span_s) as folder:
+        with suppress(CancelledError):
+            for block, end_ns in blocks:
+                writer.write(block)
+                returns += np.bincount(block["return_number"], minlength=3)
+                simulated_s = end_ns / S_NS - begin_s
+                if folder:
+                    folder.up_to(begin_s + simulated_s)
+                progress(simulated_s)
+                if stop.is_set():
+                    break
+        if not simulated_s:
+            raise CancelledError  # earlier files stay
     sensor, wall_s = emulator.parts.units[number], time.perf_counter() - began_s
     beams = sensor.head.beams
     return PointCloud(

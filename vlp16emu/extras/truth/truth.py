@@ -450,15 +450,18 @@ def write_truth(
 
     Raises OutputError if the folder cannot be written, or contains an input of the scene; ScenarioError if poses of
     packets are requested for a sensor without packets; TrajectoryError if the walk ends before the span; RunError if
-    the disk is full: then the lines before are kept.
+    the disk is full: then the lines before are kept; CancelledError, and an earlier folder stays, if `stop` is set at once.
     """
     emulator = emulator.with_truth_in(TruthTo.of(to))
     begin_s, stop_s = span_s = emulator.scenario.span_s(start_s, duration_s)
     emulator.engine.span_ns(*span_s)  # checks the span before the folder is touched
     done_s, stop = 0.0, stop or threading.Event()
-    with emulator.engine.windows.stopped_by(stop), emulator.truth(to, span_s) as truth, suppress(CancelledError):
-        while truth and done_s < stop_s - begin_s and not stop.is_set():
-            truth.up_to(begin_s + min(done_s + _AT_ONCE_S, stop_s - begin_s))
-            done_s = min(done_s + _AT_ONCE_S, stop_s - begin_s)
-            progress(done_s)
+    with emulator.engine.windows.stopped_by(stop), emulator.truth(to, span_s) as truth:
+        with suppress(CancelledError):
+            while truth and done_s < stop_s - begin_s and not stop.is_set():
+                truth.up_to(begin_s + min(done_s + _AT_ONCE_S, stop_s - begin_s))
+                done_s = min(done_s + _AT_ONCE_S, stop_s - begin_s)
+                progress(done_s)
+        if not done_s:
+            raise CancelledError  # earlier files stay
     return done_s
