@@ -87,7 +87,7 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
     work: dict[str, Callable[[], object]] = {
         "poses": lambda: [poses_at(t_ns) for t_ns in times],
         "aim": aim,
-        NEAR: lambda: cast(min(far_m, emulator.parts.world.near_m)),
+        NEAR: lambda: cast(min(far_m, 0.999 * emulator.parts.world.near_m)),  # no ray goes on into the medium
         CAST: lambda: cast(far_m),
         "texture": vary,
         "detect": find,
