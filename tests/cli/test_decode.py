@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu import Emulator
 from vlp16emu.captures import Capture, CaptureReader
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import data_fields, decode_data
@@ -199,6 +200,13 @@ def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):
     path.write_bytes(content)
     durations_s = [cli("decode", file, "--json").tree["duration_s"] for file in (bench, path)]
     assert durations_s[0] == pytest.approx(durations_s[1], abs=1e-5)
+
+
+def test_a_power_cycle_takes_its_time(cli, tmp_path):
+    """A sensor that was off for longer than before has a clock that steps back by less than the host's goes on: both count."""
+    cycle = {"kind": "power_cycle", "at_s": 0.2, "off_s": 0.4}
+    Emulator("static_bench", {"events": [cycle]}).record(tmp_path / "cycle.pcap", duration_s=0.8)
+    assert cli("decode", tmp_path / "cycle.pcap", "--json").tree["duration_s"] == pytest.approx(0.8, abs=0.01)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])

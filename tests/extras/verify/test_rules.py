@@ -127,6 +127,15 @@ def test_damage_is_found_by_its_rule_at_its_packet(traffic, name):
     assert not result.is_clean
 
 
+def test_both_azimuths_of_a_pair_are_named(traffic):
+    """The finding quotes the codes of the two blocks, as they are in the packet."""
+    made = traffic(0.3, dual=True)
+    azimuth_cdeg = made.payload(made.data(100))[0]["blocks"]["azimuth_cdeg"]
+    azimuth_cdeg[3] -= 1
+    (finding,) = made.verified().findings
+    assert finding.found == f"azimuths {azimuth_cdeg[2]} and {azimuth_cdeg[3]} at blocks 2 and 3"
+
+
 def test_one_azimuth_of_36000_is_a_note(traffic):
     """Old firmware sent it for 0; the next code is an error."""
     for code, is_clean in ((36_000, True), (36_001, False)):
