@@ -262,7 +262,8 @@ def test_a_unit_before_release_is_read_with_its_model(bench, cli, tmp_path):
     old = changed(bench, tmp_path / "old.pcap", 1205, 0x21)
     refused = cli("decode", old)
     assert refused.code == 2
-    assert refused.err.endswith("product: 0x21; expected 0x22 or 0x24, or --model for a VLP-16 from before release\n")
+    hint = "or `vlp16emu decode --model` for a VLP-16 from before release"
+    assert refused.err.endswith(f"product: 0x21; expected 0x22 or 0x24, {hint}\n")
     tree, before = cli("decode", old, "--model", "vlp-16", "--json").tree, cli("decode", bench, "--json").tree
     assert tree | {"file": ""} == before | {"file": ""}
     assert "vlp-16 or puck-hi-res" in cli("decode", old, "--model", "hdl-32e").err
