@@ -327,30 +327,19 @@ def test_a_damaged_cloud_is_one_line(tmp_path, suffix):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "arrays",
-    [
-        {"xyz": np.zeros((3, 3)), "instance": [1, 2]},
-        {"x": np.zeros(3), "y": np.zeros(3), "z": np.zeros(2)},
-        {"xyz": np.zeros((3, 2)), "instance": [1, 2, 3]},
-    ],
-)
-def test_arrays_that_are_no_table_are_one_line(tmp_path, arrays):
-    """Labels for other points, a missing height and places in a plane are refused."""
-    np.savez(tmp_path / "a.npz", **arrays)
-    with pytest.raises(InputError, match=r"a\.npz: (cannot be read \(all the input|found positions of 2)"):
-        read_cloud(tmp_path / "a.npz")
+def test_arrays_that_are_no_table_are_one_line(tmp_path):
+    """Labels for other points and places in a plane are refused."""
+    for xyz, instance in ((np.zeros((3, 3)), [1, 2]), (np.zeros((3, 2)), [1, 2, 3])):
+        np.savez(tmp_path / "a.npz", xyz=xyz, instance=instance)
+        with pytest.raises(InputError, match=r"a\.npz: (cannot be read \(all the input|found positions of 2)"):
+            read_cloud(tmp_path / "a.npz")
 
 
 def test_an_inventory_without_trees_has_none_to_find(tmp_path):
     """In a hall, whose inventory is a header, each found stem is false, also with true points."""
-    (tmp_path / "trees.csv").write_text("id,species,x_m,y_m,z_m,dbh_m\n")
-    (tmp_path / "stems.csv").write_text("x,y,dbh\n1,2,0.3\n")
-    np.savez(tmp_path / "true.npz", xyz=np.zeros((2, 3)), instance=[1, 2], part=[0, 0])
-    files = {
-        "stems": tmp_path / "stems.csv",
-        "inventory": tmp_path / "trees.csv",
-        "truth_points": tmp_path / "true.npz",
-    }
-    card = make_card(ScoreInputs(tmp_path, **files))
-    assert (card.scores["stem_precision"], [row.kind for row in card.trees]) == (0.0, ["false"])
+    trees, stems, true = (tmp_path / name for name in ("trees.csv", "stems.csv", "true.npz"))
+    trees.write_text("id,x_m,y_m,dbh_m\n")
+    stems.write_text("x,y,dbh\n1,2,0.3\n")
+    np.savez(true, xyz=np.zeros((2, 3)), instance=[1, 2], part=[0, 0])
+    card = make_card(ScoreInputs(tmp_path, stems=stems, inventory=trees, truth_points=true))
+    assert [row.kind for row in card.trees] == ["false"]

@@ -128,13 +128,6 @@ def apart(message):
     return replace(message, transforms=[shifted(t) if t.child_frame_id == "imu" else t for t in message.transforms])
 
 
-def without_turn(message):
-    """Leave all four components of the rotations at 0, as an uninitialized message has them."""
-    first = message.transforms[0].transform
-    zero = replace(first, rotation=replace(first.rotation, x=0.0, y=0.0, z=0.0, w=0.0))
-    return replace(message, transforms=[replace(t, transform=zero) for t in message.transforms])
-
-
 def moving_body(message):
     return replace(message, transforms=[replace(t, child_frame_id="base_link") for t in message.transforms])
 
@@ -232,7 +225,10 @@ def test_what_is_no_bag_is_one_line(rest, tmp_path, refused, words, line):
     (tmp_path / "empty.mcap").write_bytes(b"")
     bag = write(tmp_path / "bag", rest[:50])
     write(tmp_path / "blind", [one for one in rest[:50] if one[0] == "/imu/data"])
-    write(tmp_path / "turnless", map(on("/tf_static", without_turn), rest))
+    (tf,) = (message for topic, _, message in rest if topic == "/tf_static")
+    zero = replace(tf.transforms[0].transform.rotation, w=0.0)
+    turnless = replace(tf.transforms[0], transform=replace(tf.transforms[0].transform, rotation=zero))
+    write(tmp_path / "turnless", map(on("/tf_static", lambda message: replace(message, transforms=[turnless])), rest))
     write(tmp_path / "flat", map(points(z={"name": "height"}), rest))
     torn = write(tmp_path / "torn", rest) / "torn.mcap"
     torn.write_bytes(torn.read_bytes().replace(b"/imu/data", b"/imu/\xe4ata"))
