@@ -340,6 +340,15 @@ def test_damaged_truth_is_named_by_its_line(walk, tmp_path, refused, file, numbe
     assert not (tmp_path / "a.mcap").exists()
 
 
+def test_truth_that_another_program_has_rewritten_is_taken(walk, tmp_path):
+    """Times without the zeros at their ends, as pandas writes them, are the same times."""
+    shutil.copytree(walk / "truth", tmp_path / "truth")
+    imu = tmp_path / "truth" / "imu.csv"
+    imu.write_text(re.sub(r"^(\d+\.\d+?)0*,", r"\1,", imu.read_text(), flags=re.MULTILINE))
+    write_bag(walk / "walk.pcap", tmp_path / "walk.mcap", tmp_path / "truth")
+    assert (tmp_path / "walk.mcap").read_bytes() == (walk / "walk.mcap").read_bytes()
+
+
 def test_the_truth_of_an_earlier_run_is_refused(walk, tmp_path, refused):
     """Poses that end before the capture begins are named with both times."""
     earlier = Emulator("static_bench", {**SETTINGS, "start_utc": datetime(2020, 1, 1, tzinfo=UTC)})

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu import Emulator
 from vlp16emu.captures import Capture, CaptureReader
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import data_fields, decode_data
@@ -201,6 +202,13 @@ def test_a_clock_that_is_set_on_the_way_adds_no_time(cli, bench, tmp_path):
     assert durations_s[0] == pytest.approx(durations_s[1], abs=1e-5)
 
 
+def test_a_power_cycle_takes_its_time(cli, tmp_path):
+    """A sensor that was off for longer than before has a clock that steps back by less than the host's goes on: both count."""
+    cycle = {"kind": "power_cycle", "at_s": 0.2, "off_s": 0.4}
+    Emulator("static_bench", {"events": [cycle]}).record(tmp_path / "cycle.pcap", duration_s=0.8)
+    assert cli("decode", tmp_path / "cycle.pcap", "--json").tree["duration_s"] == pytest.approx(0.8, abs=0.01)
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
 def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suffix):
     """Ctrl-C in the fourth chunk of 7 packets ends decoding after it: 28 packets are told and can be read."""
@@ -254,7 +262,8 @@ def test_a_unit_before_release_is_read_with_its_model(bench, cli, tmp_path):
     old = changed(bench, tmp_path / "old.pcap", 1205, 0x21)
     refused = cli("decode", old)
     assert refused.code == 2
-    assert refused.err.endswith("product: 0x21; expected 0x22 or 0x24, or --model for a VLP-16 from before release\n")
+    hint = "or `vlp16emu decode --model` for a VLP-16 from before release"
+    assert refused.err.endswith(f"product: 0x21; expected 0x22 or 0x24, {hint}\n")
     tree, before = cli("decode", old, "--model", "vlp-16", "--json").tree, cli("decode", bench, "--json").tree
     assert tree | {"file": ""} == before | {"file": ""}
     assert "vlp-16 or puck-hi-res" in cli("decode", old, "--model", "hdl-32e").err

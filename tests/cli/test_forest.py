@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import sys
 
 import numpy as np
@@ -124,6 +125,7 @@ def test_a_table_is_printed_for_people(cli):
     assert any(line.startswith("all ") for line in lines)
     assert "\n  clark evans " in out
     assert "on the ground" in lines
+    assert re.search(r"\n  sapling +count \d+, density [\d.]+ per ha, measure height", out)
 
 
 def test_a_hall_tells_its_things(cli):

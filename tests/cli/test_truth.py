@@ -45,6 +45,7 @@ def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
         assert (tmp_path / "b" / path.name).read_bytes() == path.read_bytes(), path.name
         assert report["files"].pop(path.name) == path.stat().st_size
     assert report["files"] == {}
+    assert "\n  packets_2.tum " in cli("truth", "static_bench", tmp_path / "b", *options[:4], *options[5:]).out
 
 
 def test_ctrl_c_ends_the_truth_alone(cli, signal_at, tmp_path):

@@ -240,7 +240,7 @@ def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
         ("val = 0.0", "val = 0.1", "sum to 1"),
         ("semantickitti", "pcap+truth", "no packets"),
         ("semantickitti", "kitti", "pcap\\+truth"),
-        ("sensor.beams", "sensor.beans", "beams"),
+        ("sensor.beams", "sensor.beans", r"^walk a\.1\.middle\.four: --set sensor\.beans.*beams"),
         ("schema = 1", "schema = 1\nstand = 1", "unknown key"),
     ],
 )

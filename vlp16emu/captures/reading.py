@@ -305,7 +305,8 @@ class CaptureReader:
         azimuth_cdeg, modes = np.concatenate(self._azimuth_cdeg), np.concatenate(self._modes)
         packet_ns, host_ns = np.concatenate(self._packet_ns, axis=1)
         step_ns, host_step_ns = np.diff(packet_ns), np.diff(host_ns)
-        is_jump = (np.abs(step_ns - host_step_ns) > JUMP_NS) & (np.abs(host_step_ns) < np.abs(step_ns))
+        is_jump = (step_ns < 0) | (np.abs(host_step_ns) < np.abs(step_ns))  # the host's clock may be set too
+        is_jump &= np.abs(step_ns - host_step_ns) > JUMP_NS
         block_ns = np.arange(layout.BLOCKS_PER_PACKET) * layout.BLOCK_PERIOD_NS
         starts = scan_starts(azimuth_cdeg.ravel() / 100, (packet_ns[:, None] + block_ns).ravel())
         whole = np.diff(starts)[1:] * _BLOCK_RECORDS

@@ -10,7 +10,8 @@ from typing import Any
 import typer
 
 INTERRUPTED = 130  # exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)
-_UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz", "_ha": "ha"}
+_UNITS = {"_per_s": "per s", "_s": "s", "_us": "us", "_ns": "ns", "_m": "m", "_deg": "deg", "_hz": "Hz"}
+_UNITS |= {"per_ha": "per ha", "_ha": "ha"}
 """Unit by the ending of a member's name."""
 _LABELS = {
     "audit": "range error",
@@ -25,6 +26,7 @@ _LABELS = {
     "keeps_up_with": "to keep up",
     "moved_s": "moved",
     "packets": "data packets",
+    "per_ha": "density",
     "real_time_factor": "ran at",
     "wall_s": "run time",
     "walk_share": "of the walk",
@@ -164,7 +166,7 @@ def _unit_of(name: str) -> str:
 
 def _label(name: str) -> str:
     bare = next((name.removesuffix(end) for end in _UNITS if name.endswith(end)), name)
-    return _LABELS.get(name) or bare.replace("_", " ")
+    return _LABELS.get(name) or (bare if "." in bare else bare.replace("_", " "))  # names of files stay
 
 
 def text_of(value: Any) -> str:

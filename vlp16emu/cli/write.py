@@ -191,8 +191,8 @@ def picture(
 ) -> None:
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
-    Points of whole revolutions are accumulated; a capture without --trajectory shows its first revolution in the
-    sensor's frame. Needs the extra 'picture'.
+    Points of whole revolutions of the first sensor are accumulated; a capture without --trajectory shows its first
+    revolution in the sensor's frame. Needs the extra 'picture'.
     """
     from vlp16emu.captures.capture import is_capture_name
     from vlp16emu.extras.viewer.picture import check_suffix, draw_picture, source_of_capture, source_of_scene

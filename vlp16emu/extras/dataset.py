@@ -151,10 +151,14 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
         settings = [*stand.set, *path.set, *sensor.set, f"seed={seed}"]
         scene = find(stand.scene)
         own = scene == Path(stand.scene)  # True for a path, False for a name
-        scenario = load(folder / scene if own else scene, settings)
-        if spec.layout == "pcap+truth":
-            require_packets(scenario.sensor)
         names = stand.name, path.name, sensor.name
+        try:
+            scenario = load(folder / scene if own else scene, settings)
+            if spec.layout == "pcap+truth":
+                require_packets(scenario.sensor)
+        except ScenarioError as error:
+            where = f"walk {stand.name}.{seed}.{path.name}.{sensor.name}: {error.where}"
+            raise ScenarioError(where, error.found, error.expected) from None
         walks.append(DatasetWalk(len(walks), *names, split_of[stand.name], spec.layout, scenario))
     return walks
 

@@ -153,7 +153,7 @@ def faults_in(fields: NDArray[np.void], factory: int | None = None, model: Senso
     first = (ours if len(ours) else products)[:1] if factory is None else factory
     expected_product = "0x22 or 0x24"
     if factory is None and model is None and (products == PRODUCT_BEFORE_RELEASE).all():
-        expected_product += ", or --model for a VLP-16 from before release"
+        expected_product += ", or `vlp16emu decode --model` for a VLP-16 from before release"
     faults = dict[int, Fault]()
     for what, codes, right, expected in (
         ("block flag", flags, flags == layout.BLOCK_FLAG, "0xeeff"),

@@ -161,9 +161,12 @@ def test_a_rotor_that_no_vlp16_can_have_is_refused(tmp_path, rpm, count, line):
         read_sequences(turning(tmp_path / "a.pcap", rpm, count))
 
 
-def test_a_speed_between_those_that_can_be_set_is_compared_but_not_fitted(tmp_path):
-    """580 rpm is no multiple of 60: `compare` measures it, 3.3 % off, and `fit` says why no setting makes it."""
+def test_what_no_setting_makes_is_compared_but_not_fitted(recorded, tmp_path):
+    """580 rpm is no multiple of 60: `compare` measures it, 3.3 % off, and `fit` says why no setting makes it; so with a sawtooth by flipped bits."""
     sequences = read_sequences(turning(tmp_path / "a.pcap", 580))
     assert statistics_of(sequences)["rotation.speed_off_percent"] == pytest.approx(10 / 3, rel=1e-3)
     with pytest.raises(InputError, match=r"a mean speed of 580.0 rpm; expected a multiple of 60 rpm"):
         fitted(sequences)
+    corrupt = {"events": [{"kind": "corrupt", "at_s": 0.2, "share": 0.1}]}
+    with pytest.raises(InputError, match=r"^hum_deg: found 0\.\d+; expected a number from 0 to 0\.02$"):
+        fitted(recorded("corrupt", corrupt, 0.7))

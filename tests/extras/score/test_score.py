@@ -11,7 +11,8 @@ from vlp16emu import Emulator
 from vlp16emu.cli import app
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.extras.score.card import ScoreCard, limits_of
+from vlp16emu.extras.options import ScoreInputs
+from vlp16emu.extras.score.card import ScoreCard, limits_of, make_card
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
 from vlp16emu.extras.score.measures import (
     box_scores,
@@ -324,3 +325,21 @@ def test_a_damaged_cloud_is_one_line(tmp_path, suffix):
     with pytest.raises(InputError, match=r"a\.") as caught:
         read_cloud(file)
     assert "\n" not in str(caught.value)
+
+
+def test_arrays_that_are_no_table_are_one_line(tmp_path):
+    """Labels for other points and places in a plane are refused."""
+    for xyz, instance in ((np.zeros((3, 3)), [1, 2]), (np.zeros((3, 2)), [1, 2, 3])):
+        np.savez(tmp_path / "a.npz", xyz=xyz, instance=instance)
+        with pytest.raises(InputError, match=r"a\.npz: (cannot be read \(all the input|found positions of 2)"):
+            read_cloud(tmp_path / "a.npz")
+
+
+def test_an_inventory_without_trees_has_none_to_find(tmp_path):
+    """In a hall, whose inventory is a header, each found stem is false, also with true points."""
+    trees, stems, true = (tmp_path / name for name in ("trees.csv", "stems.csv", "true.npz"))
+    trees.write_text("id,x_m,y_m,dbh_m\n")
+    stems.write_text("x,y,dbh\n1,2,0.3\n")
+    np.savez(true, xyz=np.zeros((2, 3)), instance=[1, 2], part=[0, 0])
+    card = make_card(ScoreInputs(tmp_path, stems=stems, inventory=trees, truth_points=true))
+    assert [row.kind for row in card.trees] == ["false"]

@@ -215,11 +215,21 @@ def test_a_bag_of_a_real_sensor(tmp_path, capsys):
         ("verify {folder}/none.mcap --for all", "none.mcap: no bag"),
         ("verify {folder}/empty.mcap --for all", "empty.mcap: no bag"),
         ("verify {folder}/blind --for all", "no point clouds"),
+        ("verify {folder}/turnless --for all", "turnless, /tf_static: no bag: Found zero norm quaternions"),
+        ("verify {folder}/flat --for all", "flat, /velodyne_points: no bag: no field of name z"),
+        ("verify {folder}/torn/torn.mcap --for all", "torn.mcap: no bag: "),
     ],
 )
 def test_what_is_no_bag_is_one_line(rest, tmp_path, refused, words, line):
-    """No bag, an empty or blind one, and a program of another name give one line and exit code 2."""
+    """No bag, an empty, blind or damaged one, and a program of another name give one line and exit code 2."""
     (tmp_path / "empty.mcap").write_bytes(b"")
     bag = write(tmp_path / "bag", rest[:50])
     write(tmp_path / "blind", [one for one in rest[:50] if one[0] == "/imu/data"])
+    (tf,) = (message for topic, _, message in rest if topic == "/tf_static")
+    zero = replace(tf.transforms[0].transform.rotation, w=0.0)
+    turnless = replace(tf.transforms[0], transform=replace(tf.transforms[0].transform, rotation=zero))
+    write(tmp_path / "turnless", map(on("/tf_static", lambda message: replace(message, transforms=[turnless])), rest))
+    write(tmp_path / "flat", map(points(z={"name": "height"}), rest))
+    torn = write(tmp_path / "torn", rest) / "torn.mcap"
+    torn.write_bytes(torn.read_bytes().replace(b"/imu/data", b"/imu/\xe4ata"))
     assert line in refused(word.format(bag=bag, folder=tmp_path) for word in words.split())

@@ -113,6 +113,7 @@ RUNS = {
      {"gps": {"canopy_loss": False, "requires_valid": True}}, {Rule.PPS: LOST_LOCK}),
     "power cycle": ([DARK, event("power_cycle", 2.0, off_s=3.0)], 7.0, {}, {Rule.SILENCE: "no packet for 3.0",
      Rule.PPS: LOST_LOCK, Rule.CLOCK_DRIFT: "off the capture stamps", Rule.TIME_STEP: " us"}),
+    "each packet twice": ([DARK, event("duplicate", 0.0, packets="position")], 4.0, {}, {Rule.DUPLICATE: " again"}),
     "step of the clock": ([event("oscillator", 0.5, offset_us=500.0)], 1.0, FREE,
      {Rule.TIME_STEP: "time stamp +1827 us"}),
     "drift of the clock": ([DARK, event("oscillator", 0.5, drift_ppm=1000.0)], 20.0, FREE,

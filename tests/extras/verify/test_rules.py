@@ -125,6 +125,9 @@ def test_damage_is_found_by_its_rule_at_its_packet(traffic, name):
     assert set(result.counts) == {rule}
     assert next(finding.packet for finding in result.findings if finding.rule is rule) == number
     assert not result.is_clean
+    if name == "azimuth of a pair":  # quoted as they are in the packet
+        even, odd = made.payload(number - 1)[0]["blocks"]["azimuth_cdeg"][2:4]
+        assert result.findings[0].found == f"azimuths {even} and {odd} at blocks 2 and 3"
 
 
 def test_one_azimuth_of_36000_is_a_note(traffic):

@@ -99,15 +99,16 @@ def test_a_missing_pillow_is_named_before_anything_is_simulated(tmp_path, monkey
 
 
 def test_a_capture_is_drawn_by_its_trajectory(tmp_path, capsys):
-    """By its truth a capture gives a picture of all its revolutions, without it of the first one."""
-    emulator = Emulator("static_bench", {"beam.model": "none"})
+    """By its truth a capture gives a picture of all revolutions of its first sensor, without it of the first one."""
+    second = {"name": "b", "address": "192.168.1.202", "data_port": 2369, "position_port": 8309}
+    emulator = Emulator("static_bench", {"beam.model": "none", "rig": [second]})
     emulator.record(tmp_path / "a.pcap", duration_s=0.4, truth=tmp_path / "truth")
     words = ["picture", str(tmp_path / "a.pcap"), str(tmp_path / "a.png"), "--size", "320x200", "--json"]
     drawn = []
     for more in (["--trajectory", str(tmp_path / "truth")], []):
         assert run([*words, *more]) == 0
         drawn.append(json.loads(capsys.readouterr().out)["revolutions"])
-    assert drawn == [len(list(decode(tmp_path / "a.pcap"))), 1]
+    assert drawn == [len(list(decode(tmp_path / "a.pcap", 1))), 1]
     assert drawn[0] > 1
 
 

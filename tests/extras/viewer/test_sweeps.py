@@ -112,6 +112,12 @@ def test_sweeps_of_a_capture_are_found_back_and_forth(emulator, tmp_path):
     assert "class" not in layers_of_scan(early)
 
 
+def test_a_unit_of_a_rig_turns_at_its_own_speed():
+    """A unit of 300 rpm beside one of 1200 has sweeps of a fifth of a second."""
+    sweeps = SceneSweeps(Emulator("static_bench", {"sensor.rpm": 1200, "rig": [{"rpm": 300}], "duration_s": 1.0}), 2)
+    assert np.ptp(sweeps.at(0.0).scan.t_ns) == pytest.approx(sweeps.step_s * 1e9, rel=1e-3)
+
+
 def test_fewer_leaves_have_the_area_of_all():
     """A thousand equal leaves become a hundred of the same total area; unequal ones keep the largest as they are."""
     corner_m = np.random.default_rng(1).random((1000, 1, 3))

@@ -61,9 +61,12 @@ def test_lines_cover_the_plot_and_stay_in_it():
 
 
 def test_one_line_is_a_line():
-    """A plot narrower than the spacing has one line, in its middle."""
+    """A plot narrower than the spacing has one line, in its middle; three spacings wide it has four, though 3.3 / 1.1 < 3 in float64."""
     points_m = lawn_mower(LawnMower(**PLOT | {"width_m": 3.0, "azimuth_deg": 0.0}))
     np.testing.assert_allclose(points_m[:, 1], -4.5)
+    wide = {"width_m": 3.3, "line_spacing_m": 1.1, "turn_radius_m": 0.5, "azimuth_deg": 0.0}
+    x_m, y_m = lawn_mower(LawnMower(**PLOT | wide)).T
+    assert len(np.unique(y_m[np.abs(x_m - 20.0) < 5.0].round(6))) == 4
 
 
 def test_turns_that_do_not_fit_are_refused():

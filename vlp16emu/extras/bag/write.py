@@ -347,7 +347,8 @@ def _table(path: Path, columns: Sequence[str], names: Sequence[str] = (), *, tim
             if row[time] == "#":
                 continue
             try:
-                yield int(row[time].replace(".", "")), [float(row[name]) for name in columns]
-            except (TypeError, ValueError):
+                seconds, _, decimals = row[time].partition(".")  # other programs write fewer decimals than nine
+                yield int(seconds + f"{decimals:0<9}"[:9]), [float(row[name]) for name in columns]
+            except (AttributeError, TypeError, ValueError):
                 found = f"found {' '.join(str(cell) for cell in row.values())[:60]}"
                 raise InputError(f"{path}, line {reader.line_num}", found, "numbers") from None

@@ -191,8 +191,6 @@ _WARM_UP_S = 150.0  # time constant of the boards' warm-up
 _SWAY_C = 0.2  # amplitude of temperature changes
 _REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
 """Current of the electronics, of the lasers and of the motor: together 0.48 A at 600 rpm."""
-
-
 _RAILS = {
     "bot": {"pwr_1_2v": (1.2036, 11), "pwr_5v": (5.020 / 2, 13), "pwr_2_5v": (2.499, 17), "pwr_3_3v": (3.3032, 19)}
     | {"pwr_v_in": (11.964 / 11, 23)},
@@ -334,7 +332,6 @@ def submit(path: str, body: bytes, device: Device) -> None:
         pairs = []
     if not pairs:
         raise FormError(f"body: found {_quoted(body)}, expected key=value")
-
     device.change(lambda settings: reduce(partial(_with, _FORMS[path]), pairs, settings))
 
 

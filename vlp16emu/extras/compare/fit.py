@@ -3,8 +3,10 @@
 import math
 
 import numpy as np
+from pydantic import ValidationError
 
 from vlp16emu.errors import InputError
+from vlp16emu.explain import explain
 from vlp16emu.extras.compare.sequences import Sequences
 from vlp16emu.extras.compare.statistics import (
     Statistics,
@@ -36,13 +38,16 @@ def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
     """Return the `[noise]` and `[sensor]` keys of the unit that made a capture, within the limits of a scene.
 
     For quantities that a unit draws with its seed, such as the gain of each laser and the rates of lost records, the
-    keys are spreads. Biases of the lasers are not included: they need a target at a known place. InputError if the
-    error of the mean speed is above the limit of a unit.
+    keys are spreads. Biases of the lasers are not included: they need a target at a known place. InputError if a value
+    is beyond the limits of a unit.
     """
     found = statistics_of(sequences)
     noise, sensor = _noise(sequences, found), _rotor(sequences, found)
-    Noise.model_validate(noise)
-    Sensor.model_validate(sensor)
+    for section, table in ((Noise, noise), (Sensor, sensor)):
+        try:
+            section.model_validate(table)
+        except ValidationError as error:
+            raise InputError(*explain(error, section.model_json_schema())) from None
     return {"noise": noise, "sensor": sensor}
 
 

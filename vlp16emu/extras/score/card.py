@@ -181,6 +181,8 @@ def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
 def _point_counts(trees: tuple[Stem, ...], true: Cloud) -> tuple[list[int], list[int]]:
     """Return the number of points of each tree: on the stem at breast height, and in total."""
     _need(true, "instance", "part")
+    if not trees:
+        return [], []
     numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])
     order = np.argsort(numbers)
     at = np.searchsorted(numbers[order], true["instance"]).clip(max=len(numbers) - 1)

@@ -58,18 +58,22 @@ def read_cloud(path: Path) -> Cloud:
     with readable(path, f"points as {path.suffix}", InputError, most_bytes=LARGEST_BYTES):
         try:
             columns = _READERS[path.suffix](path)
+            if (own := next((name for name in _INSTANCES if name in columns), None)) is not None:
+                columns["instance"] = columns[own]
+            place = next((names for names in _PLACES if all(name in columns for name in names)), None)
+            if place is None:
+                raise InputError(str(path), f"found columns {', '.join(columns)}", "x, y and z")
+            kept = [name for name in _KEPT if name in columns]
+            table = np.column_stack([np.asarray(columns[name], np.float64) for name in (*place, *kept)])
+            xyz, labels = np.hsplit(table, [table.shape[1] - len(kept)])
         except (ValueError, KeyError, IndexError, TypeError, EOFError) as error:
             reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise InputError(str(path), f"cannot be read ({reason})", f"points as {path.suffix}") from None
-    if (own := next((name for name in _INSTANCES if name in columns), None)) is not None:
-        columns["instance"] = columns[own]
-    place = next((names for names in _PLACES if all(name in columns for name in names)), None)
-    if place is None:
-        raise InputError(str(path), f"found columns {', '.join(columns)}", "x, y and z")
-    xyz = np.column_stack([np.asarray(columns[name], np.float64) for name in place])
+    if xyz.shape[1] != 3:
+        raise InputError(str(path), f"found positions of {xyz.shape[1]} numbers", "x, y and z")
     if not len(xyz) or not np.isfinite(xyz).all():
         raise InputError(str(path), "found a NaN or infinity" if len(xyz) else "no points", "finite points")
-    return {"xyz": xyz} | {name: np.asarray(columns[name]).astype(np.int64) for name in _KEPT if name in columns}
+    return {"xyz": xyz} | dict(zip(kept, labels.astype(np.int64).T, strict=True))
 
 
 def _ply(path: Path) -> Cloud:

@@ -68,19 +68,22 @@ def read_facts(path: Path) -> Facts:
     installed.
     """
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise MissingExtraError("rosbags", "ros", "reading bags") from None
+    where = str(path)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             facts = Facts(_topic(reader, _CLOUD, "velodyne_points"), _topic(reader, _IMU, "imu/data"))
             start_s = reader.start_time // S_NS
             read = {facts.topic: _add_cloud, facts.imu_topic: _add_sample, "/tf": _add_moving, "/tf_static": _add_fixed}
             for connection, _, raw in reader.messages([one for one in reader.connections if one.topic in read]):
+                where = f"{path}, {connection.topic}"
                 read[connection.topic](facts, reader.deserialize(raw, connection.msgtype), start_s)
-    except (AnyReaderError, OSError) as error:
-        raise CaptureError(str(path), f"no bag: {error}", "a bag: .mcap, .bag or a folder of ROS 2") from None
+    except Exception as error:  # noqa: BLE001  # rosbags raises errors of any type for damaged bags and messages
+        reason = str(error) or type(error).__name__
+        raise CaptureError(where, f"no bag: {reason}", "a bag: .mcap, .bag or a folder of ROS 2") from None
     if not facts.clouds:
         where = f" on {facts.topic}" if facts.topic else ""
         raise CaptureError(str(path), f"no point clouds{where}", "messages of sensor_msgs/PointCloud2")

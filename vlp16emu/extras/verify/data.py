@@ -227,7 +227,7 @@ class DataChunk:
         is_even = self.is_even.copy()
         is_even[:-1, -1] &= self.is_regular
         is_even[-1, -1] = False
-        self.even_cdeg = self.forward_cdeg[self.judged][is_even[self.judged]]
+        self.even_steps_cdeg = self.forward_cdeg[self.judged][is_even[self.judged]]
 
 
 class DataRules:
@@ -260,10 +260,10 @@ class DataRules:
         self.lost_packets += lost
         self.left_out_us += float(chunk.gap_ms[chunk.is_gap].sum()) * 1e3
         self.covered_us += float(lost + len(chunk.step_us)) * chunk.period_ns / US_NS
-        self._turned_cdeg += int(chunk.even_cdeg.sum())
-        self._turned_steps += len(chunk.even_cdeg)
-        if len(chunk.even_cdeg) >= _RPM_STEPS:
-            rpm = float(chunk.even_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
+        self._turned_cdeg += int(chunk.even_steps_cdeg.sum())
+        self._turned_steps += len(chunk.even_steps_cdeg)
+        if len(chunk.even_steps_cdeg) >= _RPM_STEPS:
+            rpm = float(chunk.even_steps_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
             if not _RPM[0] * (1 - _RPM_TOLERANCE) <= rpm <= _RPM[1] * (1 + _RPM_TOLERANCE):
                 found, expected = f"{rpm:.1f} rpm from here", f"{_RPM[0]} to {_RPM[1]}"
                 self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)

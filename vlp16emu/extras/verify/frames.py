@@ -299,6 +299,7 @@ class InOrder:
         self._stamp_at: int = _LAYOUTS[kind].fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
         self._held: list[Datagram] = []
         self._repeats = 0
+        self.duplicates = 0  # repeated packets so far, without the packets of a sensor that hangs
 
     def take(self, datagram: Datagram) -> Iterator[Datagram]:
         """Insert a packet in order, and yield the packets that no later packet can precede."""
@@ -334,6 +335,7 @@ class InOrder:
         if self._repeats > 0 or counts_on:
             rule, found = Rule.FROZEN, f"the payload of packet {known.number} again and again"
         self._repeats += 1
+        self.duplicates += rule is Rule.DUPLICATE
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
 
     def _is_late(self, datagram: Datagram) -> bool:

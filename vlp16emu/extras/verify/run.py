@@ -198,7 +198,8 @@ class _Check:
         nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
         covered = self._data.covered_us * US_NS / S_NS * nominal_hz
         data_s -= self._data.left_out_us * US_NS / S_NS
-        sent = self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets
+        copies = self._in_order[PacketKind.POSITION].duplicates  # by a bridge or a recorder
+        sent = self._packets[PacketKind.POSITION] - copies - 1 + self._position.lost_packets
         for kind, rule, count, span_s, usual_hz in (
             (PacketKind.DATA, Rule.DATA_RATE, covered, data_s, (nominal_hz,)),
             (PacketKind.POSITION, Rule.POSITION_RATE, sent, position_s, _POSITION_RATES_HZ),

@@ -122,7 +122,7 @@ class Source(NamedTuple):
 
 
 def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Source:
-    """Return the revolutions of a capture that a trajectory covers; without a trajectory, the first revolution.
+    """Return the revolutions of a capture's first sensor that a trajectory covers; without a trajectory, the first revolution.
 
     Without a trajectory points are in the sensor's frame.
     """
@@ -137,7 +137,7 @@ def source_of_capture(capture: Path, trajectory: Path | None, span: Span) -> Sou
 def _sweeps_of_capture(capture: Path, way: Trajectory | None, span: Span) -> Iterator[Sweep]:
     """Yield the revolutions in a span since the first one; with a trajectory those that it covers whole."""
     first_ns, stop_s = None, math.inf if span.duration_s is None else span.start_s + span.duration_s
-    for scan in decode(capture):
+    for scan in decode(capture, (way and way.sensor) or 1):
         first_ns = scan.start_ns if first_ns is None else first_ns
         since_s = (scan.start_ns - first_ns) / 1e9
         if since_s >= stop_s:

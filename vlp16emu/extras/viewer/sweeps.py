@@ -76,9 +76,8 @@ class SceneSweeps:
     """
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
-        emulator.number(unit)
         self._emulator, self._unit = emulator, unit
-        self.step_s = 60.0 / emulator.scenario.sensor.rpm
+        self.step_s = 60.0 / emulator.parts.units[emulator.number(unit)].section.rpm
         end_s = min(emulator.scenario.duration_s, emulator.parts.motion.run_time_s)
         self._span_s = min(_TURNS * self.step_s, end_s)
         self.last_s = end_s - self._span_s

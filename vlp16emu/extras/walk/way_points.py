@@ -169,7 +169,7 @@ def lawn_mower(plot: LawnMower) -> F8:
     if 2 * radius_m > room_m:
         expected = f"above 0 and at most half of {room_m:g} m, line spacing or length"
         raise TrajectoryError("turn radius", f"found {radius_m:g} m", expected)
-    lines = 1 + math.floor(plot.width_m / line_spacing_m)
+    lines = 1 + math.floor(plot.width_m / line_spacing_m + 1e-9)  # 3.3 / 1.1 is below 3 in float64
     offset_m = (plot.width_m - (lines - 1) * line_spacing_m) / 2
     spacing_m = radius_m * math.pi / 2 / _POINTS_PER_QUARTER
     corners = [(0.0, offset_m)]
