@@ -89,6 +89,17 @@ def test_far_from_the_origin_nothing_is_lost(tmp_path):
     assert mesh.centre_m == pytest.approx([500000.0625, 5700000.0625, 200])
 
 
+def test_tabs_and_comments_change_nothing(tmp_path):
+    """Each vertex and face of an OBJ file is read, whatever blanks are in its line and whatever is behind it."""
+    odd = (
+        (CORNERS + TETRAHEDRON)
+        .replace("f 1 2", "f\t1  2")
+        .replace("v 1 0", "  v\t1 0")
+        .replace(" 3\n", " 3 # one\tof four\n")
+    )
+    np.testing.assert_array_equal(triangles(load(tmp_path, odd)), triangles(load(tmp_path, CORNERS + TETRAHEDRON)))
+
+
 def test_objects_and_groups_are_parts(tmp_path):
     """Each object and group of an OBJ file is a part by its name, in alphabetical order."""
     text = CORNERS + "o b\nf 1 2 3\no a\ng two\nf 1 2 4\ng one\nf 1 3 4\nf 2 3 4\n"

@@ -31,6 +31,8 @@ _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 _FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
 _OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE)
 """A face of an OBJ file that trimesh would skip: fewer than three corners, or a corner 0 (they count from 1)."""
+_OBJ_ODD_LINE = re.compile(rb"^(?:[ \t]+[vf]|[vf][^\r\n#\t]*[#\t])[^\r\n]*", re.MULTILINE)
+"""A vertex or face with a tab, a comment or leading blanks, which trimesh would skip or refuse."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +101,8 @@ def _scene(path: Path) -> Any:
     expected = "a mesh in GLB with all its data inside" if kind == ".glb" else f"a mesh in {kind[1:].upper()}"
     with readable(path, expected, GeometryError, most_bytes=LARGEST_BYTES):
         content = path.read_bytes()
+    if kind == ".obj":
+        content = _OBJ_ODD_LINE.sub(lambda line: b" ".join(line[0].partition(b"#")[0].split()), content)
     if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
         line = content.count(b"\n", 0, bad.start()) + 1
         face = content[bad.start() :].partition(b"\n")[0].decode(errors="replace").strip()
