@@ -241,6 +241,7 @@ def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
         ("semantickitti", "pcap+truth", "no packets"),
         ("semantickitti", "kitti", "pcap\\+truth"),
         ("sensor.beams", "sensor.beans", r"^walk a\.1\.middle\.four: --set sensor\.beans.*beams"),
+        ('set = ["sensor.', 'set = ["seed=5", "sensor.', "set: found seed=5; expected no seed"),
         ("schema = 1", "schema = 1\nstand = 1", "unknown key"),
     ],
 )

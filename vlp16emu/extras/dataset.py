@@ -148,7 +148,10 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
     """
     split_of, walks = _split_of(spec), list[DatasetWalk]()
     for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):
-        settings = [*stand.set, *path.set, *sensor.set, f"seed={seed}"]
+        settings = [*stand.set, *path.set, *sensor.set]
+        if own_seed := next((one for one in settings if one.partition("=")[0].strip() == "seed"), None):
+            raise ScenarioError("set", f"found {own_seed}", "no seed, as `seeds` has those of the scenes")
+        settings.append(f"seed={seed}")
         scene = find(stand.scene)
         own = scene == Path(stand.scene)  # True for a path, False for a name
         names = stand.name, path.name, sensor.name
