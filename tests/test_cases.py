@@ -11,9 +11,6 @@ from typing import Any, NamedTuple
 import pytest
 
 from vlp16emu.cli.app import run
-from vlp16emu.errors import GeometryError
-from vlp16emu.forest.plants.species import flora
-from vlp16emu.forest.stand.given_stand import read_stem_list
 
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases"
 
@@ -57,10 +54,10 @@ CASE_LIST = [
     Case("decode", "12-suspend.pcap", "", 0, lambda t: 9000.03 < t["duration_s"] < 9000.05, "both clocks go on by 2.5 h"),
     Case("bag", "12-suspend.pcap", "", 0, lambda t: 9000 < t["duration_s"] < 9000.1, "velodyne#384, #462: hour per packet"),
     Case("decode", "14-ntp-fwd.pcap", "", 0, lambda t: 0.03 < t["duration_s"] < 0.05, "the sensor's clock runs on"),
-    Case("decode", "15-dup.pcap", "", 0, lambda t: t["repeats"] == t["packets"] + t["position_packets"], "each pulse once"),
+    Case("decode", "15-dup.pcap", "", 0, lambda t: t["packets"] == 17 and t["repeats"] == 17 + t["position_packets"], "each pulse once"),
     Case("decode", "18-same-ip.pcap", "", 2, lambda e: "2 units" in e, MAC),
     Case("decode", "18-same-ip.pcap", "--unit 2", 0, packets(15), MAC),
-    Case("verify", "18-same-ip.pcap", "", 0, lambda t: len(t["units"]) == 2 and t["clean"], MAC),
+    Case("verify", "18-same-ip.pcap", "", 0, lambda t: [unit["packets"] for unit in t["units"]] == [15, 15] and t["clean"], MAC),
     Case("bag", "18-same-ip.pcap", "--unit 1", 0, lambda t: len(t["clocks"]) == 1, MAC),
     Case("verify", "19-foreign.pcap", "", 0, only_notes(), "velodyne#306: the unit on 2368 is sound"),
     Case("decode", "19-foreign.pcap", "", 0, packets(26), "velodyne#306: the unit on 2368 is sound"),
@@ -106,16 +103,3 @@ def test_stamps_without_gps_are_those_of_the_host_and_of_the_sensor_on_request(t
     assert stamps_s["host"][0] == pytest.approx(1779269383.03, abs=0.05)  # 09:29:43 of 2026-05-20
     assert stamps_s["sensor"][0] - stamps_s["host"][0] == pytest.approx(964.198, abs=1e-3)
     capsys.readouterr()
-
-
-@pytest.mark.parametrize("file", ["23-stems-excel-de.csv", "23c-stems-NA.csv"])
-def test_lists_of_stems_are_read_as_spreadsheets_write_them(file):
-    """A German Excel's `;`, decimal comma and BOM (ezbookkeeping#458), and the NA of R's `write.csv`, leave the list's 22 trees."""
-    plain = len((CASES / file).read_text("utf-8-sig").splitlines()) - 1
-    assert len(read_stem_list(CASES / file, flora().trees, (0.0, 0.0, 0.0))) == plain > 20
-
-
-def test_a_list_of_another_encoding_names_the_line_and_the_encoding():
-    """UTF-8 is documented: the line says where the first other byte is, and that it is Windows-1252."""
-    with pytest.raises(GeometryError, match="line 2: no UTF-8 text: byte f6, in Windows-1252"):
-        read_stem_list(CASES / "23d-stems-cp1252.csv", flora().trees, (0.0, 0.0, 0.0))

@@ -49,18 +49,6 @@ def test_threads_and_cuts_do_not_change_a_byte(settings):
     assert digest(pieces) == whole
 
 
-@pytest.mark.parametrize("mode", ["strongest", "last", "dual"])
-def test_packets_leave_in_order_at_the_manuals_rate(mode):
-    """Data packets are one period apart, 1327.104 us or 663.552 us in dual return, and the merged stream is in order."""
-    packets = list(Emulator(hall(f"sensor.return_mode='{mode}'")).packets(0.2, 0.7))
-    due_ns = np.array([packet.due_ns for packet in packets])
-    assert (np.diff(due_ns) >= 0).all()
-    data_ns = np.array([packet.due_ns for packet in packets if packet.kind is PacketKind.DATA])
-    assert set(np.diff(data_ns)) == {663_552 if mode == "dual" else 1_327_104}
-    position = [packet for packet in packets if packet.kind is PacketKind.POSITION]
-    assert 65 <= len(position) <= 81
-
-
 def test_a_path_is_a_file_whatever_its_name(tmp_path, monkeypatch):
     """A `Path` without a folder or a suffix is read, and spared as an input."""
     monkeypatch.chdir(tmp_path)
@@ -89,19 +77,6 @@ def test_a_time_that_is_none_is_refused(birch, seconds):
     for span_s in ((seconds, 1.0), (0.0, seconds)):
         with pytest.raises(InputError, match=f"^time: found {seconds} s; expected a finite number$|^duration: "):
             Emulator(birch).packets(*span_s)
-
-
-@pytest.mark.usefixtures("kept_woods")
-def test_truth_names_what_was_hit(birch):
-    """With truth on, every return has a surface row, and ground, stems and leaves are all among them."""
-    returns = list(Emulator(birch).returns(0, 0.1, truth=True))
-    parts = set()
-    for r in returns:
-        hit = r.distance_m[..., 0] > 0
-        assert (r.surface[..., 0][hit] < len(r.surfaces)).all()
-        parts |= set(np.unique(r.surfaces["part"][r.surface[..., 0][hit]]).tolist())
-    assert {0, 1, 4} <= parts
-    assert next(iter(Emulator(birch).returns(0, 0.1))).surface is None
 
 
 ENCODER = "sensor.eccentricity_deg=0.06", "sensor.azimuth_noise_deg=0.005"

@@ -194,14 +194,8 @@ def said(outside):
     lines = [
         f"record dune_walk {outside}/dunes.pcap --duration=0.2",
         f"points static_bench {outside}/d.ply --duration=0.1 --set=sensor.model=dense-32",
-        *(
-            "scenes",
-            "schema",
-            "greet you",
-            "forest dune_walk",
-            "record static_bench - --set=world={kind='ruins'}",
-            "moan",
-        ),
+        "record static_bench - --set=world={kind='ruins'}",
+        *("scenes", "schema", "forest dune_walk", "moan", "greet you"),
     ]
     return run_python(outside, "-c", LINES, *lines, code=2)
 

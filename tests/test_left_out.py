@@ -80,13 +80,6 @@ def test_without_noise_nothing_is_drawn():
         assert depends_on_seed(setting), setting
 
 
-def test_in_strongest_return_nothing_else_is_looked_for():
-    """Last and second return are left empty in strongest return, and not in dual return."""
-    strongest, dual = (first(f"sensor.return_mode={mode}").distance_m for mode in ("strongest", "dual"))
-    assert not strongest[..., 1:].any()
-    assert dual[..., 1].any()
-
-
 def test_without_truth_nobody_looks_for_surfaces(monkeypatch):
     """Without truth there is neither an array of surfaces nor the work of filling it."""
     forbid(monkeypatch, (detection, "find_source_surfaces"))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.errors import GeometryError
 from vlp16emu.scenario import load
 from vlp16emu.types import Semantic
 
@@ -62,12 +61,3 @@ def test_own_plants_are_scanned_and_labelled(scene):
     hit = np.concatenate([r.surfaces[r.surface[..., 0][r.distance_m[..., 0] > 0]] for r in returns])
     assert set(hit["species"][hit["semantic"] == Semantic.TREE].tolist()) == {1001}
     assert set(hit["species"][hit["semantic"] == Semantic.SHRUB].tolist()) == {2002}
-
-
-def test_a_species_of_no_file_is_refused(scene):
-    """Without the file its species is unknown, and the error says so."""
-    text = SCENE.replace('species_file = "plants.toml"\n', "")
-    without = scene.with_name("without.toml")
-    without.write_text(text, encoding="utf-8")
-    with pytest.raises(GeometryError, match="grey_alder"):
-        Emulator(load(str(without)))

@@ -151,15 +151,8 @@ def nodes_of(path):
 
 def test_labels_are_those_of_the_nearest_surface(tmp_path):
     """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on no other one."""
-    settings = [
-        "beam.model=none",
-        "noise.preset=ideal",
-        "world.near_m=inf",
-        "sensor.max_range_m=7",
-        "world.stems_per_ha=80",
-        "world.terrain.rough_rms_m=0",
-    ]
-    settings.append("duration_s=0.5")
+    settings = ["beam.model=none", "noise.preset=ideal", "sensor.max_range_m=7", "duration_s=0.5"]
+    settings += ["world.near_m=inf", "world.stems_per_ha=80", "world.terrain.rough_rms_m=0"]
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
     assert command(["forest", "spruce_walk", *options, "--radius", "7", "--glb", str(tmp_path / "twin.glb")]) == 0

@@ -123,22 +123,6 @@ def test_the_inertial_unit_is_written_whole(tmp_path):
     assert (np.abs(rows[0, 12:]) > 1e-5).all()
 
 
-def test_the_rig_holds_the_mounts(tmp_path):
-    """The sensor's pose on the trajectory is that of the carrier times body_T_sensor from the rig."""
-    mount = "{lever_arm_m=[0.1, -0.2, 0.3], yaw_deg=20.0, pitch_deg=10.0, roll_deg=-5.0}"
-    settings = [f"motion.mount={mount}", "motion.yaw_deg=30", f"imu.mount={mount}"]
-    emulator = Emulator(load("static_bench", settings))
-    written(emulator, tmp_path, stop_s=0.05)
-    rig = json.loads((tmp_path / "rig.json").read_text())
-    assert rig["imu"]["body_T_imu"] == rig["units"][0]["body_T_sensor"]
-    T = np.array(rig["units"][0]["body_T_sensor"]["matrix"])
-    body = emulator.parts.carrier.poses_at(np.array([emulator.scenario.start_ns]))
-    _, poses = tum(tmp_path / "trajectory.tum")
-    R, p = body.world_R_body[0], body.world_p_body_m[0]
-    np.testing.assert_allclose(poses[0, :3], R @ T[:3, 3] + p, atol=1e-9)
-    np.testing.assert_allclose(Rotation.from_quat(poses[0, 3:]).as_matrix(), R @ T[:3, :3], atol=1e-11)
-
-
 def test_the_same_run_in_two_parts_has_the_same_truth(walk, tmp_path):
     """Where two spans overlap their rows are the same, character by character."""
     written(walk, tmp_path / "whole", 0.0, 2.0, per_packet=True)

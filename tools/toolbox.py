@@ -17,7 +17,7 @@ def options(
     if scene:
         parser.add_argument("scene", nargs="?", default=scene)
     if duration_s:
-        parser.add_argument("--duration", type=float, default=duration_s, help="duration of each walk, in seconds")
+        parser.add_argument("--duration", type=float, default=duration_s, help="duration of each run, in seconds")
     if venv:
         parser.add_argument("--venv", type=Path, help=f"virtual environment with {venv}; made if missing")
     if settings:

@@ -241,10 +241,11 @@ def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, si
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="the captures of real sensors are not here")
 def test_a_real_capture_is_read(cli):
-    """A capture of a real unit gives its known counts, speed, smallest range and GPS state."""
+    """A capture of a real unit gives its known counts, speed, smallest range and GPS state; a turn has 100.16 ms of 289 344 records per second."""
     tree = cli("decode", CAPTURES / "mrpt_vlp16_gps.pcap", "--json").tree
     assert (tree["packets"], tree["position_packets"]) == (293, 57)
     assert tree["rpm"] == pytest.approx(600, abs=3)
+    assert tree["records_per_scan"] == pytest.approx(28_980, abs=16)
     assert tree["range_m"]["min"] == 0.5
     assert (tree["gps"]["pps"], tree["gps"]["sentence"][:7]) == ("locked", "$GPRMC,")
 

@@ -19,6 +19,7 @@ from listening import opened, parse_rmc, port_of
 
 from vlp16emu import Emulator
 from vlp16emu.extras.bench.imu_frame import decode_imu
+from vlp16emu.extras.free_ports import free_ports
 from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.packets import decode_position
 from vlp16emu.units import S_NS
@@ -62,11 +63,6 @@ def cable():
     thread.join()
     for each in (*masters, *slaves, end):
         os.close(each)
-
-
-def port_free():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
 
 
 def test_samples_leave_at_their_time(cli, receiver):
@@ -140,7 +136,8 @@ def watched(port, seconds):
 def test_gpsd_follows_the_walk(program, cable, tmp_path):
     """gpsd, on the other end of a serial cable, reports the walk's place within the receiver's errors, and the present time."""
     port, other_end, _ = cable
-    tcp = port_free()
+    with free_ports(1) as (tcp,):
+        pass
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen([shutil.which("gpsd"), "-N", "-n", "-S", str(tcp), other_end], **quiet) as gpsd:
         try:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from woods import LINES, WORDS
+from woods import WORDS
 
 from vlp16emu import Emulator
 from vlp16emu.scenario import load
@@ -33,19 +33,6 @@ def test_both_frames_are_reported(points):
     x, y, z = own["sensor_m"].T
     # Azimuth 0, the sensor's x, looks north.
     np.testing.assert_allclose(own["world_m"], np.column_stack([2.0 - y, x, z + 1.5]), atol=1e-5)
-
-
-def test_a_walk_has_points_in_the_world_pulse_by_pulse(points):
-    """On a walk a point in the world is origin + distance * direction of its own pulse."""
-    settings = [*LINES, "sensor.preset=steady", "noise.preset=ideal"]
-    settings += ["sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0"]
-    own, _ = points(*(word for setting in settings for word in ("--set", setting)), scene="birch_walk")
-    emulator, world_m = Emulator(load("birch_walk", settings)), []
-    for block in emulator.returns(0, 0.05):
-        hit = (block.distance_m[..., 0] > 0) & (block.firings.t_ns < emulator.scenario.start_ns + 50_000_000)
-        along_m = block.distance_m[..., 0, None] * block.firings.direction
-        world_m.append((block.firings.origin_m + along_m)[hit])
-    np.testing.assert_allclose(own["world_m"], np.concatenate(world_m), atol=1e-5)
 
 
 @pytest.mark.parametrize("beams", [8, 16, 64, 256])

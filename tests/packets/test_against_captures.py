@@ -16,7 +16,6 @@ from vlp16emu.packets import (
     pack_position,
     position_due_ns,
     rmc,
-    scan_starts,
 )
 from vlp16emu.types import ReturnMode, SensorModel
 
@@ -86,20 +85,6 @@ def test_pairs_of_dual_return(real_dual):
     assert shares == pytest.approx([0.493, 0.496, 0.0061], abs=0.001)
     apart_m = (even - odd)[both & (even != odd)] * 0.002
     assert apart_m.min() == pytest.approx(1.19, abs=0.01)
-
-
-@pytest.mark.parametrize("capture", ["real_single", "real_dual"])
-def test_distance_codes(request, capture):
-    """No distance code lies between 1 and 249."""
-    codes = data_fields(request.getfixturevalue(capture))["blocks"]["records"]["distance_lsb"]
-    assert codes[codes > 0].min() == 250
-
-
-def test_scans(real_single):
-    """A revolution at 599 rpm holds 28 980 records: 100.16 ms of 289 344 per second."""
-    starts = scan_starts(decode_data(real_single, keep_no_returns=True).azimuth_deg)
-    assert len(starts) == 5
-    assert np.abs(np.diff(starts)[1:] - 28_980).max() <= 16
 
 
 def test_positions(real_position):

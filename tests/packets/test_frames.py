@@ -22,17 +22,6 @@ def slow_checksum(data: bytes) -> int:
     return ~total & 0xFFFF
 
 
-def test_data_header_is_that_of_a_real_unit_in_factory_state():
-    """From the EtherType on, the 42 bytes are those dumped from a real unit at 192.168.1.201."""
-    header = data_header(FACTORY_LINK)
-    assert len(header) == 42
-    assert header[:6] == b"\xff" * 6
-    assert header[6:9] == bytes.fromhex("607688")
-    assert header[12:] == bytes.fromhex(
-        "0800 450004d20000 4000ff11b4a9 c0a801c9 ffffffff 0940 0940 04be 0000".replace(" ", "")
-    )
-
-
 @pytest.mark.parametrize("number", [0, 1, 0x8537, 0xFFFF])
 def test_position_frame_has_valid_checksums(number):
     """Both checksums of a position frame are those of a sum made word by word, and its fields are the real ones."""

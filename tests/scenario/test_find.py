@@ -34,22 +34,19 @@ def test_what_looks_like_a_path_is_a_path(path):
     assert find(path) == Path(path)
 
 
-@pytest.mark.parametrize("name", ["meadow", ""])
-def test_an_unknown_name_lists_the_known_ones(name):
-    """An unknown scene name is answered with those that exist."""
-    with pytest.raises(ScenarioError) as caught:
-        find(name)
-    known = ", ".join(scene_files())
-    assert str(caught.value) == f"scene '{name}': unknown name; expected {known}, or a path ending in .toml"
+NEAREST = "birch_walk, the nearest of `vlp16emu scenes`"
 
 
-@pytest.mark.parametrize("name", ["birch_wlk", "birch-wlk", "Birch_Walk"])
-def test_a_misspelt_name_is_answered_with_the_nearest(name):
-    """Of all scenes the one that was probably meant is named, and none beside it."""
-    with pytest.raises(ScenarioError) as caught:
-        find(name)
-    expected = "birch_walk, the nearest of `vlp16emu scenes`, or a path ending in .toml"
-    assert str(caught.value) == f"scene '{name}': unknown name; expected {expected}"
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [(("meadow", ""), ", ".join(scene_files())), (("birch_wlk", "birch-wlk", "Birch_Walk"), NEAREST)],
+)
+def test_an_unknown_name_is_answered_with_the_nearest_or_with_all(names, expected):
+    """Of all scenes the one that was probably meant is named, and none beside it; where none is near, those that exist."""
+    for name in names:
+        with pytest.raises(ScenarioError) as caught:
+            find(name)
+        assert str(caught.value) == f"scene '{name}': unknown name; expected {expected}, or a path ending in .toml"
 
 
 KITTI = """\

@@ -89,22 +89,6 @@ def test_a_setting_is_taken_as_it_is_meant(tmp_path, settings, same):
     assert load(scene, settings) == load(scene, same)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        ["motion.way_points_file=way.csv"],
-        ["motion={ kind = 'walk', way_points_file = 'way.csv' }"],
-        {"motion.way_points_file": "way.csv"},
-    ],
-)
-def test_files_of_settings_are_found_from_here(tmp_path, monkeypatch, settings):
-    """A file that a setting names lies in the current folder, wherever the scene is."""
-    (tmp_path / "here").mkdir()
-    scene = str(written(tmp_path, WALK + "stems_per_ha = 500\n"))
-    monkeypatch.chdir(tmp_path / "here")
-    assert load(scene, settings).motion.way_points_file == str(tmp_path / "here" / "way.csv")
-
-
 def test_all_missing_keys_are_reported_at_once(tmp_path):
     """A file that lacks several keys names all of them, with what each should be."""
     path = written(tmp_path, '[motion]\nkind = "static"\n[world]\nkind = "hall"\nheight_m = 6\n')

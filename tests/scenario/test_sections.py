@@ -166,11 +166,14 @@ def scene(tmp_path):
 
 
 def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
-    """A relative path is from the folder of the scene, in a setting from the current one; an absolute one stays as it is."""
+    """A relative path is from the folder of the scene, in a setting of any form from the current one; an absolute one stays as it is."""
     world = load(scene()).world
     assert (world.stem_list, world.dem.file) == (str(tmp_path / "lists/plot.csv"), "/srv/ground.npy")
     monkeypatch.chdir("/")
-    assert load(scene(), ["world.stem_list=other.csv"]).world.stem_list == "/other.csv"
+    for setting in (["world.stem_list=other.csv"], {"world.stem_list": "other.csv"}):
+        assert load(scene(), setting).world.stem_list == "/other.csv"
+    way = "motion={ kind = 'walk', way_points_file = 'way.csv' }"
+    assert load("birch_walk", [way]).motion.way_points_file == "/way.csv"
     mesh = "{ file = 'a.obj', unit = 'm', up = 'z', places = [{ x_m = 1, y_m = 2 }] }"
     assert load(scene(), [f"world.meshes=[{mesh}]"]).world.meshes[0].file == "/a.obj"
 

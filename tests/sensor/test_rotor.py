@@ -106,9 +106,8 @@ def test_a_motor_swings_about_its_speed():
     np.testing.assert_allclose(ahead_deg, expected_deg, atol=2e-5)
     assert swinging.rpm_at(0) == pytest.approx(600 * (1 + 50e-6 * 2 * np.pi * np.cos(0.5)))
     np.testing.assert_array_equal(swinging.angle_deg(t_ns[500:]), swinging.angle_deg(t_ns)[500:])
-    swing = Swing(amplitude_ns=50_000.0, period_ns=1e9, phase_rad=0.5)
-    rotor = rotor_of(0, angle_deg=10.0, swings=(swing,))
-    assert set(rotor.angle_deg(np.arange(0, 10**9, 10**7))) == {10.0}
+    resting = rotor_of(0, angle_deg=10.0, swings=(swing,))
+    assert set(resting.angle_deg(np.arange(0, 10**9, 10**7))) == {10.0}
 
 
 def test_an_encoder_of_lines_reads_as_real_ones_do():

@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
+from listening import opened, port_of
 from sinks.kit import make_packets
 
 from vlp16emu.errors import OutputError, RunError
@@ -15,14 +16,8 @@ from vlp16emu.types import Packet, PacketKind
 
 @pytest.fixture
 def receivers():
-    """Open two sockets on free ports of the loopback."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as position,
-    ):
-        for receiver in (data, position):
-            receiver.bind((LOOPBACK, 0))
-            receiver.settimeout(5)
+    """Two sockets on free ports of the loopback."""
+    with opened(5) as data, opened(5) as position:
         yield data, position
 
 
@@ -30,7 +25,7 @@ def test_datagrams_arrive_at_their_ports(receivers):
     """Data and position payloads arrive unchanged and in order, each at its own port, from two free ports."""
     packets = make_packets(50)
     data, position = receivers
-    data_port, position_port = (receiver.getsockname()[1] for receiver in receivers)
+    data_port, position_port = map(port_of, receivers)
     with UdpSink([replace(FACTORY_LINK, data_port=data_port, position_port=position_port)]) as sink:
         for packet in packets:
             sink.send(packet)

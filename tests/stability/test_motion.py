@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from extras.walk.kit import straps
 
 from vlp16emu import Emulator
 from vlp16emu.engine import assemble
 from vlp16emu.errors import InputError
 from vlp16emu.extras.walk.pack import KNOTS_PER_S, Pack
-from vlp16emu.extras.walk.settings import Harness
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, DATA_BYTES, DISTANCE_LSB_M, LASERS, decode_data
 from vlp16emu.scenario import load
@@ -32,11 +32,6 @@ def _sway(first: int, count: int) -> F8:
     return np.repeat((_SWAY_M * np.sin(2 * np.pi * _STEP_HZ * t_s))[:, None], 6, axis=1)
 
 
-def _straps(hz: float, damping: float) -> Pack:
-    axes = ("fore_aft_hz", "sideways_hz", "vertical_hz", "roll_hz", "pitch_hz", "yaw_hz")
-    return Pack(_sway, Harness(**dict.fromkeys(axes, hz), damping_ratio=damping))
-
-
 def test_stiff_straps():
     """The sway of straps of 0.5 Hz to 1 GHz, whose stiffness spans 18 decades, is that of the transfer function, to 1e-9 m."""
     s = 2j * np.pi * _STEP_HZ
@@ -45,7 +40,7 @@ def test_stiff_straps():
         for hz in np.geomspace(0.5, 1e9, 10):
             w = 2 * np.pi * hz
             answer = (2 * damping * w * s + w * w) / (s * s + 2 * damping * w * s + w * w)
-            nodes = _straps(hz, damping).nodes(_AT_S)[:, 0]
+            nodes = Pack(_sway, straps(hz, damping)).nodes(_AT_S)[:, 0]
             exact = [_SWAY_M * np.imag(answer * s**d * np.exp(s * (_AT_S + _NODES_S))) for d in range(2)]
             errors.append([float(np.abs(nodes[:, d] - exact[d]).max()) for d in range(2)])
         worst_m, worst_m_s = np.max(errors, axis=0)
@@ -53,7 +48,7 @@ def test_stiff_straps():
         assert worst_m <= 1e-9, name  # sway off the closed form, m
         assert worst_m_s <= 1e-7, name  # its rate, m/s
     with pytest.raises(InputError, match="more damping"):
-        _straps(2.0, 0.0)
+        Pack(_sway, straps(2.0, 0.0))
 
 
 def test_fast_turns():

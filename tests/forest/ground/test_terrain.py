@@ -114,12 +114,7 @@ def test_ground_steeper_than_soil_is_refused(band, rms_m, steep_deg):
 SPACING_M, TOWARDS_DEG = 25.0, 30.0
 ALONG = np.array([math.cos(math.radians(TOWARDS_DEG)), math.sin(math.radians(TOWARDS_DEG))])
 LEFT = np.array([-ALONG[1], ALONG[0]])
-
-
-def flat_with_trails(*, seed=3):
-    """Flat ground with nothing but ruts."""
-    section = Terrain(hill_rms_m=0.0, rough_rms_m=0.0, trail_spacing_m=SPACING_M, trail_towards_deg=TOWARDS_DEG)
-    return TerrainHeights(section, seed=seed)
+TRAILS = {"trail_spacing_m": SPACING_M, "trail_towards_deg": TOWARDS_DEG}
 
 
 def words_of(trail, kind=0, seed=3):
@@ -140,14 +135,14 @@ def test_a_rut_is_what_its_random_numbers_say():
             depth = 0.125 + 0.15 * sum(waves) / 4
             u = (across - first - trail * SPACING_M - side * track / 2) / (0.75 * width)
             twin -= depth * np.where(abs(u) < 1, (1 - u**2) ** 2 * (1 - 2.25 * u**2), 0.0)
-    assert flat_with_trails().height_m(x, y) == pytest.approx(twin, abs=1e-12)
+    assert flat_but(**TRAILS).height_m(x, y) == pytest.approx(twin, abs=1e-12)
     assert np.count_nonzero(twin) > 200
 
 
 def test_the_ground_is_free_but_for_a_strip_along_each_trail():
     """The share of scattered points off trails is 1 - 4 m / 25 m, and no rut reaches where trees may stand; without trails all are free."""
     xy_m = np.random.default_rng(2).uniform(-500, 500, (40_000, 2))
-    terrain = flat_with_trails()
+    terrain = flat_but(**TRAILS)
     free = terrain.trails.are_free(xy_m)
     assert Trails(Terrain(), seed=3).free_share == 1
     assert Trails(Terrain(), seed=3).are_free(xy_m).all()

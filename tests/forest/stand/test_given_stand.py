@@ -127,16 +127,6 @@ def test_a_bad_list_is_refused_in_one_line(tmp_path, text, message):
         read(tmp_path, text)
 
 
-def test_a_file_that_is_no_text_is_refused(tmp_path):
-    """A spreadsheet's own file, and a file that is not there, are refused by name."""
-    path = tmp_path / "stems.csv"
-    with pytest.raises(GeometryError, match=r"stems.csv: no such file or directory; expected a stem list"):
-        read_stem_list(path, flora().trees, NO_ORIGIN)
-    path.write_bytes(b"PK\x03\x04\xff\xfe")
-    with pytest.raises(GeometryError, match=r"stems.csv, line 1: no UTF-8 text"):
-        read_stem_list(path, flora().trees, NO_ORIGIN)
-
-
 TREE_HEADER = "x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg\n"
 ROWS = """\
 3,4,silver_birch,20,20,9,4,0,0
