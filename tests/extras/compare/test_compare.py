@@ -172,3 +172,5 @@ def test_what_no_setting_makes_is_compared_but_not_fitted(recorded, tmp_path):
     corrupt = {"events": [{"kind": "corrupt", "at_s": 0.2, "share": 0.1}]}
     with pytest.raises(InputError, match=r"^hum_deg: found 0\.\d+; expected a number from 0 to 0\.02$"):
         fitted(recorded("corrupt", corrupt, 0.7))
+    rows = (fitted(read_sequences(turning(tmp_path / "a.pcap", rpm)))["sensor"] for rpm in (300, 600))
+    assert ["encoder_rate_error" in row for row in rows] == [False, True]
