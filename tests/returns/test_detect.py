@@ -34,7 +34,7 @@ BIASED = {"noise": {"range_bias_m": 0.02}}
 
 
 def test_what_is_measured_beyond_the_greatest_range_is_lost():
-    """An echo within reach that a laser's bias puts beyond it gives no return, and no reflectivity either."""
+    """An echo that a laser's bias puts beyond reach gives no return, and no reflectivity; noise does so as often to one surface as to two."""
     bias_m = lone(50.0, 0.7, **BIASED).distance_m[..., 0] - 50.0
     out = lone(99.99, 0.7, **BIASED)
     lost, kept = bias_m > 0.0101, bias_m < 0.0099
@@ -43,6 +43,10 @@ def test_what_is_measured_beyond_the_greatest_range_is_lost():
     assert not out.distance_m[lost].any()
     assert not out.reflectivity[lost].any()
     assert (out.distance_m[kept][:, :2] > 99.9).all()
+    unit, surfaces = detector({"range_noise_m": 0.01}), table(0.5, 0.5)
+    of = [detect(firings(500), pulses(500, m), surfaces, unit, truth=False) for m in ([99.999], [99.9, 100.098])]
+    one, two = ((each.distance_m[..., 1] > 0).mean() for each in of)
+    assert one == pytest.approx(two, abs=0.03)
 
 
 @pytest.mark.parametrize("far", [9.0, 0.9])
@@ -80,11 +84,12 @@ def test_reflectivity_scale(reflectance, cosine, byte):
 
 
 def test_truth_is_kept_only_on_request():
-    """Surfaces travel along only when asked for, and are `NO_SURFACE` where there is no return."""
+    """Surfaces travel along only when asked for, whatever the noise of ranges, and are `NO_SURFACE` where there is no return."""
     assert lone(7.0).surface is None
     kept = lone(7.0, truth=True)
     assert (kept.surface[..., :2] == 0).all()
     assert (kept.surface[..., 2] == NO_SURFACE).all()
+    assert (lone(7.0, 0.01, truth=True, noise={"range_noise_m": 0.1}, pulse_ns=1.0).surface[..., 0] == 0).all()
     assert (lone(0.3, truth=True).surface == NO_SURFACE).all()
 
 
@@ -121,6 +126,8 @@ def test_step_edge(gap_m, returns):
     if gap_m < 0.5:  # the range law makes the nearer plate the brighter one
         middle_m = np.average([10, 10 + gap_m], weights=[1 / 10**2, 1 / (10 + gap_m) ** 2])
         assert distance_m[0] == pytest.approx(middle_m, abs=0.002)
+        short_m = split([10.0, 10.0, 10.0, 10.14], [0.5] * 4, pulse_ns=1.0)[0][0]
+        assert short_m == pytest.approx(10.0046, abs=0.0005)  # the highest peak; the mean is at 10.035
 
 
 def test_batches_do_not_matter():

@@ -103,13 +103,14 @@ def test_grazing_and_partly_hit_targets_drop_out():
 
 
 def test_no_returns_show_a_constant_of_their_laser():
-    """Where asked for, records without a return carry that of their laser, the same for a laser each time; else 0."""
+    """Where asked for, records without a return carry that of their laser, the same for a laser each time, up to 255; else 0."""
     silent = seen({"no_return_reflectivity": True}, np.inf, k=50)
     assert (silent.distance_m == 0).all()
     codes = silent.reflectivity[..., :2]
     assert (codes == codes[0, :, :1]).all()
     assert (codes[0, :, 0] == np.floor(no_return_reflectivity(1, 16, None))).all()
     assert len(np.unique(codes)) > 4
+    assert no_return_reflectivity(1, 999, 100.0).max() == 255.0
     assert not seen({}, np.inf, k=8).reflectivity.any()
     assert (seen({"no_return_reflectivity": True}, 10.0, k=8).reflectivity[..., :2] == 20).all()
 

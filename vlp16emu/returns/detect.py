@@ -100,7 +100,8 @@ def detect(
     if not truth:
         return Returns(firings, distance_m, reflectivity)
     surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
-    find_source_surfaces(constants, first, rays, distance_m, surface, share)
+    source_m = np.where(distance_m > 0.0, exact_m, np.float32(0.0))
+    find_source_surfaces(constants, first, rays, source_m, surface, share)
     return Returns(firings, distance_m, reflectivity, surface, surfaces, exact_m, share)
 
 
@@ -358,12 +359,13 @@ def _write(
     constants: DetectorConstants, n: int, j: int, own: _Laser, peaks: F8, chosen: I8, distance_m: F4, reflectivity: U1
 ) -> None:
     """Fill the returns (3,) of a pulse; each chosen peak is measured once, and dropped if measured beyond `max_range_m`."""
-    error_m, share = own[0], own[1]
+    share = own[1]
     for column in range(3):
         peak = chosen[column]
-        if peak < 0:
+        if peak < 0 or (column > 0 and peak == chosen[column - 1]):  # an echo in two columns has one error
             continue
         at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
+        error_m = own[0] + constants.range_walk_m * (min(100.0 * light * at_m * at_m, 100.0) - _UNSHIFTED_CODE)
         sigma_m = share * range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
         if at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m:  # noise may put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)

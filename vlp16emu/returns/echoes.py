@@ -6,7 +6,7 @@ searches peaks reports its modes. Surfaces closer than the pulse width give one 
 Sub-rays within `NODE_M` are merged at their energy-weighted mean. The mode of Gaussians within a span s
 differs from their mean by at most s**3 / (12 sqrt(3) sigma**2) to leading order, because their third moment is at most
 s**3 / (6 sqrt(3)): 1.1 mm for a node and a pulse of 6 ns with the most asymmetric light; and the peak is
-lower than the node by 2 % at most. Most pulses are one node and need no waveform.
+lower than the node by 2 % at most. Nodes of a shorter pulse are shorter in proportion. Most pulses are one node and need no waveform.
 
 Light that passes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. The part that comes
 back has passed the leaf twice and is spread both times, so it is weaker than direct light by the share of the
@@ -35,6 +35,7 @@ OPEN = 2  # column of peaks: the amplitude, or 0 after the peak is processed
 _RAY, _PART = 2, 3  # columns of nodes during gathering: sub-rays without a node, and their light
 _HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes after gathering: result of `_waveform` at each node
 NODE_M = 0.15  # greatest span of sub-rays that are merged
+_NODE_SIGMAS = 0.4  # its limit in sigmas of the pulse: 0.382 m at 6 ns
 _LN2 = 0.6931471805599453
 _Light = tuple[float, float, float]
 """Mean and variance of the range of light, and height of the waveform, as `_waveform` returns them."""
@@ -74,7 +75,7 @@ def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, n
     Each node takes the sub-rays near the first remaining one. Processors cannot predict which are near, so the code does not branch.
     """
     _, range_m, surface, cos_incidence, reflectance = rays
-    left = found = 0
+    left, found, reach_m = 0, 0, 0.5 * min(NODE_M, _NODE_SIGMAS * constants.sigma_m)
     for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
         if range_m[ray] < np.inf:
             nodes[_RAY, left] = range_m[ray]
@@ -87,7 +88,7 @@ def gather(constants: DetectorConstants, rays: SubRays, start: int, stop: int, n
             ray_m, part = nodes[_RAY, ray], nodes[_PART, ray]
             nodes[_RAY, left], nodes[_PART, left] = ray_m, part
             away_m = ray_m - first_m
-            near = abs(away_m) <= 0.5 * NODE_M
+            near = abs(away_m) <= reach_m
             left += 1 - near
             part *= np.float64(near)  # the compiler would turn a condition into a branch
             energy += part
@@ -284,7 +285,7 @@ _REACH_SIGMAS = 5.0
 def find_source_surfaces(
     constants: DetectorConstants, first: int, rays: SubRays, distance_m: F4, surface: U4, share: F4
 ) -> None:
-    """Fill the surface (k, L, 3) of the sub-ray that gives most of the light at each distance, and the share of this surface.
+    """Fill the surface (k, L, 3) of the sub-ray that gives most of the light at each distance before errors, and its share.
 
     The share (k, L, 3) is the fraction of the pulse's sub-rays that hit it at any range. Clutter and distance 0 have no surface.
     """

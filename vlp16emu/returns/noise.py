@@ -63,7 +63,7 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
     if middle is None:
         low, high = _NO_RETURN_MIDDLE
         middle = low * power(high / low, float(uniform(seed, Purpose.NO_RETURN, 0, 1)[0]))
-    return np.asarray(middle * exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)))
+    return np.minimum(middle * exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)), 255.0)
 
 
 def no_return_multiples(seed: int, no_return: F8, wander: float) -> F8:

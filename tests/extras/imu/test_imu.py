@@ -152,11 +152,15 @@ def test_an_attitude_is_levelled_by_what_the_unit_feels(unit):
 
 
 def test_the_heading_drifts_with_the_gyroscopes(unit):
-    """The heading is off by bias times time, and by a random walk of the density of the noise; the same however it is read."""
+    """The heading is off by bias times time, also if the unit sways, and by a random walk of the density of the noise; the same however it is read."""
     biased = unit(attitude=True, gyro_bias_rad_s=1e-3)
     late = biased.read(200 * 60, 1)
     heading = Rotation.from_matrix(late.world_R_imu).as_euler("zyx")[0, 0]
     assert heading == pytest.approx(60 * late.gyro_bias_rad_s[0, 2], abs=1e-12)
+    sway = mounted(StaticMotion(np.zeros(3), 0.0, 0.0, 0.0), Mount(spin_hz=2.0, spin_axis=(0.04, 0.0, 1.0)), START_NS)
+    late = unit(motion=sway, attitude=True, gyro_bias_rad_s=1e-3).read(200 * 600, 200)
+    off = late.world_R_imu @ sway.poses_at(late.t_ns).world_R_body.swapaxes(1, 2)
+    assert np.ptp(np.diff(Rotation.from_matrix(off).as_euler("zyx")[:, 0])) < 1e-9
     ends = []
     for seed in range(60):
         noisy = unit(attitude=True, gyro_noise_rad_s_sqrt_hz=1e-3, seed=seed)

@@ -86,8 +86,8 @@ def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
 def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
     turning = turning_of(sequences)
     set_rpm = min(max(_SET_RPM * round(sequences.rpm / _SET_RPM), 300), 1200)
-    # Local variance of encoder readings without rate error, and the variance that the error adds: from our own packets.
-    excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
+    # Local variance of encoder readings without rate error, and the variance that the error adds: from our own packets at 540 to 660 rpm.
+    excess, near_600 = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0), abs(set_rpm - 600) <= _SET_RPM
     once, twice = turning.once_cdeg, turning.twice_cdeg
     off_rpm = (sequences.rpm - set_rpm) * 600.0 / set_rpm
     if abs(off_rpm) > _MOST_OFF_RPM:
@@ -102,7 +102,7 @@ def _rotor(sequences: Sequences, found: Statistics) -> dict[str, object]:
         "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
         "hum_deg": round(max(found["rotation.tick_us"], 0.0) * _HALF_DEG_PER_US, 5),
-        "encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3),
+        **({"encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3)} if near_600 else {}),
         "speed_error_rpm": round(off_rpm, 3),
         **({"clock_error_ppm": round(found["clock.error_ppm"], 2)} if "clock.error_ppm" in found else {}),
     }

@@ -81,13 +81,16 @@ def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: I8) -> Sequences:
         raise CaptureError(str(path), "time stamps that stand still or fall", "packets of one sensor in order")
     block = (packet[:, None] * per_packet + np.arange(per_packet)).ravel()
     number = (block[:, None] * layout.SEQUENCES_PER_BLOCK + np.arange(layout.SEQUENCES_PER_BLOCK)).ravel()
-    azimuth_deg = blocks["azimuth_cdeg"].ravel() / 100
+    azimuth_cdeg, apart = blocks["azimuth_cdeg"].ravel().astype(np.int64), np.diff(block)
+    step_cdeg = np.diff(azimuth_cdeg) % layout.AZIMUTH_CODES
+    off_cdeg = np.median(step_cdeg[apart == 1]) * apart - step_cdeg  # in a gap the rotor turns at its usual speed
+    step_cdeg += np.rint(off_cdeg / layout.AZIMUTH_CODES).astype(np.int64) * layout.AZIMUTH_CODES
     distance_lsb, reflectivity = _of_lasers(blocks)
     return Sequences(
         number=number,
         distance_lsb=distance_lsb,
         reflectivity=reflectivity,
-        azimuth_cdeg=np.rint(100 * np.unwrap(azimuth_deg, period=360.0)).astype(np.int64),
+        azimuth_cdeg=np.cumsum(np.append(azimuth_cdeg[:1], step_cdeg)),
         block=block,
         clock_ns=clock_ns[0] + since_ns,
         stamp_ns=stamp_ns,

@@ -329,7 +329,7 @@ def rotation(sequences: Sequences) -> Statistics:
         out["rotation.short_steps"] = (step < _LEAST_STEP_CDEG).mean()
     turns = (azimuth - azimuth[0]) // AZIMUTH_CODES
     if turns[-1] >= 3:
-        starts = np.searchsorted(turns, np.arange(turns[-1] + 1))
+        starts = np.unique(np.searchsorted(turns, np.arange(turns[-1] + 1)))  # a gap may hide whole turns
         each = np.diff(azimuth[starts]) / np.diff(block[starts])
         out["rotation.speed_sd_percent"] = (each / each.mean()).std() * 100
     return out

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,6 +51,9 @@ class ImuSampler:
         drawn = (normal(seed, Purpose.IMU_MODEL, 0, 9, lane).reshape(3, 3) for lane in range(2))
         # Sensitivity and alignment (3, 3) of the gyroscopes and of the accelerometers.
         self._responses = [np.eye(3) + _AXIS_ERROR * each for each in drawn]
+        noise = imu.gyro_noise_rad_s_sqrt_hz, imu.gyro_walk_rad_s2_sqrt_hz
+        self._gyro = (imu.gyro_bias_rad_s, *noise, _GYRO_WARM_UP_RAD_S * imu.is_rough)
+        self._turn = lru_cache(None)(lambda chunk: float(self._turned(chunk)[-1]))
 
     def late_ns(self, first: int, count: int) -> I8:
         """Return the delay (count,) of the time stamps of samples first .. first + count - 1."""
@@ -67,33 +71,39 @@ class ImuSampler:
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
         force = matvec(truth.world_R_body.swapaxes(1, 2), up)
         e, w = self._imu, truth.body_w_rad_s
-        gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz
         accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
-        w_errors, w_bias = self._sample_errors((*gyro, _GYRO_WARM_UP_RAD_S * e.is_rough), first, count, 0)
+        w_errors, w_bias = self._sample_errors(self._gyro, first, count, 0)
         force_errors, force_bias = self._sample_errors((*accel, _ACCEL_WARM_UP_M_S2 * e.is_rough), first, count, 3)
-        attitude = self._attitude(truth.world_R_body, w_bias, force_bias, first) if e.attitude else None
+        attitude = self._attitude(truth.world_R_body, force_bias, first) if e.attitude else None
         seen_w, seen_force = map(matvec, self._responses, (w, force)) if e.is_rough else (w, force)
         late_ns = self.late_ns(first, count)
         stamp_ns = t_ns + late_ns if late_ns.any() else None
         read = seen_w + w_errors, seen_force + force_errors
         return Inertial(t_ns, *read, w, force, w_bias, force_bias, attitude, stamp_ns)
 
-    def _attitude(self, world_R_imu: F8, w_bias: F8, force_bias: F8, first: int) -> F8:
+    def _attitude(self, world_R_imu: F8, force_bias: F8, first: int) -> F8:
         """Return the reported attitude (n, 3, 3) of samples from `first` on.
 
         It is levelled by gravity, so the accelerometers' bias relative to 1 g tilts it. Its heading drifts with the
-        gyroscopes' bias about the vertical since the start, and with the random walk of their integrated white noise.
+        integral of the gyroscopes' bias, and with the random walk of their integrated white noise.
         """
         up = matvec(world_R_imu, force_bias) + np.array([0.0, 0.0, GRAVITY_M_S2])
         up /= norm(up)[:, None]
         tilt = np.zeros((len(up), 3, 3))  # the shortest turn of `up` to the vertical, by Rodrigues' formula
         tilt[:, 2, 0], tilt[:, 2, 1], tilt[:, 0, 2], tilt[:, 1, 2] = up[:, 0], up[:, 1], -up[:, 0], -up[:, 1]
         turn = np.eye(3) + tilt + matmul(tilt, tilt) / (1.0 + up[:, 2])[:, None, None]
-        since_s = np.arange(first, first + len(up)) / self._imu.rate_hz
-        drift_rad = matvec(world_R_imu, w_bias)[:, 2] * since_s
+        chunks = range(first // _CHUNK, (first + len(up) - 1) // _CHUNK + 1)
+        parts = [sum(map(self._turn, range(chunk))) + self._turned(chunk)[:-1] for chunk in chunks]
+        drift_rad = np.concatenate(parts)[first - chunks.start * _CHUNK :][: len(up)]
         if noise := self._imu.gyro_noise_rad_s_sqrt_hz:
             drift_rad += noise / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, len(up), _HEADING)
         return matmul(matmul(rotations(drift_rad, 0.0, 0.0), turn), world_R_imu)
+
+    def _turned(self, chunk: int) -> F8:
+        """Return the integral (n + 1,) of the gyroscopes' bias over a chunk, about the vertical of the first sample of all."""
+        up = self._motion.kinematics_at(np.array([self._start_ns])).world_R_body[0, 2]
+        _, bias = self._sample_errors(self._gyro, chunk * _CHUNK, _CHUNK, 0)
+        return np.append(0.0, np.cumsum((bias * up).sum(axis=1))) / self._imu.rate_hz
 
     def _sample_errors(
         self, sizes: tuple[float, float, float, float], first: int, count: int, first_axis: int
